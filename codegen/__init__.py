@@ -1,0 +1,57 @@
+"""Derive, emit and solve discrete mechanics: problems in sympy become self-contained numba solvers."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    **dict.fromkeys(["Control", "Simulate"], "codegen.problem"),
+    **dict.fromkeys(
+        "coordinate coordinates canonical_pair canonical_pairs control controls parameter parameters time".split(),
+        "codegen.symbols",
+    ),
+    **dict.fromkeys(["build"], "codegen.compiler"),
+    **dict.fromkeys(["load"], "codegen.load"),
+}
+
+__all__ = [
+    "Control",
+    "Simulate",
+    "build",
+    "canonical_pair",
+    "canonical_pairs",
+    "control",
+    "controls",
+    "coordinate",
+    "coordinates",
+    "load",
+    "parameter",
+    "parameters",
+    "time",
+]
+
+if TYPE_CHECKING:
+    from codegen.compiler import build
+    from codegen.load import load
+    from codegen.problem import Control, Simulate
+    from codegen.symbols import (
+        canonical_pair,
+        canonical_pairs,
+        control,
+        controls,
+        coordinate,
+        coordinates,
+        parameter,
+        parameters,
+        time,
+    )
+
+
+def __getattr__(name: str) -> Any:
+    # Imported on first use, so that `codegen --help` and generated modules' users never wait for sympy.
+    if name not in _HOMES:
+        raise AttributeError(f"module 'codegen' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

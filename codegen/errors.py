@@ -1,0 +1,51 @@
+"""The errors that a person can cause, each naming what is wrong, where, and the remedy."""
+
+from __future__ import annotations
+
+
+class CodegenError(Exception):
+    """Base of all errors that are reported as one line with exit status 2, never as a traceback.
+
+    Parameters are the finding (naming the symbol, equation or file) and the remedy, both one clause.
+    """
+
+    def __init__(self, finding: str, remedy: str) -> None:
+        super().__init__(f"{finding}; {remedy}")
+        self.finding = finding
+        self.remedy = remedy
+
+
+class ProblemFileError(CodegenError):
+    """The problem file cannot be read, imported or called."""
+
+
+class ArgumentError(CodegenError):
+    """A `--set` argument, a scheme, a method, a driver or another option does not fit the problem."""
+
+
+class SymbolError(CodegenError):
+    """A symbol is undeclared, unused, declared twice or badly named."""
+
+
+class ExpressionError(CodegenError):
+    """A Lagrangian, Hamiltonian, force, cost or boundary value cannot be used as it is written."""
+
+
+class DegenerateError(CodegenError):
+    """A Legendre transform does not exist because velocities (or momenta) cannot be solved for."""
+
+
+class BoundaryError(CodegenError):
+    """The boundary conditions do not fit the coordinates of the problem."""
+
+
+class SchemeError(CodegenError):
+    """A scheme is unknown, or cannot be applied to this problem or method."""
+
+
+class ModuleError(CodegenError):
+    """A generated module is missing, damaged or does not belong to the problem."""
+
+
+class NumericsError(CodegenError):
+    """Numbers given at run time are unusable: not finite, of the wrong shape, or out of range."""

@@ -1,0 +1,202 @@
+"""The symbols that an author declares: coordinates, velocities, momenta, controls, parameters, time.
+
+Each is a sympy Symbol of a kind of its own, so that a symbol in an expression tells what it is, and a plain
+`sympy.Symbol` is recognised as never declared. Two declarations are two symbols even when they share a name, which is
+how a name that is used twice is found out.
+"""
+
+from __future__ import annotations
+
+import itertools
+import keyword
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import sympy
+
+from codegen.errors import SymbolError
+
+_serial_numbers = itertools.count()
+_recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities", default=None)
+
+RESERVED = frozenset(
+    "h steps solution math np numpy numba njit x u_interval parameters tolerance guess lambda_ duration start end".split()
+)
+"""Names that generated modules use for their own purposes."""
+
+
+class Quantity(sympy.Symbol):
+    """A declared real symbol; `declared` orders symbols as their author wrote them."""
+
+    __slots__ = ("declared",)
+    declared: int
+
+    def __new__(cls, name: str) -> Quantity:
+        _require_identifier(name)
+        symbol: Quantity = sympy.Symbol.__xnew__(cls, name, real=True)
+        symbol.declared = next(_serial_numbers)
+        recorded = _recorder.get()
+        if recorded is not None:
+            recorded.append(symbol)
+        return symbol
+
+    def __getnewargs_ex__(self) -> tuple[tuple[str], dict[str, Any]]:
+        return (self.name,), {}
+
+    def _hashable_content(self) -> tuple[Any, ...]:
+        return (*super()._hashable_content(), self.declared)
+
+
+class Coordinate(Quantity):
+    """A generalised coordinate; `velocity` or `momentum` is the symbol that was declared with it."""
+
+    __slots__ = ("partner",)
+    partner: Velocity | Momentum
+
+
+class Velocity(Quantity):
+    """The time derivative of its `partner`, a coordinate."""
+
+    __slots__ = ("partner",)
+    partner: Coordinate
+
+
+class Momentum(Quantity):
+    """The momentum conjugate to its `partner`, a coordinate."""
+
+    __slots__ = ("partner",)
+    partner: Coordinate
+
+
+class ControlInput(Quantity):
+    """A control, free to be chosen by the optimiser at every time."""
+
+    __slots__ = ()
+
+
+class Parameter(Quantity):
+    """A number that stays an argument of the generated module; `value` is its default."""
+
+    __slots__ = ("value",)
+    value: float
+
+
+class Time(Quantity):
+    """The independent variable."""
+
+    __slots__ = ()
+
+
+def coordinate(name: str, velocity: str | None = None) -> tuple[Coordinate, Velocity]:
+    """Declare one coordinate and its velocity, which is called `d<name>` unless told otherwise."""
+    (q,), (v,) = coordinates(name, velocity)
+    return q, v
+
+
+def coordinates(names: str, velocities: str | None = None) -> tuple[tuple[Coordinate, ...], tuple[Velocity, ...]]:
+    """Declare coordinates and their velocities: `(r, phi), (dr, dphi) = coordinates("r phi")`.
+
+    Raises SymbolError when a name is no identifier or when the two lists differ in length.
+    """
+    qs = _split(names)
+    vs = [f"d{name}" for name in qs] if velocities is None else _split(velocities)
+    return _pairs(qs, vs, Velocity)
+
+
+def canonical_pair(coordinate: str, momentum: str) -> tuple[Coordinate, Momentum]:
+    """Declare one coordinate and its conjugate momentum: `q, p = canonical_pair("q", "p")`."""
+    (q,), (p,) = canonical_pairs(coordinate, momentum)
+    return q, p
+
+
+def canonical_pairs(coordinates: str, momenta: str) -> tuple[tuple[Coordinate, ...], tuple[Momentum, ...]]:
+    """Declare coordinates and momenta: `(r, phi), (pr, pphi) = canonical_pairs("r phi", "pr pphi")`."""
+    return _pairs(_split(coordinates), _split(momenta), Momentum)
+
+
+def control(name: str) -> ControlInput:
+    """Declare one control."""
+    return ControlInput(name)
+
+
+def controls(names: str) -> tuple[ControlInput, ...]:
+    """Declare several controls: `f1, f2 = controls("f1 f2")`."""
+    return tuple(ControlInput(name) for name in _split(names))
+
+
+def parameter(name: str, value: float) -> Parameter:
+    """Declare one parameter with its default value, a finite real number."""
+    symbol = Parameter(name)
+    assert isinstance(symbol, Parameter)
+    symbol.value = finite_number(value, f"parameter {name}")
+    return symbol
+
+
+def parameters(**values: float) -> tuple[Parameter, ...]:
+    """Declare parameters with their default values: `m, g = parameters(m=1, g=9.81)`.
+
+    Raises SymbolError when a value is not a finite real number.
+    """
+    return tuple(parameter(name, value) for name, value in values.items())
+
+
+def time(name: str = "t") -> Time:
+    """Declare the time, for Lagrangians, forces, costs and guesses that depend on it explicitly."""
+    symbol = Time(name)
+    assert isinstance(symbol, Time)
+    return symbol
+
+
+@contextmanager
+def recorded_declarations() -> Iterator[list[Quantity]]:
+    """Record every quantity that is declared inside the block, so that unused ones can be named."""
+    declared: list[Quantity] = []
+    token = _recorder.set(declared)
+    try:
+        yield declared
+    finally:
+        _recorder.reset(token)
+
+
+def finite_number(value: Any, what: str) -> float:
+    """Turn a number (Python's, numpy's or sympy's) into a float; SymbolError names `what` when it is not finite."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise SymbolError(f"{what} is {value!r}", "give a real number") from None
+    if not abs(number) < float("inf"):
+        raise SymbolError(f"{what} is {number}", "give a finite number")
+    return number
+
+
+def _split(names: str) -> list[str]:
+    if not isinstance(names, str) or not names.replace(",", " ").split():
+        raise SymbolError(f"{names!r} declares no symbol", 'give names separated by blanks, as in "r phi"')
+    return names.replace(",", " ").split()
+
+
+def _pairs(qs: list[str], partners: list[str], kind: type[Any]) -> tuple[tuple[Coordinate, ...], tuple[Any, ...]]:
+    if len(qs) != len(partners):
+        raise SymbolError(
+            f"{len(qs)} coordinates ({' '.join(qs)}) but {len(partners)} partners ({' '.join(partners)})",
+            "give one velocity or momentum for each coordinate",
+        )
+    first = tuple(Coordinate(name) for name in qs)
+    second = tuple(kind(name) for name in partners)
+    for q, partner in zip(first, second, strict=True):
+        assert isinstance(q, Coordinate)
+        q.partner, partner.partner = partner, q
+    return first, second  # type: ignore[return-value]
+
+
+def _require_identifier(name: Any) -> None:
+    if not isinstance(name, str) or not name.isidentifier():
+        raise SymbolError(f"{name!r} is not an identifier", "use letters, digits and underscores")
+    if keyword.iskeyword(name) or keyword.issoftkeyword(name):
+        raise SymbolError(f"{name!r} is a keyword of Python", f"call it {name}_ or something clearer")
+    if not name.isascii():
+        raise SymbolError(f"{name!r} is not ASCII", "spell it out, as in phi or lam")
+    if name.startswith("_") or name.endswith("_k") or name.endswith("_k1") or name in RESERVED:
+        raise SymbolError(f"{name!r} is reserved for generated code", "choose another name")

@@ -1,0 +1,19 @@
+"""Let a simple pendulum swing.
+
+Unit mass, length and gravity: H = p^2/2 - cos q, or L = dq^2/2 + cos q. Source: thesis, example 1.0.1, whose phase
+portraits (Figure 1.3) start from the states in its text. All quantities are nondimensional.
+"""
+
+from typing import Literal
+
+from sympy import cos
+
+from codegen import Simulate, canonical_pair, coordinate
+
+
+def problem(form: Literal["hamiltonian", "lagrangian"] = "hamiltonian") -> Simulate:
+    if form == "hamiltonian":
+        q, p = canonical_pair("q", "p")
+        return Simulate(hamiltonian=p**2 / 2 - cos(q), duration=60, start={q: 0, p: 1.4}, steps=200)
+    q, dq = coordinate("q")
+    return Simulate(lagrangian=dq**2 / 2 + cos(q), duration=60, start={q: 0, dq: 1.4}, steps=200)
