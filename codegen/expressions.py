@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
+import sys
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,12 @@ PRINTABLE = (
 )
 """Functions that the printer knows how to write as numba code."""
 
+_ARITHMETIC = (
+    *(sympy.Symbol, sympy.Number, sympy.NumberSymbol, sympy.Add, sympy.Mul, sympy.Pow),
+    *(sympy.functions.elementary.piecewise.ExprCondPair, sympy.core.relational.Relational),
+    *(sympy.logic.boolalg.BooleanAtom, sympy.And, sympy.Or, sympy.Not),
+)
+
 
 def checked(value: Any, what: str) -> sympy.Expr:
     """Sympify a scalar; ExpressionError names `what` when it is no finite real scalar of known functions."""
@@ -30,16 +37,15 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is a {type(value).__name__}", "give one sympy expression or number") from None
     if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise ExpressionError(f"{what} is a {type(expression).__name__}", "give one scalar expression")
-    bad = expression.atoms(sympy.S.NaN.__class__) | {
-        atom for atom in expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity) if not atom.is_finite
-    }
-    if bad:
-        raise ExpressionError(f"{what} contains {min(bad, key=str)}", "use finite numbers only")
+    for atom in sorted(expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity), key=str):
+        if not atom.is_finite or abs(atom) > sys.float_info.max:
+            raise ExpressionError(f"{what} contains {str(atom)[:20]}", "use finite numbers only")
     if expression.has(sympy.I):
         raise ExpressionError(f"{what} is complex", "use real expressions")
-    for function in sorted(expression.atoms(sympy.Function), key=str):
-        if isinstance(function, AppliedUndef) or not isinstance(function, PRINTABLE):
-            raise ExpressionError(f"{what} uses {function.func}, which cannot be printed", "use elementary functions")
+    for part in sympy.preorder_traversal(expression):
+        if isinstance(part, AppliedUndef) or not isinstance(part, (*_ARITHMETIC, *PRINTABLE)):
+            name = part.func.__name__
+            raise ExpressionError(f"{what} uses {name}, which cannot be printed", "use elementary functions")
     return expression
 
 
@@ -60,26 +66,42 @@ def number_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> f
     return number.real
 
 
-def null_direction(matrix: sympy.Matrix, seed: int = 1) -> np.ndarray | None:
-    """A unit vector in the null space of a square symbolic matrix that is singular everywhere, else None.
+def trial_points(
+    symbols: Collection[sympy.Symbol], fixed: Mapping[sympy.Symbol, float], likely: Mapping[sympy.Symbol, float]
+) -> Iterator[dict[sympy.Symbol, float]]:
+    """Points at which to try whether an expression has a value: the likely one, usual ones, then far-flung ones.
 
-    Decided by the numerical rank at random points, where a matrix that is not identically singular is regular with
-    probability one; this stays cheap where a symbolic determinant would not.
+    All are at the `fixed` values; only the first is also at the `likely` ones. They are the same in every run.
     """
-    generator = random.Random(seed)
-    symbols = sorted(matrix.free_symbols, key=str)
+    generator = random.Random(1)
+    ordered = sorted(symbols, key=str)
+    for trial in range(32):
+        if trial < 8:
+            drawn = {symbol: generator.uniform(0.4, 1.6) for symbol in ordered}
+        else:
+            drawn = {symbol: generator.choice((-1, 1)) * 10 ** generator.uniform(-4, 4) for symbol in ordered}
+        yield {**drawn, **(likely if trial == 0 else {}), **fixed}
+
+
+def null_direction(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, float]]) -> np.ndarray | None:
+    """The weights of a null direction of a square symbolic matrix that is singular at all given points, else None.
+
+    Decided by the numerical rank, since a matrix that is not identically singular is regular at a random point with
+    probability one; this stays cheap where a symbolic determinant would not. Rows and columns are scaled first, so
+    that large and small masses may occur side by side. None also where the matrix has no real value at any point.
+    """
     direction = None
-    for _ in range(8):
-        point = {symbol: generator.uniform(0.4, 1.6) for symbol in symbols}
+    for point in points:
         try:
             values = np.array(matrix.evalf(subs=point).tolist(), dtype=float)
         except (TypeError, ValueError):
             continue
         if not np.all(np.isfinite(values)):
             continue
-        scale = float(np.abs(values).max(initial=0.0))
-        _, singular, right = np.linalg.svd(values)
-        if scale > 0.0 and singular[-1] > 1e-11 * scale:
+        size = np.sqrt(np.abs(values).max(axis=1, initial=0.0))
+        size[size == 0.0] = 1.0
+        _, singular, right = np.linalg.svd(values / np.outer(size, size))
+        if singular[-1] > 1e-11:
             return None
         direction = right[-1]
     return direction

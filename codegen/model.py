@@ -7,7 +7,7 @@ made of functions that can be printed; a Lagrangian is regular; boundary values 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,6 +114,7 @@ def _used_quantities(written: Iterable[tuple[str, sympy.Expr]], keys: Iterable[Q
                     f'declare it, for example {symbol} = parameter("{symbol}", 1.0)',
                 )
             found.add(symbol)
+    found |= {symbol.partner for symbol in found if isinstance(symbol, (Coordinate, Velocity, Momentum))}
     return sorted(found, key=lambda symbol: symbol.declared)
 
 
@@ -125,9 +126,8 @@ def _require_unique_names(quantities: Iterable[Quantity]) -> None:
 
 
 def _require_all_used(used: Sequence[Quantity], declared: Sequence[Quantity]) -> None:
-    implied = {symbol.partner for symbol in used if isinstance(symbol, (Coordinate, Velocity, Momentum))}
     for symbol in declared:
-        if symbol not in used and symbol not in implied:
+        if symbol not in used:
             raise SymbolError(f"{symbol} is declared but never used", "remove it, or use it")
 
 
@@ -144,13 +144,13 @@ def _canonical(
         raise SymbolError(f"two times are declared ({times[0]}, {times[1]})", "use one")
     _require_scope(written, form, controls, isinstance(problem, Control))
 
-    plain = {symbol: sympy.Symbol(symbol.name, real=True) for symbol in [*used, *rates]}
+    plain = {symbol: sympy.Symbol(symbol.name, real=True) for symbol in used}
     time = plain[times[0]] if times else sympy.Symbol("t", real=True)
     tidy = {what: expressions.tidied(expression.xreplace(plain)) for what, expression in written.items()}
     steps = problem.steps
     if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
         raise ExpressionError(f"steps is {steps!r}", "give a positive integer")
-    _require_force_keys(problem, coordinates)
+    _require_keys(problem, coordinates, controls)
 
     def boundary(where: str, values: Mapping[Any, Any]) -> Boundary:
         _require_boundary_keys(where, values, coordinates, rates)
@@ -180,8 +180,9 @@ def _canonical(
         steps=steps,
     )
     _require_complete_start(model)
-    _require_regular(model)
     _require_finite_at_defaults(model)
+    _require_values(model)
+    _require_regular(model)
     return model
 
 
@@ -193,8 +194,7 @@ def _coordinates(used: list[Quantity], rate_kind: type[Quantity], form: str) -> 
                 f"{rate} is a {type(rate).__name__.lower()}, but the problem is given by a {form}",
                 "declare coordinates(...) for a Lagrangian, canonical_pairs(...) for a Hamiltonian",
             )
-    named = {symbol for symbol in used if isinstance(symbol, Coordinate)} | {v.partner for v in rates}
-    coordinates = sorted(named, key=lambda symbol: symbol.declared)
+    coordinates = [symbol for symbol in used if isinstance(symbol, Coordinate)]
     if not coordinates:
         raise ExpressionError(f"the {form} has no coordinate", "declare coordinates(...) and use them")
     return coordinates
@@ -222,10 +222,13 @@ def _require_scope(
             raise SymbolError(f"control {u} is in no force, so it moves nothing", "add it to force={...}, or remove it")
 
 
-def _require_force_keys(problem: Problem, coordinates: Sequence[Coordinate]) -> None:
+def _require_keys(problem: Problem, coordinates: Sequence[Coordinate], controls: Sequence[ControlInput]) -> None:
     for key in problem.force:
         if key not in coordinates:
             raise SymbolError(f"force acts on {key}, which is no coordinate", "use a coordinate as key")
+    for key in problem.guess if isinstance(problem, Control) else ():
+        if key not in coordinates and key not in controls:
+            raise SymbolError(f"guess gives {key}, which is no coordinate or control", "guess coordinates and controls")
 
 
 def _require_boundary_keys(
@@ -242,9 +245,7 @@ def _require_complete_start(model: Model) -> None:
         return
     symbols = [*model.coordinates, *model.rates]
     missing = [
-        str(s)
-        for s, value in zip(symbols, [*model.start.positions, *model.start.rates], strict=True)
-        if value is None
+        str(s) for s, value in zip(symbols, [*model.start.positions, *model.start.rates], strict=True) if value is None
     ]
     if missing:
         raise BoundaryError(f"start lacks {', '.join(missing)}", "a simulation needs the complete initial state")
@@ -254,12 +255,33 @@ def _require_regular(model: Model) -> None:
     """Refuse a Lagrangian whose velocities cannot be recovered from the momenta (its Hessian in v is singular)."""
     if model.form != "lagrangian":
         return
-    null = expressions.null_direction(sympy.hessian(model.function, model.rates))
+    null = expressions.null_direction(sympy.hessian(model.function, model.rates), _trial_points(model))
     if null is not None:
         names = " ".join(str(v) for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6)
         raise DegenerateError(
             f"the Lagrangian is degenerate in {names}", "give every coordinate a kinetic energy, or leave it out"
         )
+
+
+def _require_values(model: Model) -> None:
+    """Refuse dynamics, costs and guesses that have no real value at the default parameters, whatever the state."""
+    named = [(f"the {model.form}", model.function), *((f"guess of {s}", value) for s, value in model.guess)]
+    named += [(f"force of {q}", value) for q, value in zip(model.coordinates, model.force, strict=True)]
+    named += [("cost", model.cost)] if model.cost is not None else []
+    for what, expression in named:
+        if all(expressions.number_at(expression, point) is None for point in _trial_points(model)):
+            raise ExpressionError(
+                f"{what} has no finite real value at the default parameters", "correct it, or the parameters"
+            )
+
+
+def _trial_points(model: Model) -> Iterator[dict[sympy.Symbol, float]]:
+    """States, controls and times at which the expressions of a problem may be expected to have a value."""
+    starts = zip([*model.coordinates, *model.rates], [*model.start.positions, *model.start.rates], strict=True)
+    numbers = ((s, expressions.number_at(e, model.default_values)) for s, e in starts if e is not None)
+    likely = {symbol: number for symbol, number in numbers if number is not None}
+    symbols = [*model.coordinates, *model.rates, *model.controls, model.time]
+    return expressions.trial_points(symbols, model.default_values, likely)
 
 
 def _require_finite_at_defaults(model: Model) -> None:

@@ -7,6 +7,7 @@ how a name that is used twice is found out.
 
 from __future__ import annotations
 
+import builtins
 import itertools
 import keyword
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
+import numpy as np
 import sympy
 
 from codegen.errors import SymbolError
@@ -22,7 +24,8 @@ _serial_numbers = itertools.count()
 _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities", default=None)
 
 RESERVED = frozenset(
-    "h steps solution math np numpy numba njit x u_interval parameters tolerance guess lambda_ duration start end".split()
+    "h steps solution math np numpy numba njit x u_interval parameters tolerance guess lambda_ duration start "
+    "end".split()
 )
 """Names that generated modules use for their own purposes."""
 
@@ -34,7 +37,10 @@ class Quantity(sympy.Symbol):
     declared: int
 
     def __new__(cls, name: str) -> Quantity:
+        """Make a new symbol, different from all others; SymbolError when its name cannot be used."""
         _require_identifier(name)
+        if name == "t" and cls is not Time:
+            raise SymbolError("'t' is the name of the time", "declare it with time(), or choose another name")
         symbol: Quantity = sympy.Symbol.__xnew__(cls, name, real=True)
         symbol.declared = next(_serial_numbers)
         recorded = _recorder.get()
@@ -96,8 +102,9 @@ def coordinate(name: str, velocity: str | None = None) -> tuple[Coordinate, Velo
 
 
 def coordinates(names: str, velocities: str | None = None) -> tuple[tuple[Coordinate, ...], tuple[Velocity, ...]]:
-    """Declare coordinates and their velocities: `(r, phi), (dr, dphi) = coordinates("r phi")`.
+    """Declare several coordinates and their velocities.
 
+    For example `(r, phi), (dr, dphi) = coordinates("r phi")`; a velocity is called `d<name>` unless told otherwise.
     Raises SymbolError when a name is no identifier or when the two lists differ in length.
     """
     qs = _split(names)
@@ -106,13 +113,19 @@ def coordinates(names: str, velocities: str | None = None) -> tuple[tuple[Coordi
 
 
 def canonical_pair(coordinate: str, momentum: str) -> tuple[Coordinate, Momentum]:
-    """Declare one coordinate and its conjugate momentum: `q, p = canonical_pair("q", "p")`."""
+    """Declare one coordinate and its conjugate momentum.
+
+    For example `q, p = canonical_pair("q", "p")`.
+    """
     (q,), (p,) = canonical_pairs(coordinate, momentum)
     return q, p
 
 
 def canonical_pairs(coordinates: str, momenta: str) -> tuple[tuple[Coordinate, ...], tuple[Momentum, ...]]:
-    """Declare coordinates and momenta: `(r, phi), (pr, pphi) = canonical_pairs("r phi", "pr pphi")`."""
+    """Declare several coordinates and their conjugate momenta.
+
+    For example `(r, phi), (pr, pphi) = canonical_pairs("r phi", "pr pphi")`.
+    """
     return _pairs(_split(coordinates), _split(momenta), Momentum)
 
 
@@ -122,7 +135,10 @@ def control(name: str) -> ControlInput:
 
 
 def controls(names: str) -> tuple[ControlInput, ...]:
-    """Declare several controls: `f1, f2 = controls("f1 f2")`."""
+    """Declare several controls.
+
+    For example `f1, f2 = controls("f1 f2")`.
+    """
     return tuple(ControlInput(name) for name in _split(names))
 
 
@@ -135,9 +151,9 @@ def parameter(name: str, value: float) -> Parameter:
 
 
 def parameters(**values: float) -> tuple[Parameter, ...]:
-    """Declare parameters with their default values: `m, g = parameters(m=1, g=9.81)`.
+    """Declare several parameters with their default values.
 
-    Raises SymbolError when a value is not a finite real number.
+    For example `m, g = parameters(m=1, g=9.81)`. Raises SymbolError when a value is not a finite real number.
     """
     return tuple(parameter(name, value) for name, value in values.items())
 
@@ -163,7 +179,8 @@ def recorded_declarations() -> Iterator[list[Quantity]]:
 def finite_number(value: Any, what: str) -> float:
     """Turn a number (Python's, numpy's or sympy's) into a float; SymbolError names `what` when it is not finite."""
     try:
-        number = float(value)
+        # float() would also take text and truth values, which are never meant.
+        number = float("" if isinstance(value, (str, bytes, bytearray, bool)) or np.ndim(value) else value)
     except (TypeError, ValueError, OverflowError):
         raise SymbolError(f"{what} is {value!r}", "give a real number") from None
     if not abs(number) < float("inf"):
@@ -195,8 +212,9 @@ def _require_identifier(name: Any) -> None:
     if not isinstance(name, str) or not name.isidentifier():
         raise SymbolError(f"{name!r} is not an identifier", "use letters, digits and underscores")
     if keyword.iskeyword(name) or keyword.issoftkeyword(name):
-        raise SymbolError(f"{name!r} is a keyword of Python", f"call it {name}_ or something clearer")
+        raise SymbolError(f"{name!r} is a keyword of Python", "choose another name")
     if not name.isascii():
         raise SymbolError(f"{name!r} is not ASCII", "spell it out, as in phi or lam")
-    if name.startswith("_") or name.endswith("_k") or name.endswith("_k1") or name in RESERVED:
+    own = name in RESERVED or hasattr(builtins, name)
+    if own or name.startswith("_") or name.endswith("_k") or name.endswith("_k1"):
         raise SymbolError(f"{name!r} is reserved for generated code", "choose another name")

@@ -1,0 +1,314 @@
+"""Reading a problem file: from a path and `--set` arguments to a checked model, or to one line that says what is wrong.
+
+Importing this module, `parse_arguments` and `input_digest` need no sympy, so that a build which is up to date can be
+recognised before anything slow is imported.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import keyword
+import math
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from types import CodeType, ModuleType, NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin
+
+from codegen.errors import ArgumentError, CodegenError, ProblemFileError
+
+if TYPE_CHECKING:
+    from codegen.model import Model
+
+
+def parse_arguments(items: Sequence[str]) -> dict[str, str]:
+    """Split the `name=value` strings of `--set`; a value may hold further equality signs, or be empty.
+
+    Raises ArgumentError for an item without an equality sign or without a name, and for a name given twice.
+    """
+    arguments: dict[str, str] = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        name = name.strip()
+        if not equals or not name:
+            raise ArgumentError(f"--set {item!r} is not of the form name=value", "write for example --set steps=100")
+        if name in arguments:
+            raise ArgumentError(f"--set gives {_one_line(name)} twice", "give it once")
+        arguments[name] = value
+    return arguments
+
+
+def input_digest(path: Path, arguments: Mapping[str, str], *extra: str) -> str:
+    """The SHA-256, in hexadecimal, of a problem file's text, its arguments in any order, and further strings.
+
+    Line endings do not matter. Files that the problem file imports or reads are not seen. Raises ProblemFileError
+    when the file cannot be read.
+    """
+    pairs = [part for name in sorted(arguments) for part in (name, arguments[name])]
+    digest = hashlib.sha256()
+    for part in (_source(path), str(len(arguments)), *pairs, *extra):
+        data = part.encode(errors="surrogateescape")
+        # The length in front keeps ("ab", "c") and ("a", "bc") apart.
+        digest.update(f"{len(data)}:".encode() + data)
+    return digest.hexdigest()
+
+
+def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model:
+    """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise what it returns.
+
+    The model is named after the file and titled by the first line of its docstring. The file is run anew each time;
+    neither it nor modules beside it stay imported, and what it prints goes to stderr.
+
+    Raises ProblemFileError when the file cannot be read, imported or called; ArgumentError when an argument does not
+    fit `problem`; another CodegenError when the problem is not well posed. All name the file, in one line.
+    """
+    path = Path(path)
+    title, code = _compiled(path)
+
+    from codegen.model import normalise
+    from codegen.symbols import recorded_declarations
+
+    with _fresh_module(path) as module, redirect_stdout(sys.stderr):
+        with _blaming(path):
+            exec(code, module.__dict__)
+        function = _problem_function(path, module)
+        keywords = _keywords(path, function, arguments)
+        with _blaming(path), recorded_declarations() as declared:
+            problem = function(**keywords)
+    try:
+        return normalise(problem, declared, name=path.stem, title=title)
+    except CodegenError as error:
+        raise _with_place(error, str(path)) from error
+
+
+# Messages
+
+
+def _one_line(text: str, limit: int = 400) -> str:
+    words = " ".join(text.split())
+    return words if len(words) <= limit else words[:limit] + " ..."
+
+
+def _unusable(place: Path | str, finding: str, remedy: str) -> ProblemFileError:
+    return ProblemFileError(_one_line(f"{place}: {finding}"), remedy)
+
+
+def _with_place(error: CodegenError, place: str) -> CodegenError:
+    return type(error)(_one_line(f"{place}: {error.finding}"), _one_line(error.remedy))
+
+
+@contextmanager
+def _blaming(path: Path) -> Iterator[None]:
+    """Turn whatever the author's code raises into an error that names the file and the line."""
+    try:
+        yield
+    except CodegenError as error:
+        raise _with_place(error, _place(path, error)) from error
+    except (Exception, SystemExit) as error:  # the author's code may raise anything; only Ctrl-C is not its fault
+        remedy = "correct the file"
+        if isinstance(error, ImportError):
+            remedy = "install what is missing, or correct the import"
+        elif isinstance(error, SystemExit):
+            remedy = "let problem() return instead of exiting"
+        raise _unusable(_place(path, error), f"{type(error).__name__}: {error}".rstrip(": "), remedy) from error
+
+
+def _place(path: Path, error: BaseException) -> str:
+    """The file and the innermost of its lines that an exception passed through."""
+    filename = str(path.absolute())
+    lines = [line for frame, line in traceback.walk_tb(error.__traceback__) if frame.f_code.co_filename == filename]
+    return f"{path}:{lines[-1]}" if lines else str(path)
+
+
+# The file
+
+
+def _source(path: Path) -> str:
+    try:
+        if path.is_dir():
+            raise _unusable(path, "is a directory", "give a problem file, such as pendulum.py")
+        if not path.exists():
+            raise _unusable(path, "no such file", "check the path of the problem file")
+        if path.suffix != ".py" or not path.is_file():
+            raise _unusable(path, "is not a Python file", "give a problem file, such as pendulum.py")
+        return importlib.util.decode_source(path.read_bytes())
+    except OSError as error:
+        raise _unusable(path, f"cannot be read ({error.strerror})", "check the path and its permissions") from error
+    except (ValueError, SyntaxError) as error:
+        raise _unusable(path, "is not text in UTF-8", "give a problem file written in Python") from error
+
+
+def _compiled(path: Path) -> tuple[str, CodeType]:
+    """The title of a problem file and its code."""
+    source = _source(path)
+    if not path.stem.isidentifier() or keyword.iskeyword(path.stem):
+        raise _unusable(path, f"{path.stem!r} cannot name a module", "rename the file to a Python identifier")
+    filename = str(path.absolute())
+    try:
+        tree = ast.parse(source, filename)
+        code = compile(tree, filename, "exec", dont_inherit=True)
+    except SyntaxError as error:
+        place = f"{path}:{error.lineno}" if error.lineno else path
+        raise _unusable(place, f"{type(error).__name__}: {error.msg}", "correct the syntax") from error
+    except (ValueError, RecursionError, MemoryError, OverflowError) as error:
+        raise _unusable(path, f"cannot be parsed ({error})", "give a problem file written in Python") from error
+    docstring = (ast.get_docstring(tree) or "").strip()
+    if not docstring:
+        raise _unusable(path, "has no docstring", "state the physics and its source in a docstring at the top")
+    return docstring.splitlines()[0].strip(), code
+
+
+@contextmanager
+def _fresh_module(path: Path) -> Iterator[ModuleType]:
+    """An empty module for the file, and its folder on sys.path, for as long as the context lasts."""
+    module = ModuleType(f"_problem_{path.stem}")
+    module.__file__ = str(path.absolute())
+    folder = path.resolve().parent
+    before = set(sys.modules)
+    writes_bytecode = sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
+    sys.path.insert(0, str(folder))
+    # Dataclasses look their module up by name.
+    sys.modules[module.__name__] = module
+    importlib.invalidate_caches()
+    try:
+        yield module
+    finally:
+        sys.dont_write_bytecode = writes_bytecode
+        if str(folder) in sys.path:
+            sys.path.remove(str(folder))
+        sys.modules.pop(module.__name__, None)
+        _forget_modules(set(sys.modules) - before, folder)
+
+
+def _forget_modules(names: set[str], folder: Path) -> None:
+    """Forget newly imported modules and packages that lie directly in a folder, with their submodules.
+
+    Only what lies directly there, since an environment with sympy itself may lie deeper in the author's folder.
+    """
+    for top in [name for name in names if "." not in name]:
+        module = sys.modules[top]
+        places = [getattr(module, "__file__", None), *getattr(module, "__path__", [])]
+        if any(place and Path(place).parent == folder for place in places):
+            for name in [name for name in names if name.partition(".")[0] == top]:
+                del sys.modules[name]
+
+
+# The arguments of problem()
+
+
+def _problem_function(path: Path, module: ModuleType) -> Callable[..., Any]:
+    function = getattr(module, "problem", None)
+    if not callable(function):
+        raise _unusable(path, "defines no function problem()", "define problem(), returning a Simulate or a Control")
+    if inspect.iscoroutinefunction(function):
+        raise _unusable(path, "problem() is asynchronous", "write def instead of async def")
+    return cast(Callable[..., Any], function)
+
+
+def _keywords(path: Path, function: Callable[..., Any], arguments: Mapping[str, str]) -> dict[str, Any]:
+    """The `--set` arguments, converted to the types that the parameters of problem() are annotated with."""
+    with _blaming(path):
+        signature = inspect.signature(function, eval_str=True)
+    for parameter in signature.parameters.values():
+        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            raise _unusable(path, f"problem() takes {parameter}, which has no name for --set", "name each argument")
+        if parameter.default is parameter.empty:
+            raise _unusable(path, f"problem() requires {parameter.name}", f"give {parameter.name} a default value")
+    known = list(signature.parameters)
+    for name in arguments:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
+            remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
+            raise ArgumentError(_one_line(f"{path}: --set {name}: no such argument"), remedy)
+    return {name: _converted(path, text, signature.parameters[name]) for name, text in arguments.items()}
+
+
+def _converted(path: Path, text: str, parameter: inspect.Parameter) -> Any:
+    annotation = parameter.annotation
+    if annotation is parameter.empty:
+        annotation = type(parameter.default)
+    readers = _readers(annotation)
+    if not readers or annotation is NoneType:
+        raise ArgumentError(
+            _one_line(f"{path}: --set {parameter.name}: its type cannot be read from text"),
+            f"annotate {parameter.name} in problem() with int, float, bool, str, Path or Literal",
+        )
+    for _, reader in readers:
+        try:
+            return reader(text)
+        except ValueError:
+            continue
+    raise ArgumentError(
+        _one_line(f"{path}: --set {parameter.name}={text} does not fit"),
+        _one_line(f"give {' or '.join(description for description, _ in readers)}"),
+    )
+
+
+def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
+    """What a type accepts, in words, and the function that reads it (ValueError when the text does not fit)."""
+    origin, choices = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _readers(choices[0])
+    if origin is Literal:
+        values = {str(choice): choice for choice in choices}
+        return [(" or ".join(values), lambda text: _chosen(values, text))]
+    if origin in (Union, UnionType):
+        # None first: every other type of text would take the word for a value.
+        parts = [_readers(choice) for choice in sorted(choices, key=lambda choice: choice is not NoneType)]
+        return [reader for part in parts for reader in part] if all(parts) else []
+    plain: dict[Any, tuple[str, Callable[[str], Any]]] = {
+        int: ("a whole number", _integer),
+        float: ("a finite number", _finite),
+        bool: ("true or false", lambda text: _chosen(_TRUTH, text.strip().lower())),
+        str: ("text", str),
+        Path: ("a path", _path),
+        NoneType: ("none", lambda text: _chosen({"none": None}, text.strip().lower())),
+    }
+    return [plain[annotation]] if isinstance(annotation, type) and annotation in plain else []
+
+
+_TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+
+def _chosen(values: Mapping[str, Any], text: str) -> Any:
+    if text not in values:
+        raise ValueError(text)
+    return values[text]
+
+
+def _integer(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        number = Decimal(text)
+    except InvalidOperation:
+        raise ValueError(text) from None
+    # The bound comes first: the integer 1e999999999 would not fit into memory.
+    if not number.is_finite() or number.adjusted() > 18 or number != number.to_integral_value():
+        raise ValueError(text)
+    return int(number)
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number
+
+
+def _path(text: str) -> Path:
+    if not text.strip():
+        raise ValueError(text)
+    return Path(text)

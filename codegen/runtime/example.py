@@ -1,0 +1,74 @@
+"""A hand-written stand-in for generated kernels: swing a pendulum, q'' = -sin q + u, with least integral of u^2.
+
+Variational midpoint rule, unknowns (q, lambda) on nodes and u on intervals; parameters are the boundary values q(0),
+v(0), q(T), v(T). Exists so that the files of this folder can be imported and tested; never included anywhere.
+"""
+
+import numpy as np
+from numba import njit
+
+START_EXTRA, END_EXTRA = 0, 0
+NODE, CONTROLS, STRIDE, ELEMENT = 2, 1, 3, 5
+BANDWIDTH = 4
+IS_MULTIPLIER = np.array([False, True, False])
+START_IS_MULTIPLIER = END_IS_MULTIPLIER = np.array([False, True])  # of the end node and what exists only there
+START_PINNED = END_PINNED = (0,)
+HESSIAN_ROWS = np.array([0, 1, 2, 2, 3, 3, 3, 4, 4, 4])
+HESSIAN_COLUMNS = np.array([0, 0, 1, 2, 0, 1, 3, 0, 2, 3])
+START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLUMNS = np.zeros(0, np.int64)
+LINEAR = False
+
+
+@njit(cache=True, error_model="numpy")
+def interval_gradient(x, t, h, parameters, gradient):
+    """Gradient of l = h u^2 + lambda_k (D1 Ld + h u/2) + lambda_k1 (D2 Ld + h u/2); returns the cost h u^2."""
+    q, left, u, q1, right = x[0], x[1], x[2], x[3], x[4]
+    middle, v = (q + q1) / 2, (q1 - q) / h
+    curvature = -h / 4 * np.cos(middle) * (left + right)
+    gradient[0] = curvature + (left - right) / h
+    gradient[1] = -h / 2 * np.sin(middle) - v + h * u / 2
+    gradient[2] = 2 * h * u + h / 2 * (left + right)
+    gradient[3] = curvature - (left - right) / h
+    gradient[4] = -h / 2 * np.sin(middle) + v + h * u / 2
+    return h * u * u
+
+
+@njit(cache=True, error_model="numpy")
+def interval_hessian(x, t, h, parameters, gradient, hessian):
+    """Fill the gradient and the lower triangle of the Hessian; returns the cost."""
+    middle = (x[0] + x[3]) / 2
+    second = h / 8 * np.sin(middle) * (x[1] + x[4])
+    mixed = -h / 4 * np.cos(middle)
+    hessian[0] = second
+    hessian[1] = mixed + 1 / h
+    hessian[2] = h / 2
+    hessian[3] = 2 * h
+    hessian[4] = second
+    hessian[5] = mixed - 1 / h
+    hessian[6] = second
+    hessian[7] = mixed - 1 / h
+    hessian[8] = h / 2
+    hessian[9] = mixed + 1 / h
+    return interval_gradient(x, t, h, parameters, gradient)
+
+
+@njit(cache=True, error_model="numpy")
+def start_gradient(x, t, parameters, gradient):
+    """Add the gradient of lambda_0 v(0)."""
+    gradient[1] += parameters[1]
+
+
+@njit(cache=True, error_model="numpy")
+def end_gradient(x, t, parameters, gradient):
+    """Add the gradient of -lambda_N v(T)."""
+    gradient[1] -= parameters[3]
+
+
+@njit(cache=True, error_model="numpy")
+def start_hessian(x, t, parameters, hessian):
+    """Nothing is curved at the start."""
+
+
+@njit(cache=True, error_model="numpy")
+def end_hessian(x, t, parameters, hessian):
+    """Nothing is curved at the end."""

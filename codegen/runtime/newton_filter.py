@@ -1,0 +1,157 @@
+"""Newton's method on the KKT system, made dependable by a filter line search and by shifts of the Hessian.
+
+Sources: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
+equation numbers are quoted; Chiang and Zavala (2016), An inertia-free filter line-search algorithm, for the test of
+curvature that replaces the inertia of the KKT matrix.
+"""
+
+import numpy as np
+
+from codegen.runtime.assembly_condensed import allocate_system, assemble_kkt, factor_kkt, solve_kkt
+from codegen.runtime.norms import measure_step
+from codegen.runtime.point import evaluate
+from codegen.runtime.rounding import rounding_level
+
+SHORTEST_STEP = 1e-10
+
+
+def minimise(grid, unknowns, tolerance, max_iterations, log):
+    """Find a local minimum; return (status, unknowns, iterations).
+
+    A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
+    """
+    system = allocate_system(grid)
+    point = evaluate(grid, guess_multipliers(grid, unknowns, system))
+    small_violation = 1e-4 * max(1.0, point.violation)
+    filtered = [(1e8 * small_violation, -np.inf)]
+    shift, last_shift, length, previous_error = 0.0, 0.0, 0.0, np.inf
+    for iteration in range(max_iterations + 1):
+        log.append((point.cost, point.residual, point.stationarity, shift, length))
+        if not point.error < np.inf:
+            return "non-finite", point.unknowns, iteration
+        if point.error <= tolerance or has_converged_to_rounding(grid, point, previous_error, shift, length):
+            return "solved", point.unknowns, iteration
+        if iteration == max_iterations:
+            break
+        step, shift = regularised_step(grid, point, last_shift, system)
+        if step is None:
+            return "rank-deficient", point.unknowns, iteration
+        last_shift, previous_error = shift or last_shift, point.error
+        trial, length = search(grid, point, step, small_violation, filtered, system)
+        if trial is None:
+            if point.error <= 1e3 * rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
+                return "stalled", point.unknowns, iteration
+            filtered.append(envelope(point))
+            trial = restore(grid, point, filtered, system)
+            if trial is None:
+                return "infeasible", point.unknowns, iteration
+            trial = evaluate(grid, guess_multipliers(grid, trial.unknowns, system))
+        point = trial
+    return "iteration limit", point.unknowns, max_iterations
+
+
+def has_converged_to_rounding(grid, point, previous_error, shift, length):
+    """Whether full Newton steps, which should square the error, no longer reduce it because rounding is all there is."""
+    if length != 1.0 or shift != 0.0 or point.error < 0.3 * previous_error:
+        return False
+    return point.error <= rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters)
+
+
+def guess_multipliers(grid, unknowns, system):
+    """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
+    unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
+    gradient, step = np.empty_like(unknowns), np.empty_like(unknowns)
+    assemble_kkt(grid, unknowns, 0.0, 1.0, 0.0, gradient, system)
+    if factor_kkt(system) >= 0:
+        return unknowns
+    solve_kkt(system, np.where(grid.is_multiplier, 0.0, gradient), step)
+    multipliers = np.where(grid.is_multiplier, step, 0.0)
+    return unknowns + multipliers if np.abs(multipliers).max() <= 1e3 else unknowns
+
+
+def regularised_step(grid, point, last_shift, system):
+    """Newton step and the shift of the Hessian that makes the curvature along it positive; no step when singular."""
+    gradient, step = np.empty_like(point.gradient), np.empty_like(point.gradient)
+    shift, dual_shift = 0.0, 0.0
+    while shift < 1e20:
+        _, positive = assemble_kkt(grid, point.unknowns, 1.0, shift, dual_shift, gradient, system)
+        singular = positive and factor_kkt(system) >= 0
+        if singular:
+            dual_shift = 1e-8
+        elif positive:
+            solve_kkt(system, gradient, step)
+            curvature, _, linear, square = measure_step(point.unknowns, gradient, step, grid.is_multiplier)
+            if curvature + max(linear, 0.0) >= 1e-10 * square:
+                return step, shift
+        if shift == 0.0:
+            shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)
+        else:
+            shift *= 100.0 if last_shift == 0.0 else 8.0
+    return None, shift
+
+
+def search(grid, point, step, small_violation, filtered, system):
+    """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
+    slope = measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[1]
+    length = 1.0
+    while length > SHORTEST_STEP:
+        trial = evaluate(grid, point.unknowns + length * step)
+        accepted = accept(point, trial, slope, length, small_violation, filtered)
+        if not accepted and length == 1.0 and trial.violation >= point.violation:
+            # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
+            corrected, correction = point.gradient.copy(), np.empty_like(step)
+            corrected[grid.is_multiplier] += trial.gradient[grid.is_multiplier]
+            solve_kkt(system, corrected, correction)
+            trial = evaluate(grid, point.unknowns + correction)
+            accepted = accept(point, trial, slope, length, small_violation, filtered)
+        if accepted:
+            return trial, length
+        length *= 0.5
+    return None, length
+
+
+def accept(point, trial, slope, length, small_violation, filtered):
+    """Whether a trial point may be taken (19, 20); the filter grows unless the cost decreased as the slope promised."""
+    if not trial.error < np.inf or not acceptable(trial, filtered):
+        return False
+    rounding = 2e-15 * abs(point.cost)
+    if point.violation <= small_violation and slope < 0.0 and length * (-slope) ** 2.3 > point.violation**1.1:
+        return trial.cost <= point.cost + 1e-4 * length * slope + rounding
+    violation, cost = envelope(point)
+    if trial.violation > violation and trial.cost > cost + rounding:
+        return False
+    filtered.append((violation, cost))
+    return True
+
+
+def acceptable(trial, filtered):
+    """Whether no point of the filter is better both in violation and in cost (18)."""
+    return all(trial.violation < violation or trial.cost < cost for violation, cost in filtered)
+
+
+def envelope(point):
+    """What a point adds to the filter: a little less than its violation and cost."""
+    return 0.99999 * point.violation, point.cost - 1e-5 * point.violation
+
+
+def restore(grid, point, filtered, system):
+    """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced further."""
+    step = np.empty_like(point.gradient)
+    for _ in range(50):
+        gradient = np.empty_like(step)
+        assemble_kkt(grid, point.unknowns, 0.0, 1.0, 1e-12, gradient, system)
+        if factor_kkt(system) >= 0:
+            return None
+        solve_kkt(system, np.where(grid.is_multiplier, gradient, 0.0), step)
+        step[grid.is_multiplier] = 0.0
+        length = 1.0
+        trial = evaluate(grid, point.unknowns + step)
+        while not trial.violation < (1.0 - 1e-4 * length) * point.violation:
+            length *= 0.5
+            if length < SHORTEST_STEP:
+                return None
+            trial = evaluate(grid, point.unknowns + length * step)
+        point = trial
+        if acceptable(point, filtered):
+            return point
+    return None

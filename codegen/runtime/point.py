@@ -1,0 +1,40 @@
+"""A time grid with its data, and a vector of unknowns together with everything that is measured there."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.lagrangian import lagrangian_gradient
+from codegen.runtime.norms import measure
+
+
+class Grid(NamedTuple):
+    """N intervals of length h, the values of the parameters, and which unknowns are multipliers of equations."""
+
+    steps: int
+    h: float
+    parameters: np.ndarray
+    is_multiplier: np.ndarray
+
+
+class Point(NamedTuple):
+    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity."""
+
+    unknowns: np.ndarray
+    gradient: np.ndarray
+    cost: float
+    residual: float
+    violation: float
+    stationarity: float
+
+    @property
+    def error(self):
+        """Max-norm of all equations of the optimum."""
+        return max(self.residual, self.stationarity)
+
+
+def evaluate(grid, unknowns):
+    """Evaluate cost, gradient and norms at a vector of unknowns."""
+    gradient = np.empty_like(unknowns)
+    cost = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters, gradient)
+    return Point(unknowns, gradient, cost, *measure(gradient, grid.is_multiplier))

@@ -1,0 +1,51 @@
+"""The registry of schemes: names to data, for the variational and for the Hamiltonian side."""
+
+from __future__ import annotations
+
+import difflib
+
+from sympy import Rational
+
+from codegen.errors import SchemeError
+from codegen.schemes.base import DiscreteLagrangian, OneStep, QuadraturePoint, Scheme, Substep
+from codegen.schemes.discrete_lagrangians import DISCRETE_LAGRANGIANS
+from codegen.schemes.one_step import ONE_STEPS, alpha
+
+__all__ = ["ALIASES", "METHODS", "DiscreteLagrangian", "OneStep", "QuadraturePoint", "Scheme", "Substep", "find"]
+
+METHODS: dict[str, dict[str, Scheme]] = {
+    "variational": {scheme.name: scheme for scheme in DISCRETE_LAGRANGIANS},
+    "hamiltonian": {scheme.name: scheme for scheme in ONE_STEPS},
+}
+"""Every scheme by method and name; tests run over this table."""
+
+ALIASES = {("variational", "stormer-verlet"): "trapezoidal"}
+"""Other names of the same scheme."""
+
+
+def find(name: str, method: str) -> Scheme:
+    """The scheme of that name for that method; SchemeError tells which names there are.
+
+    `alpha-<a>`, with a a decimal or a fraction in [0, 1], names a member of the alpha family.
+    """
+    table = METHODS[method]
+    name = ALIASES.get((method, name), name)
+    if name in table:
+        return table[name]
+    if method == "hamiltonian" and name.startswith("alpha-"):
+        try:
+            value = Rational(name.removeprefix("alpha-"))
+        except (TypeError, ValueError, ZeroDivisionError):
+            value = Rational(-1)
+        if value.is_finite and 0 <= value <= 1:
+            return alpha(value)
+        raise SchemeError(f"scheme {name!r}", "give alpha-<a> with a between 0 and 1, as in alpha-0.25")
+    elsewhere = [other for other, schemes in METHODS.items() if name in schemes]
+    if elsewhere:
+        raise SchemeError(
+            f"scheme {name!r} does not belong to the {method} method",
+            f"use --method {elsewhere[0]}, or one of {', '.join(table)}",
+        )
+    close = difflib.get_close_matches(name, [n for names in METHODS.values() for n in names], 1)
+    hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(table)}"
+    raise SchemeError(f"there is no scheme {name!r}", hint)

@@ -1,0 +1,80 @@
+"""One-step methods for Hamilton's equations: the Eulers, the alpha family, midpoint and Störmer-Verlet."""
+
+from __future__ import annotations
+
+from sympy import Rational
+
+from codegen.schemes.base import OneStep, Substep
+
+_ZERO, _HALF, _ONE = Rational(0), Rational(1, 2), Rational(1)
+
+ONE_STEPS = (
+    OneStep(
+        name="explicit-euler",
+        order=1,
+        symmetric=False,
+        symplectic=False,
+        source="Hairer, Lubich and Wanner (2006), Geometric numerical integration, I.1; thesis 1.0.1",
+        summary="field at (q0, p0)",
+        substeps=(Substep(_ONE, _ZERO, _ZERO),),
+    ),
+    OneStep(
+        name="implicit-euler",
+        order=1,
+        symmetric=False,
+        symplectic=False,
+        source="Hairer, Lubich and Wanner (2006), I.1; thesis 1.0.1",
+        summary="field at (q1, p1)",
+        substeps=(Substep(_ONE, _ONE, _ONE),),
+    ),
+    OneStep(
+        name="symplectic-euler",
+        order=1,
+        symmetric=False,
+        symplectic=True,
+        source="Hairer, Lubich and Wanner (2006), (VI.3.1); thesis 2.4.1",
+        summary="field at (q0, p1)",
+        substeps=(Substep(_ONE, _ZERO, _ONE),),
+    ),
+    OneStep(
+        name="symplectic-euler-adjoint",
+        order=1,
+        symmetric=False,
+        symplectic=True,
+        source="Hairer, Lubich and Wanner (2006), (VI.3.1)",
+        summary="field at (q1, p0)",
+        substeps=(Substep(_ONE, _ONE, _ZERO),),
+    ),
+    OneStep(
+        name="midpoint",
+        order=2,
+        symmetric=True,
+        symplectic=True,
+        source="Hairer, Lubich and Wanner (2006), (VI.3.2); thesis (2.4.1)",
+        summary="field at ((q0 + q1)/2, (p0 + p1)/2)",
+        substeps=(Substep(_ONE, _HALF, _HALF),),
+    ),
+    OneStep(
+        name="stormer-verlet",
+        order=2,
+        symmetric=True,
+        symplectic=True,
+        source="Hairer, Lubich and Wanner (2006), (VI.3.4)",
+        summary="half a step of symplectic-euler, then half a step of its adjoint",
+        substeps=(Substep(_HALF, _ZERO, _ONE), Substep(_HALF, _ONE, _ZERO)),
+    ),
+)
+
+
+def alpha(value: Rational) -> OneStep:
+    """The family (2.5.2) of the thesis: field at ((1-a) q0 + a q1, a p0 + (1-a) p1), symplectic for every a."""
+    half = value == _HALF
+    return OneStep(
+        name=f"alpha-{value}",
+        order=2 if half else 1,
+        symmetric=bool(half),
+        symplectic=True,
+        source="thesis (2.5.2)",
+        summary="field at ((1-a) q0 + a q1, a p0 + (1-a) p1)",
+        substeps=(Substep(_ONE, value, _ONE - value),),
+    )
