@@ -1,0 +1,260 @@
+"""The continuous Legendre transform between the Lagrangian and the Hamiltonian form of a model.
+
+With p = dL/dv and H(q, p, t) = p.v - L(q, v, t) the transform is an involution: v = dH/dp and L = p.v - H. One routine
+therefore serves both directions. Source: Marsden and West, Discrete mechanics and variational integrators (2001),
+section 1.4.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import sympy
+from sympy.functions.elementary.trigonometric import TrigonometricFunction
+
+from codegen import expressions
+from codegen.errors import BoundaryError, DegenerateError, SymbolError
+from codegen.model import Boundary, Model
+
+_ADJUGATE_LIMIT = 3
+"""Up to this size the adjugate over the determinant is shorter than the nested fractions of an elimination."""
+_SIMPLIFY_LIMIT = 150
+"""Operation count up to which sympy's simplifications are affordable."""
+
+
+def hamiltonian_form(model: Model) -> Model:
+    """Return the model with H(q, p, t) in place of L(q, v, t); force, cost and boundary are rewritten in (q, p, u, t).
+
+    The momenta are called `p_<coordinate>`. A model that has the form already is returned as it is. Raises
+    SymbolError when such a name is taken, DegenerateError when p = dL/dv has no unique solution, and BoundaryError
+    when a fixed end velocity does not determine its momentum.
+    """
+    return model if model.form == "hamiltonian" else _transformed(model, "hamiltonian")
+
+
+def lagrangian_form(model: Model) -> Model:
+    """Return the model with L(q, v, t) in place of H(q, p, t); force, cost and boundary are rewritten in (q, v, u, t).
+
+    The velocities are called `d<coordinate>`. A model that has the form already is returned as it is. Raises
+    SymbolError when such a name is taken, DegenerateError when v = dH/dp has no unique solution, and BoundaryError
+    when a fixed end momentum does not determine its velocity.
+    """
+    return model if model.form == "lagrangian" else _transformed(model, "lagrangian")
+
+
+def momentum_of_velocity(model: Model) -> tuple[sympy.Expr, ...]:
+    """Return p(q, v, t), one expression for each coordinate: dL/dv, or v = dH/dp solved for p.
+
+    Symbols are the model's own and, for a Hamiltonian, the velocities `d<coordinate>`. Raises as the transforms do.
+    """
+    if model.form == "lagrangian":
+        return _gradient(model.function, model.rates)
+    return _dual(model, conjugate_symbols(model))[1]
+
+
+def velocity_of_momentum(model: Model) -> tuple[sympy.Expr, ...]:
+    """Return v(q, p, t), one expression for each coordinate: dH/dp, or p = dL/dv solved for v.
+
+    Symbols are the model's own and, for a Lagrangian, the momenta `p_<coordinate>`. Raises as the transforms do.
+    """
+    if model.form == "hamiltonian":
+        return _gradient(model.function, model.rates)
+    return _dual(model, conjugate_symbols(model))[1]
+
+
+def conjugate_symbols(model: Model) -> tuple[sympy.Symbol, ...]:
+    """Return the symbols of the other form: momenta `p_<q>` of a Lagrangian, velocities `d<q>` of a Hamiltonian.
+
+    Raises SymbolError when another symbol of the model has such a name.
+    """
+    prefix = "p_" if model.form == "lagrangian" else "d"
+    return new_symbols(model, prefix, model.coordinates)
+
+
+def new_symbols(model: Model, prefix: str, of: Sequence[sympy.Symbol]) -> tuple[sympy.Symbol, ...]:
+    """Make one real symbol `<prefix><name>` for each symbol; SymbolError when the model uses that name already."""
+    groups = (model.coordinates, model.rates, model.controls, model.parameters, (model.time,))
+    taken = {symbol.name for group in groups for symbol in group}
+    for symbol in of:
+        if prefix + symbol.name in taken:
+            raise SymbolError(
+                f"{prefix}{symbol} is declared, but the name is needed for the partner of {symbol}",
+                "give the declared symbol another name",
+            )
+    return tuple(sympy.Symbol(prefix + symbol.name, real=True) for symbol in of)
+
+
+def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
+    """Solve a regular square symbolic system, one connected block of the matrix at a time.
+
+    A block is the set of unknowns that its entries couple, so a diagonal matrix costs one division an unknown and
+    the expressions stay small. Entries are simplified first, because a zero that is not seen joins two blocks.
+    Raises DegenerateError, naming the first row, when a block is singular.
+    """
+    matrix = matrix.applyfunc(_simplified_entry)
+    solution = [sympy.S.Zero] * len(right)
+    for block in matrix.connected_components():
+        rows = sorted(block)
+        part = matrix.extract(rows, rows)
+        values = sympy.Matrix([right[row] for row in rows])
+        if len(rows) <= _ADJUGATE_LIMIT:
+            determinant = _simplified_entry(part.det(method="berkowitz"))
+            if vanishes(determinant):
+                raise DegenerateError(f"a linear system is singular in row {rows[0] + 1}", "check that it is regular")
+            found = part.adjugate() * values / determinant
+        else:
+            found = part.LUsolve(values, iszerofunc=vanishes)
+        for row, value in zip(rows, found, strict=True):
+            solution[row] = value
+    return tuple(solution)
+
+
+def vanishes(expression: sympy.Expr) -> bool:
+    """Whether an expression is zero everywhere, decided at random points where sympy does not know."""
+    if expression.is_zero is not None:
+        return bool(expression.is_zero)
+    points = itertools.islice(expressions.trial_points(expression.free_symbols, {}, {}), 8)
+    values = [expressions.number_at(expression, point) for point in points]
+    # evalf raises its precision until 15 digits are right, so what cancels comes out far below any true value.
+    return all(value is None or abs(value) < 1e-25 for value in values)
+
+
+def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
+    """Expand a matrix entry, and use cos^2 + sin^2 = 1 where it occurs; a cheap step that exposes zeros."""
+    if entry.count_ops() > _SIMPLIFY_LIMIT:
+        return entry
+    expanded = sympy.expand(entry)
+    candidates = [entry, expanded]
+    if expanded.has(TrigonometricFunction) and expanded.count_ops() < _SIMPLIFY_LIMIT:
+        candidates.append(sympy.trigsimp(expanded))
+    return min(candidates, key=lambda candidate: candidate.count_ops())
+
+
+def _gradient(function: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, ...]:
+    return tuple(function.diff(symbol) for symbol in symbols)
+
+
+def _transformed(model: Model, form: str) -> Model:
+    conjugates = conjugate_symbols(model)
+    function, old_rates = _dual(model, conjugates)
+    substitution = dict(zip(model.rates, old_rates, strict=True))
+    gradient = _gradient(model.function, model.rates)
+    return replace(
+        model,
+        form=form,
+        rates=conjugates,
+        function=function,
+        force=tuple(component.xreplace(substitution) for component in model.force),
+        cost=None if model.cost is None else model.cost.xreplace(substitution),
+        start=_boundary(model, "start", model.start, sympy.S.Zero, gradient, conjugates),
+        end=model.end and _boundary(model, "end", model.end, model.duration, gradient, conjugates),
+    )
+
+
+def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
+    """Return y.x - f(x) and x(y), where f is the model's function, x its rates, and y = df/dx the `conjugates`."""
+    function, rates = model.function, model.rates
+    hessian = sympy.hessian(function, rates)
+    null = expressions.null_direction(hessian, _trial_points(model))
+    if null is not None:
+        names = " ".join(str(y) for y, weight in zip(conjugates, null, strict=True) if abs(weight) > 1e-6)
+        raise DegenerateError(
+            f"{names} does not determine {' '.join(map(str, rates))}: the Legendre transform is degenerate",
+            "make the kinetic energy depend on every velocity (or momentum) quadratically",
+        )
+    if hessian.has(*rates):
+        hessian = hessian.applyfunc(sympy.expand)
+    if hessian.has(*rates):
+        return _nonlinear_dual(model, conjugates)
+    at_rest = dict.fromkeys(rates, sympy.S.Zero)
+    shifted = tuple(
+        y - slope.xreplace(at_rest) for y, slope in zip(conjugates, _gradient(function, rates), strict=True)
+    )
+    solved = solve_blocks(hessian, shifted)
+    # f = x.Mx/2 + b.x - V gives y.x - f = (y - b).M^-1 (y - b)/2 + V, without the products that would cancel.
+    half = sum((s * x for s, x in zip(shifted, solved, strict=True)), sympy.S.Zero) / 2
+    return sympy.expand_mul(half, deep=False) - function.xreplace(at_rest), solved
+
+
+def _trial_points(model: Model) -> Iterator[dict[sympy.Symbol, float]]:
+    return expressions.trial_points([*model.coordinates, *model.rates, model.time], model.default_values, {})
+
+
+def _nonlinear_dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
+    function, rates = model.function, model.rates
+    gradient = _gradient(function, rates)
+    try:
+        candidates = sympy.solve(
+            [slope - y for slope, y in zip(gradient, conjugates, strict=True)], list(rates), dict=True
+        )
+    except NotImplementedError:
+        candidates = []
+    inverses = [
+        tuple(candidate[x] for x in rates)
+        for candidate in candidates
+        if set(candidate) == set(rates) and _inverts(model, candidate, gradient, conjugates)
+    ]
+    if len(inverses) != 1:
+        names = " ".join(map(str, conjugates))
+        raise DegenerateError(
+            f"{names} = {', '.join(map(str, gradient))} has {len(inverses) or 'no'} closed solutions for "
+            f"{' '.join(map(str, rates))}",
+            "write the problem in the other form",
+        )
+    solved = inverses[0]
+    substitution = dict(zip(rates, solved, strict=True))
+    dual = sum((x * y for x, y in zip(solved, conjugates, strict=True)), sympy.S.Zero) - function.xreplace(substitution)
+    return (sympy.simplify(dual) if dual.count_ops() < _SIMPLIFY_LIMIT else dual), solved
+
+
+def _inverts(
+    model: Model,
+    candidate: dict[sympy.Symbol, sympy.Expr],
+    gradient: Sequence[sympy.Expr],
+    conjugates: Sequence[sympy.Symbol],
+) -> bool:
+    """Whether a candidate x(y) gives back x at trial points of both signs; sympy may return spurious branches."""
+    tried = False
+    for point in _trial_points(model):
+        image = [expressions.number_at(slope, point) for slope in gradient]
+        known = [value for value in image if value is not None]
+        if len(known) < len(image):
+            continue  # outside the domain of the function, as above the speed of light
+        tried = True
+        inverse_point = point | dict(zip(conjugates, known, strict=True))
+        for x in model.rates:
+            value = expressions.number_at(candidate[x], inverse_point)
+            if value is None or abs(value - point[x]) > 1e-6 * (1.0 + abs(point[x])):
+                return False
+    return tried
+
+
+def _boundary(
+    model: Model,
+    where: str,
+    boundary: Boundary,
+    instant: sympy.Expr,
+    gradient: Sequence[sympy.Expr],
+    conjugates: Sequence[sympy.Symbol],
+) -> Boundary:
+    """Rewrite the fixed rates at one end; a free rate leaves its conjugate free."""
+    symbols = [*model.coordinates, *model.rates]
+    values = [*boundary.positions, *boundary.rates]
+    fixed = {symbol: value for symbol, value in zip(symbols, values, strict=True) if value is not None}
+    fixed[model.time] = instant
+    rates: list[sympy.Expr | None] = []
+    for rate, slope, y, value in zip(model.rates, gradient, conjugates, boundary.rates, strict=True):
+        if value is None:
+            rates.append(None)
+            continue
+        determined = slope.xreplace(fixed)
+        unknown = sorted(determined.free_symbols & set(symbols), key=str)
+        if unknown:
+            raise BoundaryError(
+                f"{where} fixes {rate} but leaves {' '.join(map(str, unknown))} free, so it does not determine {y}",
+                "fix these too, or use the variational method",
+            )
+        rates.append(determined)
+    return Boundary(boundary.positions, tuple(rates))
