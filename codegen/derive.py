@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
+from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
 
 Entry = tuple[int, int, Expr]
@@ -40,7 +41,10 @@ class ControlDerivatives:
 
 @dataclass(frozen=True)
 class StepDerivatives:
-    """Jacobian (dense, row by row) of the residual of an implicit step; empty for an explicit one."""
+    """Jacobian (dense, row by row) of the residual of an implicit step; empty for an explicit one.
+
+    `constant` says that it depends on parameters and the step's length only, so that it can be factored once.
+    """
 
     jacobian: tuple[tuple[Expr, ...], ...]
     constant: bool
@@ -50,9 +54,8 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     """Differentiate the interval's scalar and both end elements twice."""
     unknowns = (*program.left_symbols, *program.interval_symbols, *program.control_symbols, *program.right_symbols)
     element = _element(program.element, unknowns)
-    extra = len(program.start.extra)
-    start = _end_element(program.start, (*program.start.extra_symbols, *program.left_symbols), extra)
-    end = _end_element(program.end, (*program.right_symbols, *program.end.extra_symbols), 0)
+    start = _end_element(program.start, program.left_symbols)
+    end = _end_element(program.end, program.right_symbols)
     variables = set(unknowns) | set(start.unknowns) | set(end.unknowns)
     entries = (*element.hessian, *start.hessian, *end.hessian)
     return ControlDerivatives(
@@ -65,18 +68,16 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
 
 
 def step_derivatives(program: StepProgram) -> StepDerivatives:
-    """Differentiate the residual of a step by its unknowns, through the explicit assignments before it."""
-    total = _total_residual(program)
-    jacobian = tuple(tuple(sympy.diff(r, y) for y in program.unknowns) for r in total)
-    constant = not any(entry.free_symbols & set(program.unknowns) for row in jacobian for entry in row)
-    return StepDerivatives(jacobian, constant)
+    """Differentiate the residual of a step by its unknowns, on which the assignments before it do not depend."""
+    jacobian = tuple(tuple(_tidy_derivative(r, y) for y in program.unknowns) for r in program.residual)
+    fixed = {*program.model.parameters, STEP}
+    return StepDerivatives(jacobian, all(entry.free_symbols <= fixed for row in jacobian for entry in row))
 
 
-def _total_residual(program: StepProgram) -> list[Expr]:
-    total = list(program.residual)
-    for symbol, value in reversed(program.before):
-        total = [r.subs(symbol, value) for r in total]
-    return total
+def _tidy_derivative(expression: Expr, symbol: Symbol) -> Expr:
+    """A derivative, written as zero where it is one."""
+    derivative = sympy.diff(expression, symbol)
+    return sympy.S.Zero if _vanishes(derivative) else derivative
 
 
 def _element(scalar: Expr, unknowns: Sequence[Symbol]) -> ElementDerivatives:
@@ -93,12 +94,9 @@ def _element(scalar: Expr, unknowns: Sequence[Symbol]) -> ElementDerivatives:
     return ElementDerivatives(tuple(unknowns), gradient, tuple(hessian))
 
 
-def _end_element(end: EndElement, unknowns: tuple[Symbol, ...], node: int) -> ElementDerivatives:
-    """Derivatives of an end's share; what is pinned there is a number and not differentiated twice.
-
-    `node` is the place of the node's first unknown among `unknowns`.
-    """
-    pinned = {node + i for i, _ in end.pins}
+def _end_element(end: EndElement, unknowns: tuple[Symbol, ...]) -> ElementDerivatives:
+    """Derivatives of an end's share; what is pinned there is a number and not differentiated twice."""
+    pinned = {i for i, _ in end.pins}
     full = _element(end.element, unknowns)
     hessian = tuple(entry for entry in full.hessian if not {entry[0], entry[1]} & pinned)
     return ElementDerivatives(full.unknowns, full.gradient, hessian)
@@ -125,3 +123,8 @@ def _condensable(program: ControlProgram, element: ElementDerivatives, unknowns:
                 return False
             block[row - first, column - first] = block[column - first, row - first] = value
     return bool(sympy.simplify(block.det()) != 0)
+
+
+def derivatives(program: ControlProgram | StepProgram) -> ControlDerivatives | StepDerivatives:
+    """The derivatives that the solver of a program needs."""
+    return control_derivatives(program) if isinstance(program, ControlProgram) else step_derivatives(program)

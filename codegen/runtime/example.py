@@ -7,16 +7,13 @@ v(0), q(T), v(T). Exists so that the files of this folder can be imported and te
 import numpy as np
 from numba import njit
 
-START_EXTRA, END_EXTRA = 0, 0
 NODE, CONTROLS, STRIDE, ELEMENT = 2, 1, 3, 5
-BANDWIDTH = 4
 IS_MULTIPLIER = np.array([False, True, False])
-START_IS_MULTIPLIER = END_IS_MULTIPLIER = np.array([False, True])  # of the end node and what exists only there
 START_PINNED = END_PINNED = (0,)
 HESSIAN_ROWS = np.array([0, 1, 2, 2, 3, 3, 3, 4, 4, 4])
 HESSIAN_COLUMNS = np.array([0, 0, 1, 2, 0, 1, 3, 0, 2, 3])
 START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLUMNS = np.zeros(0, np.int64)
-LINEAR = False
+metadata = {"node": ("q", "lambda_q"), "interval": ("u",), "parameters": {}}
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,7 +1,6 @@
 """Value and gradient of the Lagrangian of the optimisation problem: a sum over intervals and both ends.
 
-Unknowns lie in one vector: what belongs to the start only, then node 0, interval 0, node 1, interval 1, ..., node N,
-then what belongs to the end only. The gradient by the multipliers is the residual of the discrete equations, the
+Unknowns lie in one vector: node 0, interval 0, node 1, interval 1, ..., node N. The gradient by the multipliers is the residual of the discrete equations, the
 gradient by the other unknowns is the stationarity of the optimum.
 """
 
@@ -10,10 +9,8 @@ from numba import njit
 
 from codegen.runtime.example import (
     ELEMENT,
-    END_EXTRA,
     END_PINNED,
     NODE,
-    START_EXTRA,
     START_PINNED,
     STRIDE,
     end_gradient,
@@ -30,7 +27,7 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
         gradient[i] = 0.0
     cost = 0.0
     for k in range(steps):
-        first = START_EXTRA + k * STRIDE
+        first = k * STRIDE
         cost += interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters, local)
         for i in range(ELEMENT):
             gradient[first + i] += local[i]
@@ -41,8 +38,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
 @njit(cache=True, error_model="numpy")
 def add_end_gradients(unknowns, duration, parameters, gradient):
     """Add the shares of both ends to the gradient and clear the entries of pinned unknowns."""
-    first, last = START_EXTRA + NODE, unknowns.size - END_EXTRA - NODE
-    start_gradient(unknowns[:first], 0.0, parameters, gradient[:first])
+    last = unknowns.size - NODE
+    start_gradient(unknowns[:NODE], 0.0, parameters, gradient[:NODE])
     end_gradient(unknowns[last:], duration, parameters, gradient[last:])
     for i in START_PINNED:
         gradient[i] = 0.0

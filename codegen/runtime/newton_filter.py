@@ -7,7 +7,7 @@ curvature that replaces the inertia of the KKT matrix.
 
 import numpy as np
 
-from codegen.runtime.assembly_condensed import allocate_system, assemble_kkt, factor_kkt, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.norms import measure_step
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import rounding_level
@@ -24,19 +24,19 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
-    shift, last_shift, length, previous_error = 0.0, 0.0, 0.0, np.inf
+    shift, last_shift, length = 0.0, 0.0, 0.0
     for iteration in range(max_iterations + 1):
         log.append((point.cost, point.residual, point.stationarity, shift, length))
         if not point.error < np.inf:
             return "non-finite", point.unknowns, iteration
-        if point.error <= tolerance or has_converged_to_rounding(grid, point, previous_error, shift, length):
+        if point.error <= tolerance or is_rounding(grid, point, log[0]):
             return "solved", point.unknowns, iteration
         if iteration == max_iterations:
             break
         step, shift = regularised_step(grid, point, last_shift, system)
         if step is None:
             return "rank-deficient", point.unknowns, iteration
-        last_shift, previous_error = shift or last_shift, point.error
+        last_shift = shift or last_shift
         trial, length = search(grid, point, step, small_violation, filtered, system)
         if trial is None:
             if point.error <= 1e3 * rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
@@ -50,39 +50,35 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
     return "iteration limit", point.unknowns, max_iterations
 
 
-def has_converged_to_rounding(grid, point, previous_error, shift, length):
-    """Whether full Newton steps, which should square the error, no longer reduce it because rounding is all there is."""
-    if length != 1.0 or shift != 0.0 or point.error < 0.3 * previous_error:
+def is_rounding(grid, point, first):
+    """Whether nothing but rounding errors is left; not worth asking while the first error has hardly shrunk."""
+    if point.error > 1e-8 * max(first[1:3]):
         return False
     return point.error <= rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters)
 
 
 def guess_multipliers(grid, unknowns, system):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
-    gradient, step = np.empty_like(unknowns), np.empty_like(unknowns)
-    assemble_kkt(grid, unknowns, 0.0, 1.0, 0.0, gradient, system)
-    if factor_kkt(system) >= 0:
-        return unknowns
-    solve_kkt(system, np.where(grid.is_multiplier, 0.0, gradient), step)
+    point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
+    if point.stationarity == 0.0 or not factor_kkt(grid, point.unknowns, 0.0, 1.0, 0.0, system):
+        return point.unknowns
+    step = np.empty_like(unknowns)
+    solve_kkt(grid, system, np.where(grid.is_multiplier, 0.0, point.gradient), step)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
-    return unknowns + multipliers if np.abs(multipliers).max() <= 1e3 else unknowns
+    return point.unknowns + multipliers if np.abs(multipliers).max() <= 1e3 else point.unknowns
 
 
 def regularised_step(grid, point, last_shift, system):
-    """Newton step and the shift of the Hessian that makes the curvature along it positive; no step when singular."""
-    gradient, step = np.empty_like(point.gradient), np.empty_like(point.gradient)
+    """Newton step and the shift of the Hessian that makes it a descent (algorithm IC); no step when singular."""
+    step = np.empty_like(point.unknowns)
     shift, dual_shift = 0.0, 0.0
     while shift < 1e20:
-        _, positive = assemble_kkt(grid, point.unknowns, 1.0, shift, dual_shift, gradient, system)
-        singular = positive and factor_kkt(system) >= 0
-        if singular:
-            dual_shift = 1e-8
-        elif positive:
-            solve_kkt(system, gradient, step)
-            curvature, _, linear, square = measure_step(point.unknowns, gradient, step, grid.is_multiplier)
-            if curvature + max(linear, 0.0) >= 1e-10 * square:
+        if factor_kkt(grid, point.unknowns, 1.0, shift, dual_shift, system):
+            solve_kkt(grid, system, point.gradient, step)
+            if measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[2]:
                 return step, shift
+        elif shift > 0.0:
+            dual_shift = 1e-8
         if shift == 0.0:
             shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)
         else:
@@ -92,7 +88,7 @@ def regularised_step(grid, point, last_shift, system):
 
 def search(grid, point, step, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
-    slope = measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[1]
+    slope = measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[0]
     length = 1.0
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + length * step)
@@ -101,7 +97,7 @@ def search(grid, point, step, small_violation, filtered, system):
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
             corrected, correction = point.gradient.copy(), np.empty_like(step)
             corrected[grid.is_multiplier] += trial.gradient[grid.is_multiplier]
-            solve_kkt(system, corrected, correction)
+            solve_kkt(grid, system, corrected, correction)
             trial = evaluate(grid, point.unknowns + correction)
             accepted = accept(point, trial, slope, length, small_violation, filtered)
         if accepted:
@@ -138,11 +134,9 @@ def restore(grid, point, filtered, system):
     """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced further."""
     step = np.empty_like(point.gradient)
     for _ in range(50):
-        gradient = np.empty_like(step)
-        assemble_kkt(grid, point.unknowns, 0.0, 1.0, 1e-12, gradient, system)
-        if factor_kkt(system) >= 0:
+        if not factor_kkt(grid, point.unknowns, 0.0, 1.0, 1e-12, system):
             return None
-        solve_kkt(system, np.where(grid.is_multiplier, gradient, 0.0), step)
+        solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
         step[grid.is_multiplier] = 0.0
         length = 1.0
         trial = evaluate(grid, point.unknowns + step)

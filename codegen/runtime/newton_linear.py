@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from codegen.runtime.assembly_condensed import allocate_system, assemble_kkt, factor_kkt, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.norms import measure_step
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import rounding_level
@@ -13,23 +13,21 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
-    gradient, step = np.empty_like(unknowns), np.empty_like(unknowns)
     system = allocate_system(grid)
-    cost, positive = assemble_kkt(grid, unknowns, 1.0, 0.0, 0.0, gradient, system)
-    if not np.isfinite(cost + gradient.sum()):
-        return "non-finite", unknowns, 0
-    if not positive:
-        return "unbounded", unknowns, 0
-    if factor_kkt(system) >= 0:
-        return "rank-deficient", unknowns, 0
+    regular = factor_kkt(grid, unknowns, 1.0, 0.0, 0.0, system)
     for iteration in range(4):
         point = evaluate(grid, unknowns)
         log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
+        if not point.error < np.inf:
+            return "non-finite", unknowns, iteration
+        if not regular:
+            return "rank-deficient", unknowns, iteration
         rounding = rounding_level(unknowns, grid.steps, grid.h, grid.parameters) if iteration else 0.0
         if point.error <= max(tolerance, rounding):
             return "solved", unknowns, iteration
-        solve_kkt(system, point.gradient, step)
-        if iteration == 0 and measure_step(unknowns, point.gradient, step, grid.is_multiplier)[0] < 0.0:
-            return "unbounded", unknowns, 0
+        step = np.empty_like(unknowns)
+        solve_kkt(grid, system, point.gradient, step)
+        if iteration == 0 and not measure_step(unknowns, point.gradient, step, grid.is_multiplier)[2]:
+            return "unbounded", unknowns, iteration
         unknowns = unknowns + step
     return "stalled", unknowns, 3

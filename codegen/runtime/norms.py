@@ -26,20 +26,20 @@ def measure(gradient, is_multiplier):
 
 @njit(cache=True, error_model="numpy")
 def measure_step(unknowns, gradient, step, is_multiplier):
-    """Curvature and slope along a Newton step, its multipliers' share of the slope, and its squared primal length.
+    """Slope of the cost and curvature along a Newton step, and whether the step promises a descent.
 
     With W the Hessian as it was factored, A the Jacobian of the equations, d the primal and m the multipliers' part
-    of the step, its own equations W d + A' m = -gradient and A d = -residual give d' W d, and the derivative of the
-    cost along d, without another product with a matrix.
+    of the step, the step's own equations W d + A' m = -gradient and A d = -residual give d' W d and the derivative of
+    the cost along d without another product with a matrix. The promise is the inertia-free test of Chiang and Zavala.
     """
-    curvature, slope, linear, square = 0.0, 0.0, 0.0, 0.0
+    slope, curvature, linear, square = 0.0, 0.0, 0.0, 0.0
     for i in range(step.size):
         if is_multiplier[i]:
-            curvature += gradient[i] * step[i]
             slope += gradient[i] * unknowns[i]
+            curvature += gradient[i] * step[i]
             linear -= gradient[i] * (unknowns[i] + step[i])
         else:
-            curvature -= gradient[i] * step[i]
             slope += gradient[i] * step[i]
+            curvature -= gradient[i] * step[i]
             square += step[i] * step[i]
-    return curvature, slope, linear, square
+    return slope, curvature, curvature + max(linear, 0.0) >= 1e-10 * square

@@ -9,7 +9,7 @@ from codegen.runtime.norms import measure
 
 
 class Grid(NamedTuple):
-    """N intervals of length h, the values of the parameters, and which unknowns are multipliers of equations."""
+    """N intervals of length h, values of the parameters, and which unknowns are multipliers."""
 
     steps: int
     h: float

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.example import ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, START_EXTRA, STRIDE, interval_hessian
+from codegen.runtime.example import ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, STRIDE, interval_hessian
 
 
 @njit(cache=True, error_model="numpy")
@@ -15,7 +15,7 @@ def rounding_level(unknowns, steps, h, parameters):
     local, hessian = np.empty(ELEMENT), np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
     for k in range(steps):
-        first = START_EXTRA + k * STRIDE
+        first = k * STRIDE
         interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters, local, hessian)
         for j in range(HESSIAN_ROWS.size):
             row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]

@@ -10,6 +10,7 @@ Hamiltonian method: l = Cd + mu_k . r_k with the equations r_k of one step.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import sympy
 from sympy import Expr, Symbol
@@ -18,19 +19,26 @@ from codegen import legendre
 from codegen.discretise import at_nodes, one_step_interval, variational_interval
 from codegen.model import Boundary, Model
 from codegen.schemes import DiscreteLagrangian, OneStep
+from codegen.transcribe.boundary import with_symbolic_boundaries
 from codegen.transcribe.program import ControlProgram, EndElement, Unknown
+
+DURATION = Symbol("duration", positive=True)
+"""The length of the whole time interval, in guesses."""
 
 
 def variational(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool) -> ControlProgram:
     """Transcribe with unknowns q and lambda on nodes and u on intervals (or nodes)."""
-    model = legendre.lagrangian_form(model) if model.form != "lagrangian" else model
+    model, boundary_values = with_symbolic_boundaries(legendre.lagrangian_form(model))
     interval = variational_interval(model, scheme, nodal_controls)
     names = [q.name for q in model.coordinates]
     multipliers = [f"lambda_{name}" for name in names]
+    ends = _Ends(_momentum_end(model, model.start, "_k", 1), _momentum_end(model, _end(model), "_k1", -1))
     nodal = _control_unknowns(model) if nodal_controls else ()
+    pairs = zip(multipliers, names, strict=True)
     node = (
         *(Unknown(name, f"coordinate {name}") for name in names),
-        *(Unknown(m, f"multiplier of the equation of motion of {n}", True) for m, n in zip(multipliers, names, strict=True)),
+        *(Unknown(m, f"multiplier of the equation of motion of {name}", True) for m, name in pairs),
+        *ends.extra,
         *nodal,
     )
     left_lambda, right_lambda = _symbols(multipliers, "_k"), _symbols(multipliers, "_k1")
@@ -40,9 +48,13 @@ def variational(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool) 
         interval.cost
         + sum(m * e for m, e in zip(left_lambda, left_half, strict=True))
         + sum(m * e for m, e in zip(right_lambda, right_half, strict=True))
+        + ends.filling()
     )
-    left = (*interval.q.left, *left_lambda, *(interval.q.left_controls if nodal_controls else ()))
-    right = (*interval.q.right, *right_lambda, *(interval.q.right_controls if nodal_controls else ()))
+    left = (*interval.q.left, *left_lambda, *ends.symbols("_k"), *(interval.q.left_controls if nodal_controls else ()))
+    right = (
+        *(*interval.q.right, *right_lambda, *ends.symbols("_k1")),
+        *(interval.q.right_controls if nodal_controls else ()),
+    )
     return ControlProgram(
         model=model,
         method="variational",
@@ -63,30 +75,41 @@ def variational(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool) 
             *((f"f+_{n}", f) for n, f in zip(names, interval.force_plus, strict=True) if f != 0),
             ("Cd", interval.cost),
         ),
-        left_momentum=interval.left_momentum,
-        right_momentum=interval.right_momentum,
-        start=_momentum_end(model, model.start, "_k", sympy.S.One),
-        end=_with_absent_controls_pinned(
-            _momentum_end(model, _end(model), "_k1", sympy.S.NegativeOne), element, nodal, right, len(node)
-        ),
+        boundary_values=boundary_values,
+        node_guess=_coordinate_guess(model),
+        control_guess=_control_guess(model),
+        start=ends.start_element(),
+        end=ends.end_element(2 * len(names), element, right),
     )
 
 
 def hamiltonian(model: Model, scheme: OneStep, nodal_controls: bool) -> ControlProgram:
     """Transcribe with unknowns q and p on nodes, stages, mu and u on intervals (or u on nodes)."""
+    model, boundary_values = with_symbolic_boundaries(model)
     free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    phase = legendre.hamiltonian_form(_with_ends(model, free, free))
+    phase = legendre.hamiltonian_form(replace(model, start=free, end=free))
     interval = one_step_interval(phase, scheme, nodal_controls)
     names = [s.name for s in (*phase.coordinates, *phase.rates)]
     stage_names = [s.name for s in interval.stages]
     equation_names = [*stage_names, *names]
     multipliers = [f"mu_{name}" for name in equation_names]
+    known = {*model.parameters, *(value.symbol for value in boundary_values)}
+    ends = _Ends(
+        _phase_end(model, phase, model.start, "_k", known), _phase_end(model, phase, _end(model), "_k1", known)
+    )
     nodal = _control_unknowns(model) if nodal_controls else ()
     mu = _symbols(multipliers, "_k")
-    element = interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True))
+    element = interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)) + ends.filling()
     kinds = ["coordinate"] * len(phase.coordinates) + ["momentum"] * len(phase.rates)
-    node = (*(Unknown(n, f"{kind} {n}") for n, kind in zip(names, kinds, strict=True)), *nodal)
-    right = (*interval.q.right, *interval.p.right, *(interval.q.right_controls if nodal_controls else ()))
+    node = (*(Unknown(n, f"{kind} {n}") for n, kind in zip(names, kinds, strict=True)), *ends.extra, *nodal)
+    left = (
+        *(*interval.q.left, *interval.p.left, *ends.symbols("_k")),
+        *(interval.q.left_controls if nodal_controls else ()),
+    )
+    right = (
+        *(*interval.q.right, *interval.p.right, *ends.symbols("_k1")),
+        *(interval.q.right_controls if nodal_controls else ()),
+    )
     return ControlProgram(
         model=phase,
         method="hamiltonian",
@@ -95,29 +118,77 @@ def hamiltonian(model: Model, scheme: OneStep, nodal_controls: bool) -> ControlP
         node=node,
         interval=(
             *(Unknown(n, f"stage value {n}") for n in stage_names),
-            *(Unknown(m, f"multiplier of the step of {n}", True) for m, n in zip(multipliers, equation_names, strict=True)),
+            *(
+                Unknown(m, f"multiplier of the step of {n}", True)
+                for m, n in zip(multipliers, equation_names, strict=True)
+            ),
         ),
         controls=() if nodal_controls else _control_unknowns(model),
-        left_symbols=(*interval.q.left, *interval.p.left, *(interval.q.left_controls if nodal_controls else ())),
+        left_symbols=left,
         interval_symbols=(*interval.stages, *mu),
         control_symbols=() if nodal_controls else interval.q.left_controls,
         right_symbols=right,
         element=element,
         cost=interval.cost,
         equations=(
-            *((f"0", r) for r in interval.equations),
+            *(("0", r) for r in interval.equations),
             ("Cd", interval.cost),
         ),
-        left_momentum=tuple(interval.p.left),
-        right_momentum=tuple(interval.p.right),
-        start=_phase_end(model, phase, model.start, "_k"),
-        end=_with_absent_controls_pinned(
-            _phase_end(model, phase, _end(model), "_k1"), element, nodal, right, len(node)
-        ),
+        boundary_values=boundary_values,
+        node_guess=(*_coordinate_guess(model), *_momentum_guess(model)),
+        control_guess=_control_guess(model),
+        start=ends.start_element(),
+        end=ends.end_element(len(names), element, right),
     )
 
 
-def _momentum_end(model: Model, boundary: Boundary, suffix: str, sign: Expr) -> EndElement:
+@dataclass(frozen=True)
+class _End:
+    """Pins, own unknowns, own share of the Lagrangian and conditions of one end."""
+
+    pins: tuple[tuple[int, Expr], ...]
+    extra: tuple[Unknown, ...]
+    element: Expr
+    conditions: tuple[tuple[str, Expr], ...]
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """Both ends, whose own unknowns become unknowns of every node, with value zero wherever they have no meaning."""
+
+    start: _End
+    end: _End
+
+    @property
+    def extra(self) -> tuple[Unknown, ...]:
+        named = {unknown.name: unknown for unknown in (*self.start.extra, *self.end.extra)}
+        return tuple(named.values())
+
+    def symbols(self, suffix: str) -> tuple[Symbol, ...]:
+        return _symbols([unknown.name for unknown in self.extra], suffix)
+
+    def filling(self) -> Expr:
+        """A share of every interval's l that makes the end's unknowns vanish at its left node."""
+        return sum((symbol**2 / 2 for symbol in self.symbols("_k")), sympy.S.Zero)
+
+    def start_element(self) -> EndElement:
+        own = _symbols([unknown.name for unknown in self.start.extra], "_k")
+        element = self.start.element - sum((symbol**2 / 2 for symbol in own), sympy.S.Zero)
+        return EndElement(self.start.pins, element, self.start.conditions)
+
+    def end_element(self, first: int, element: Expr, right: Sequence[Symbol]) -> EndElement:
+        """The end's share; pins what has no meaning at the last node, of which `first` is the place of own unknowns.
+
+        Besides unknowns of the start these are controls that no interval reads (nodal ones in a one-sided scheme).
+        """
+        own = {unknown.name for unknown in self.end.extra}
+        pins = [(first + i, sympy.S.Zero) for i, unknown in enumerate(self.extra) if unknown.name not in own]
+        controls = range(first + len(self.extra), len(right))
+        pins += [(i, sympy.S.Zero) for i in controls if right[i] not in element.free_symbols]
+        return EndElement((*self.end.pins, *pins), self.end.element, self.end.conditions)
+
+
+def _momentum_end(model: Model, boundary: Boundary, suffix: str, sign: int) -> _End:
     """Fix positions; match the discrete momentum with D2 L(q, v) wherever a velocity is fixed.
 
     Free velocities on which a matched momentum depends (through the mass matrix) become unknowns of this end, and
@@ -143,23 +214,24 @@ def _momentum_end(model: Model, boundary: Boundary, suffix: str, sign: Expr) -> 
     matched_momenta = [(i, momentum[i].subs({**place, **velocity}, simultaneous=True)) for i in sorted(matched)]
     pins = [(i, value) for i, value in enumerate(boundary.positions) if value is not None]
     pins += [(dimension + i, sympy.S.Zero) for i in range(dimension) if i not in matched]
-    return EndElement(
+    return _End(
         pins=tuple(pins),
-        extra=tuple(Unknown(model.rates[j].name, f"velocity {model.rates[j].name} at this end") for j in sorted(extra)),
-        extra_symbols=extra_symbols,
+        extra=tuple(Unknown(model.rates[j].name, f"velocity {model.rates[j].name} at an end") for j in sorted(extra)),
         element=sum((sign * multipliers[i] * p for i, p in matched_momenta), sympy.S.Zero),
         conditions=tuple((f"p_{model.coordinates[i].name}", p) for i, p in matched_momenta),
     )
 
 
-def _phase_end(model: Model, phase: Model, boundary: Boundary, suffix: str) -> EndElement:
+def _phase_end(
+    model: Model, phase: Model, boundary: Boundary, suffix: str, known: set[Symbol]
+) -> _End:
     """Fix positions and momenta; velocities that do not fix a momentum by themselves become equations."""
     dimension = len(model.coordinates)
     pins = [(i, value) for i, value in enumerate(boundary.positions) if value is not None]
     fixed_positions = {q: v for q, v in zip(model.coordinates, boundary.positions, strict=True) if v is not None}
     fixed_rates = {v: x for v, x in zip(model.rates, boundary.rates, strict=True) if x is not None}
-    node = dict(zip((*phase.coordinates, *phase.rates), _symbols(
-        [s.name for s in (*phase.coordinates, *phase.rates)], suffix), strict=True))
+    quantities = (*phase.coordinates, *phase.rates)
+    node = dict(zip(quantities, _symbols([s.name for s in quantities], suffix), strict=True))
     names, terms, conditions = [], [], []
     for i, value in enumerate(boundary.rates):
         if value is None:
@@ -167,7 +239,7 @@ def _phase_end(model: Model, phase: Model, boundary: Boundary, suffix: str) -> E
         momentum = value
         if model.form == "lagrangian":
             momentum = sympy.diff(model.function, model.rates[i]).subs({**fixed_positions, **fixed_rates}, simultaneous=True)
-        if not momentum.free_symbols - set(model.parameters):
+        if momentum.free_symbols <= known:
             pins.append((dimension + i, momentum))
             conditions.append((phase.rates[i].name, momentum))
             continue
@@ -176,22 +248,12 @@ def _phase_end(model: Model, phase: Model, boundary: Boundary, suffix: str) -> E
         terms.append(velocity - value)
         conditions.append((model.rates[i].name, velocity))
     symbols = _symbols(names, suffix)
-    return EndElement(
+    return _End(
         pins=tuple(pins),
         extra=tuple(Unknown(n, f"multiplier of the condition on {n.removeprefix('nu_')}", True) for n in names),
-        extra_symbols=symbols,
         element=sum((nu * term for nu, term in zip(symbols, terms, strict=True)), sympy.S.Zero),
         conditions=tuple(conditions),
     )
-
-
-def _with_absent_controls_pinned(
-    end: EndElement, element: Expr, nodal: Sequence[Unknown], right: Sequence[Symbol], size: int
-) -> EndElement:
-    """Pin controls of the last node that no interval reads (nodal controls with a one-sided scheme)."""
-    first = size - len(nodal)
-    absent = [(i, sympy.S.Zero) for i in range(first, size) if right[i] not in element.free_symbols]
-    return EndElement((*end.pins, *absent), end.extra, end.extra_symbols, end.element, end.conditions)
 
 
 def _control_unknowns(model: Model) -> tuple[Unknown, ...]:
@@ -207,7 +269,33 @@ def _end(model: Model) -> Boundary:
     return model.end
 
 
-def _with_ends(model: Model, start: Boundary, end: Boundary) -> Model:
-    from dataclasses import replace
+def _coordinate_guess(model: Model) -> tuple[Expr, ...]:
+    """The author's guess for each coordinate as a function of time, else the straight line between its end values."""
+    given = dict(model.guess)
+    end = _end(model)
+    return tuple(
+        given.get(q, _line(model, first, last))
+        for q, first, last in zip(model.coordinates, model.start.positions, end.positions, strict=True)
+    )
 
-    return replace(model, start=start, end=end)
+
+def _momentum_guess(model: Model) -> tuple[Expr, ...]:
+    """Momenta along the guessed motion (Lagrangian form), or straight lines between their end values."""
+    if model.form == "hamiltonian":
+        pairs = zip(model.start.rates, _end(model).rates, strict=True)
+        return tuple(_line(model, first, last) for first, last in pairs)
+    motion = _coordinate_guess(model)
+    values = dict(zip(model.coordinates, motion, strict=True))
+    values |= {v: sympy.diff(q, model.time) for v, q in zip(model.rates, motion, strict=True)}
+    return tuple(sympy.diff(model.function, v).subs(values, simultaneous=True) for v in model.rates)
+
+
+def _control_guess(model: Model) -> tuple[Expr, ...]:
+    given = dict(model.guess)
+    return tuple(given.get(u, sympy.S.Zero) for u in model.controls)
+
+
+def _line(model: Model, first: Expr | None, last: Expr | None) -> Expr:
+    if first is None or last is None:
+        return first if first is not None else last if last is not None else sympy.S.Zero
+    return first + (last - first) * model.time / DURATION

@@ -19,17 +19,25 @@ class Unknown:
 
 
 @dataclass(frozen=True)
+class BoundaryValue:
+    """A number that a boundary condition prescribes: at the start or end, for which quantity, symbol and value."""
+
+    where: str
+    quantity: str
+    symbol: Symbol
+    value: Expr
+
+
+@dataclass(frozen=True)
 class EndElement:
     """What happens at one end of the time interval.
 
     `pins` fix unknowns of the end node (local index, value); a multiplier whose equation is absent is pinned to zero.
-    `extra` are unknowns that exist at this end only, `element` is the end's own share of the Lagrangian of the
-    optimisation problem, in the symbols of the node (suffix `_k` at the start, `_k1` at the end) and of `extra`.
+    `element` is the end's own share of the Lagrangian of the optimisation problem, in the symbols of the node (suffix
+    `_k` at the start, `_k1` at the end).
     """
 
     pins: tuple[tuple[int, Expr], ...]
-    extra: tuple[Unknown, ...]
-    extra_symbols: tuple[Symbol, ...]
     element: Expr
     conditions: tuple[tuple[str, Expr], ...]
 
@@ -39,8 +47,8 @@ class ControlProgram:
     """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
 
     Unknowns are ordered node_k, interval_k, control_k, node_k1; `controls` are those that live on intervals.
-    `equations` are the discrete equations for people to read, `momenta` the discrete momenta (p_k, p_k1) that
-    belong to an interval, in the element's symbols.
+    `equations` are the discrete equations for people to read, the guesses are expressions of time, duration and
+    parameters, for the primal unknowns of a node and for the controls.
     """
 
     model: Model
@@ -57,33 +65,42 @@ class ControlProgram:
     element: Expr
     cost: Expr
     equations: tuple[tuple[str, Expr], ...]
-    left_momentum: tuple[Expr, ...]
-    right_momentum: tuple[Expr, ...]
     start: EndElement
     end: EndElement
+    boundary_values: tuple[BoundaryValue, ...]
+    node_guess: tuple[Expr, ...]
+    control_guess: tuple[Expr, ...]
 
 
 @dataclass(frozen=True)
 class StepProgram:
-    """An initial value problem: one step (q_k, p_k) -> (q_k1, p_k1).
+    """An initial value problem: one step from the left node (q_k, p_k) to the right node (q_k1, p_k1).
 
-    `before` are explicit assignments that the residual needs, in order; `unknowns` with `residual` are what is left
-    for Newton's method (none for an explicit scheme); `after` are explicit assignments that follow. `guess` starts
-    Newton's method. `start` holds the initial (q, p) in terms of the parameters and of initial rates.
+    `equations` are the scheme's equations as a textbook writes them, expressions that must vanish, in the symbols of
+    the left node, of inner stages and of the right node; `summary` says in formulas where they come from. Solving
+    them takes three parts: `before` are explicit assignments in order, `unknowns` with `residual` are what is left
+    for Newton's method (none for an explicit scheme; `linear` when one linear solve will do), `after` are explicit
+    assignments that follow. `guess` starts Newton's method. `energy` is the Hamiltonian at the left node; `start`
+    holds the initial (q, p) in terms of the parameters and of the symbols of `start_values`.
     """
 
     model: Model
     method: str
     scheme: str
+    order: int
     state: tuple[Unknown, ...]
     left_symbols: tuple[Symbol, ...]
+    velocity_symbols: tuple[Symbol, ...]
+    stage_symbols: tuple[Symbol, ...]
     right_symbols: tuple[Symbol, ...]
+    before: tuple[tuple[Symbol, Expr], ...]
     unknowns: tuple[Symbol, ...]
     guess: tuple[Expr, ...]
-    before: tuple[tuple[Symbol, Expr], ...]
     residual: tuple[Expr, ...]
     after: tuple[tuple[Symbol, Expr], ...]
     linear: bool
     equations: tuple[tuple[str, Expr], ...]
+    summary: tuple[tuple[str, Expr], ...]
     energy: Expr
+    start_values: tuple[BoundaryValue, ...]
     start: tuple[Expr, ...]

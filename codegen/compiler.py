@@ -1,0 +1,153 @@
+"""The story of a build: problem file -> model -> interval expressions -> program -> derivatives -> strings -> module.
+
+    author            discretise           transcribe          derive              lower            render
+    Problem   --->    interval exprs --->  Program     --->    derivatives  --->   Module    --->   text of one .py
+
+`build` runs it, or takes the text from the cache, whose key is everything that the text depends on; a hit needs no
+sympy at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from codegen import __version__, emit
+from codegen.errors import ArgumentError
+from codegen.problem_file import input_digest, load_problem
+
+if TYPE_CHECKING:
+    from codegen.lower.module import Origin
+    from codegen.model import Model
+
+DEFAULT_METHODS = {"control": "variational", "simulate": None}
+DEFAULT_SCHEME = "midpoint"
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a user chooses beside the problem: None stands for the default."""
+
+    scheme: str | None = None
+    method: str | None = None
+    controls: str = "interval"
+
+
+@dataclass(frozen=True)
+class Build:
+    """A generated module on disk, how long it took, and whether the cache had it."""
+
+    path: Path
+    name: str
+    seconds: float
+    cached: bool
+    written: bool
+
+
+def build(
+    path: Path | str,
+    arguments: Mapping[str, str] | None = None,
+    *,
+    scheme: str | None = None,
+    method: str | None = None,
+    controls: str = "interval",
+    out: Path | str | None = None,
+) -> Build:
+    """Derive, emit and write the module of a problem file into the folder `out` (default: the user's cache).
+
+    Raises a kind of CodegenError when the problem or a choice is unusable; then nothing is written.
+    """
+    begin = time.perf_counter()
+    path, arguments = Path(path), dict(arguments or {})
+    choices = Choices(scheme, method, controls)
+    digest = input_digest(path, arguments, *_choice_texts(choices), *versions(), _own_digest())
+    name = module_name(path, arguments, choices)
+    store = cache_folder() / digest[:20] / f"{name}.py"
+    cached = store.is_file()
+    if cached:
+        text = store.read_text(encoding="utf-8")
+    else:
+        text = generate(path, arguments, choices)
+        emit.write(store, text)
+    target = store if out is None else Path(out) / f"{name}.py"
+    written = emit.write(target, text) if out is not None else not cached
+    return Build(target, name, time.perf_counter() - begin, cached, written)
+
+
+def generate(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
+    """The text of the module of a problem file, derived anew."""
+    model = load_problem(path, arguments)
+    return generate_from_model(model, choices, origin_of(path, arguments, choices))
+
+
+def generate_from_model(model: Model, choices: Choices, origin: Origin) -> str:
+    """The pipeline itself, from a checked problem to the text of its module."""
+    from codegen import derive, lower, transcribe
+
+    program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
+    derivatives = derive.derivatives(program)
+    module = lower.lower(program, derivatives)
+    return emit.render(module, origin)
+
+
+def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Origin:
+    """The header's record of where a module comes from; it names no folder, so that any machine makes the same text."""
+    from codegen.lower.module import Origin
+
+    words = ["codegen build", path.name, *(f"--set {key}={value}" for key, value in sorted(arguments.items()))]
+    for option in ("scheme", "method"):
+        words += [f"--{option} {value}" for value in (getattr(choices, option),) if value]
+    words += ["--controls nodal"] if choices.controls == "nodal" else []
+    inputs = input_digest(path, arguments, *_choice_texts(choices), *versions())
+    return Origin(path.name, " ".join(words), inputs, versions())
+
+
+def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
+    """The problem's name, followed by every choice that is not the default."""
+    parts = [path.stem]
+    if choices.method and choices.method != "variational":
+        parts.append(choices.method)
+    if choices.scheme and choices.scheme != DEFAULT_SCHEME:
+        parts.append(choices.scheme)
+    if choices.controls != "interval":
+        parts.append(f"{choices.controls}_controls")
+    parts += [f"{key}_{value}" for key, value in sorted(arguments.items())]
+    name = "_".join(parts)
+    return "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
+
+
+def versions() -> tuple[str, ...]:
+    """The versions that a generated text depends on."""
+    return (f"codegen {__version__}", f"sympy {metadata.version('sympy')}")
+
+
+def cache_folder() -> Path:
+    """The build cache: $CODEGEN_CACHE_DIR, or a folder in the user's cache directory."""
+    given = os.environ.get("CODEGEN_CACHE_DIR")
+    if given:
+        return Path(given)
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(home) / "variational-codegen"
+
+
+def _choice_texts(choices: Choices) -> tuple[str, ...]:
+    if choices.controls not in ("interval", "nodal"):
+        raise ArgumentError(f"controls is {choices.controls!r}", "use interval or nodal")
+    return (choices.scheme or "", choices.method or "", choices.controls)
+
+
+@cache
+def _own_digest() -> str:
+    """Hash of this package's sources, so that a changed generator never serves what an older one made."""
+    digest = hashlib.sha256()
+    folder = Path(__file__).parent
+    for file in sorted([*folder.rglob("*.py"), *folder.rglob("*.j2")]):
+        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()

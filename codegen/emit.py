@@ -1,0 +1,98 @@
+"""Module -> text of one Python file, and that text -> disk, atomically and only when it changed."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import tempfile
+from dataclasses import fields
+from importlib import resources
+from pathlib import Path
+
+import jinja2
+from jinja2 import meta
+
+from codegen.errors import ModuleError
+from codegen.lower.module import Module, Origin
+
+
+def render(module: Module, origin: Origin) -> str:
+    """The text of a generated module; every variable of its template is supplied, and nothing is decided there."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("codegen"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=False,
+        autoescape=False,
+    )
+    values = {field.name: getattr(module, field.name) for field in fields(module)}
+    values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
+    values |= {
+        "runtime": runtime_source(module.runtime),
+        "title_code": repr(module.title),
+        "left_out_code": [repr(line) for line in module.left_out],
+    }
+    missing = _template_variables(environment, module.template) - set(values)
+    assert not missing, f"template {module.template} wants {sorted(missing)}"
+    text = environment.get_template(module.template).render(values)
+    return _tidy(text)
+
+
+def runtime_source(names: tuple[str, ...]) -> str:
+    """The runtime files one after the other, without docstrings and imports; repeated names are an error."""
+    parts = []
+    for name in names:
+        text = resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8")
+        tree = ast.parse(text)
+        docstring = ast.get_docstring(tree, clean=True) or ""
+        last_import = max(
+            (node.end_lineno or 0 for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))), default=0
+        )
+        body = "\n".join(text.splitlines()[last_import:]).strip()
+        comment = "\n".join(f"# {line}".rstrip() for line in docstring.splitlines())
+        parts.append(f"{comment}\n\n\n{body}" if body.startswith(("@", "def", "class")) else f"{comment}\n\n{body}")
+    return "\n\n\n".join(parts)
+
+
+def write(path: Path, text: str) -> bool:
+    """Write a file atomically if its text differs; return whether it was written.
+
+    The text goes to a temporary file in the same folder that then takes the name, so that a reader sees the old file
+    or the new one, and a killed build leaves the old one. Raises ModuleError when the folder cannot be written.
+    """
+    try:
+        if path.is_file() and path.read_text(encoding="utf-8") == text:
+            return False
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+                file.write(text)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModuleError(f"{path} cannot be written ({error})", "choose another --out folder") from None
+    return True
+
+
+def _template_variables(environment: jinja2.Environment, name: str) -> set[str]:
+    """The variables that a template and the templates that it includes expect from outside."""
+    loader = environment.loader
+    assert loader is not None
+    tree = environment.parse(loader.get_source(environment, name)[0])
+    variables = set(meta.find_undeclared_variables(tree))
+    for included in meta.find_referenced_templates(tree):
+        assert included is not None, "templates include others by literal names"
+        variables |= _template_variables(environment, included) - {"kernel"}
+    return variables
+
+
+def _tidy(text: str) -> str:
+    """Strip trailing blanks, allow two empty lines at most, and end with one newline."""
+    text = "\n".join(line.rstrip() for line in text.splitlines())
+    return re.sub(r"\n{4,}", "\n\n\n", text).strip("\n") + "\n"

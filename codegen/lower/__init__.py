@@ -1,0 +1,18 @@
+"""Derivatives -> strings: rewriting for numerical stability, common subexpressions, printing, operation counts."""
+
+from __future__ import annotations
+
+from codegen.derive import ControlDerivatives, StepDerivatives
+from codegen.lower.control import lower_control
+from codegen.lower.module import Module
+from codegen.lower.simulate import lower_step
+from codegen.transcribe.program import ControlProgram, StepProgram
+
+
+def lower(program: ControlProgram | StepProgram, derivatives: ControlDerivatives | StepDerivatives) -> Module:
+    """Write a program and its derivatives as strings."""
+    if isinstance(program, ControlProgram):
+        assert isinstance(derivatives, ControlDerivatives)
+        return lower_control(program, derivatives)
+    assert isinstance(derivatives, StepDerivatives)
+    return lower_step(program, derivatives)

@@ -1,0 +1,112 @@
+"""One kernel as strings: inputs read from arrays, common subexpressions, outputs with their meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.lower.printer import scalar_code, stabilised
+
+
+@dataclass(frozen=True)
+class Line:
+    """One assignment `target = code` (or `+=`), with a comment that says what it means."""
+
+    target: str
+    code: str
+    comment: str = ""
+    operator: str = "="
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A numba function: `inputs` unpack arrays, `body` holds the common subexpressions, `outputs` fill arrays.
+
+    `results` holds the code of what is returned, if anything is.
+    """
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    inputs: tuple[Line, ...]
+    body: tuple[Line, ...]
+    outputs: tuple[Line, ...]
+    results: tuple[str, ...]
+    operations_before: int
+    operations_after: int
+
+
+@dataclass(frozen=True)
+class Output:
+    """An expression that a kernel writes to `target`, by `=` or `+=`."""
+
+    target: str
+    value: Expr
+    comment: str
+    operator: str = "="
+
+
+def kernel(
+    name: str,
+    summary: str,
+    arguments: Sequence[str],
+    places: Mapping[Symbol, str],
+    outputs: Sequence[Output],
+    result: Expr | None = None,
+    assignments: Sequence[tuple[Symbol, Expr]] = (),
+) -> Kernel:
+    """Lower expressions to a kernel; `places` tells for each symbol the code that reads it (its own name: argument).
+
+    `assignments` give values to further symbols, each of which later assignments and all outputs may read.
+    """
+    expressions = [stabilised(value) for _, value in assignments]
+    expressions += [stabilised(output.value) for output in outputs]
+    if result is not None:
+        expressions.append(stabilised(result))
+    used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
+    inputs = tuple(Line(s.name, code) for s, code in places.items() if s in used and code != s.name)
+    taken = {s.name for s in places} | set(arguments)
+    fresh = (Symbol(f"x{i}", real=True) for i in range(10**9) if f"x{i}" not in taken)
+    common, reduced = sympy.cse(expressions, symbols=fresh, order="canonical")
+    names = [symbol for symbol, _ in assignments]
+    body = _interleaved(zip(names, reduced[: len(names)], strict=True), common)
+    reduced = reduced[len(names) :]
+    count = len(outputs)
+    return Kernel(
+        name=name,
+        summary=summary,
+        arguments=tuple(arguments),
+        inputs=inputs,
+        body=tuple(Line(str(s), scalar_code(e)) for s, e in body),
+        outputs=tuple(
+            Line(output.target, scalar_code(e), output.comment, output.operator)
+            for output, e in zip(outputs, reduced[:count], strict=True)
+        ),
+        results=tuple(scalar_code(e) for e in reduced[count:]),
+        operations_before=sum(int(e.count_ops()) for e in expressions),
+        operations_after=sum(int(e.count_ops()) for e in (*reduced, *(e for _, e in body))),
+    )
+
+
+def _interleaved(
+    assignments: Iterable[tuple[Symbol, Expr]], common: Sequence[tuple[Symbol, Expr]]
+) -> list[tuple[Symbol, Expr]]:
+    """Put each common subexpression before the first assignment that reads it; what none reads comes last."""
+    waiting = dict(common)
+    order = list(waiting)
+    body: list[tuple[Symbol, Expr]] = []
+
+    def supply(value: Expr) -> None:
+        for symbol in sorted(value.free_symbols & waiting.keys(), key=order.index):
+            if symbol in waiting:
+                needed = waiting.pop(symbol)
+                supply(needed)
+                body.append((symbol, needed))
+
+    for symbol, value in assignments:
+        supply(value)
+        body.append((symbol, value))
+    return [*body, *waiting.items()]

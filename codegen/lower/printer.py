@@ -1,0 +1,124 @@
+"""Sympy expressions as Python source: scalar code for numba kernels, array code for vectorised functions."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import sympy
+from sympy.codegen.rewriting import expm1_opt, log1p_opt, optimize
+from sympy.printing.pycode import PythonCodePrinter
+
+_SHORT_DENOMINATORS = 64
+
+
+class ScalarPrinter(PythonCodePrinter):
+    """Prints with `math.` functions; integer and half-integer powers as products that numba unrolls."""
+
+    module = "math"
+
+    def __init__(self) -> None:
+        super().__init__({"fully_qualified_modules": True, "standard": "python3", "precision": 17})
+
+    def _print_Rational(self, expr: Any) -> str:
+        p, q = int(expr.p), int(expr.q)
+        if q <= _SHORT_DENOMINATORS and q & (q - 1) == 0:
+            return repr(p / q)
+        if abs(p) < 10**9 and q < 10**9 and (p / q) * q == p:
+            decimal = repr(p / q)
+            return decimal if len(decimal) <= 8 else f"({p}/{q})"
+        return repr(p / q)
+
+    def _print_Integer(self, expr: Any) -> str:
+        return str(int(expr)) if abs(int(expr)) < 2**53 else repr(float(expr))
+
+    def _print_Float(self, expr: Any) -> str:
+        return repr(float(expr))
+
+    def _print_Pow(self, expr: Any, rational: bool = False) -> str:
+        base, exponent = expr.base, expr.exp
+        if base == sympy.E:
+            return f"{self.module}.exp({self._print(exponent)})"
+        if exponent.is_Rational and exponent.q == 2:
+            root = f"{self.module}.sqrt({self._print(base)})"
+            return root if exponent == sympy.Rational(1, 2) else f"{root}**({exponent.p})"
+        return str(super()._print_Pow(expr, rational=rational))
+
+    def _print_sign(self, expr: Any) -> str:
+        return f"np.sign({self._print(expr.args[0])})"
+
+    def _print_Heaviside(self, expr: Any) -> str:
+        return f"(0.5 + 0.5*np.sign({self._print(expr.args[0])}))"
+
+    def _print_Abs(self, expr: Any) -> str:
+        return f"abs({self._print(expr.args[0])})"
+
+    def _print_Pi(self, expr: Any) -> str:
+        return f"{self.module}.pi"
+
+    def _print_Exp1(self, expr: Any) -> str:
+        return f"{self.module}.e"
+
+
+class ArrayPrinter(ScalarPrinter):
+    """Prints with `np.` functions, for expressions whose symbols are arrays."""
+
+    module = "np"
+
+    _INVERSE = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh", "acosh": "arccosh",
+                "atanh": "arctanh", "atan2": "arctan2"}  # fmt: skip
+
+    def _print_Function(self, expr: Any) -> str:
+        name = type(expr).__name__
+        arguments = ", ".join(self._print(argument) for argument in expr.args)
+        return f"np.{self._INVERSE.get(name, name)}({arguments})"
+
+
+    def _print_Piecewise(self, expr: Any) -> str:
+        text = "np.nan"
+        for value, condition in reversed(expr.args):
+            text = f"np.where({self._print(condition)}, {self._print(value)}, {text})"
+        return text
+
+    def _print_Min(self, expr: Any) -> str:
+        return self._nested("np.minimum", expr.args)
+
+    def _print_Max(self, expr: Any) -> str:
+        return self._nested("np.maximum", expr.args)
+
+    def _nested(self, function: str, arguments: tuple[Any, ...]) -> str:
+        text = self._print(arguments[0])
+        for argument in arguments[1:]:
+            text = f"{function}({text}, {self._print(argument)})"
+        return text
+
+
+for _name in "sin cos tan sinh cosh tanh exp log asin acos atan asinh acosh atanh atan2 log1p expm1".split():
+    setattr(ArrayPrinter, f"_print_{_name}", ArrayPrinter._print_Function)
+
+
+def stabilised(expression: sympy.Expr) -> sympy.Expr:
+    """Rewrite what loses digits as it is written: log(1 + x) and exp(x) - 1; drop Dirac deltas of kinks.
+
+    A second derivative of |x|, sign, Min or Max holds deltas that no quadrature sees; they are zero almost everywhere.
+    """
+    if expression.has(sympy.DiracDelta):
+        expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
+    if expression.has(sympy.log, sympy.exp):
+        expression = optimize(expression, [log1p_opt, expm1_opt])
+    return expression
+
+
+def scalar_code(expression: sympy.Expr) -> str:
+    """Code of an expression of scalars."""
+    return _without_needless_brackets(ScalarPrinter().doprint(expression))
+
+
+def array_code(expression: sympy.Expr) -> str:
+    """Code of an expression whose symbols may be arrays of the same length."""
+    return _without_needless_brackets(ArrayPrinter().doprint(expression))
+
+
+def _without_needless_brackets(code: str) -> str:
+    """Write 0.5*x where sympy, which takes a decimal for a fraction, writes (0.5)*x."""
+    return re.sub(r"(?<![\w\]])\((\d+\.\d+)\)(?!\*\*)", r"\1", code)

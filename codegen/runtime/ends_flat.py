@@ -1,0 +1,17 @@
+"""What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.elements import shift_and_pin
+
+
+@njit(cache=True, error_model="numpy")
+def close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element):
+    """Shift the diagonal of an element matrix and pin what is given."""
+    shift_and_pin(k, steps, shift, dual_shift, element)
+
+
+def end_entries(grid, unknowns):
+    """Entries (rows, columns, values) that the ends add to the lower triangle of the KKT matrix: none."""
+    return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)

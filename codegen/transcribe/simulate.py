@@ -1,0 +1,176 @@
+"""Simulate task -> StepProgram: one step from (q_k, p_k) to (q_k1, p_k1), solved explicitly as far as possible.
+
+Variational method: the position-momentum form of the forced discrete Euler-Lagrange equations, p_k = -D1 Ld - f- and
+p_k1 = D2 Ld + f+. They are solved for the velocity (q_k1 - q_k)/h instead of q_k1, because the difference of two nearby
+positions would lose digits. Source: Marsden and West (2001), section 1.5.3.
+
+Hamiltonian method: the equations of a one-step method, inner stages included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sympy import Add, Expr, S, Symbol, diff, expand_mul
+
+from codegen import legendre
+from codegen.discretise import STEP, VariationalInterval, at_nodes, one_step_interval, variational_interval
+from codegen.errors import SchemeError
+from codegen.model import Model
+from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+from codegen.transcribe.boundary import with_symbolic_boundaries
+from codegen.transcribe.elimination import Elimination, eliminate
+from codegen.transcribe.program import StepProgram, Unknown
+
+Equation = tuple[str, Expr]
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One step: the textbook's equations, where they come from, how they are solved, and where Newton starts."""
+
+    equations: tuple[Equation, ...]
+    summary: tuple[Equation, ...]
+    velocities: tuple[Symbol, ...]
+    stages: tuple[Symbol, ...]
+    solution: Elimination
+    guesses: dict[Symbol, Expr]
+
+
+def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
+    """Transcribe an initial value problem by the "variational" or the "hamiltonian" method.
+
+    Raises SchemeError when the scheme belongs to the other method, and what the Legendre transforms raise.
+    """
+    model, start_values = with_symbolic_boundaries(model)
+    phase = legendre.hamiltonian_form(model)
+    left = (*at_nodes(phase.coordinates, "_k"), *at_nodes(phase.rates, "_k"))
+    right = (*at_nodes(phase.coordinates, "_k1"), *at_nodes(phase.rates, "_k1"))
+    if method == "variational" and isinstance(scheme, DiscreteLagrangian):
+        step = _variational_step(legendre.lagrangian_form(model), phase, scheme, left, right)
+    elif method == "hamiltonian" and isinstance(scheme, OneStep):
+        step = _one_step(phase, scheme, left, right)
+    else:
+        raise SchemeError(f"scheme {scheme.name!r} does not belong to the {method} method", "choose another method")
+    kinds = [*(("coordinate", q) for q in phase.coordinates), *(("momentum", p) for p in phase.rates)]
+    solution = step.solution
+    return StepProgram(
+        model=model,
+        method=method,
+        scheme=scheme.name,
+        order=scheme.order,
+        state=tuple(Unknown(symbol.name, f"{kind} {symbol.name}") for kind, symbol in kinds),
+        left_symbols=left,
+        velocity_symbols=step.velocities,
+        stage_symbols=step.stages,
+        right_symbols=right,
+        before=solution.before,
+        unknowns=solution.unknowns,
+        guess=tuple(step.guesses[y] for y in solution.unknowns),
+        residual=solution.residual,
+        after=solution.after,
+        linear=solution.linear,
+        equations=step.equations,
+        summary=step.summary,
+        energy=_at(phase, phase.function, left),
+        start_values=start_values,
+        start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
+    )
+
+
+def _variational_step(
+    model: Model, phase: Model, scheme: DiscreteLagrangian, left: Sequence[Symbol], right: Sequence[Symbol]
+) -> _Step:
+    interval = variational_interval(model, scheme)
+    dimension = len(model.coordinates)
+    transforms = [
+        *zip(left[dimension:], interval.left_momentum, strict=True),
+        *zip(right[dimension:], interval.right_momentum, strict=True),
+    ]
+    names = [q.name for q in model.coordinates]
+    summary = [("Ld", interval.lagrangian)]
+    for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
+        summary += [(f"{mark}_{name}", f) for name, f in zip(names, forces, strict=True) if f != 0]
+    velocities = at_nodes(model.rates, "_k")
+    return _Step(
+        equations=tuple((p.name, p - momentum) for p, momentum in transforms),
+        summary=(*summary, *((p.name, momentum) for p, momentum in transforms)),
+        velocities=velocities,
+        stages=(),
+        solution=_solved_for_velocities(model, interval, velocities, left, right),
+        guesses=dict(zip(velocities, _mean_velocities(phase, left), strict=True)),
+    )
+
+
+def _one_step(phase: Model, scheme: OneStep, left: Sequence[Symbol], right: Sequence[Symbol]) -> _Step:
+    interval = one_step_interval(phase, scheme)
+    unknowns = (*interval.stages, *right)
+    equations = tuple((f"step of {y}", e) for y, e in zip(unknowns, interval.equations, strict=True))
+    return _Step(
+        equations=equations,
+        summary=tuple((f"0 = {name}", value) for name, value in equations),
+        velocities=(),
+        stages=interval.stages,
+        solution=eliminate(interval.equations, unknowns, phase.parameters),
+        guesses=_euler_guesses(phase, scheme, left, unknowns),
+    )
+
+
+def _solved_for_velocities(
+    model: Model,
+    interval: VariationalInterval,
+    velocities: Sequence[Symbol],
+    left: Sequence[Symbol],
+    right: Sequence[Symbol],
+) -> Elimination:
+    """Eliminate from the position-momentum form, with q_k1 = q_k + h v_k put in before anything is evaluated."""
+    dimension = len(velocities)
+    arrival = {q1: q + STEP * v for q1, q, v in zip(interval.q.right, interval.q.left, velocities, strict=True)}
+
+    def in_velocities(momentum: Expr) -> Expr:
+        # (q_k1 - q_k)/h stands in one sum, so that sympy cancels q_k by itself and v_k remains.
+        terms = Add.make_args(momentum.xreplace(arrival))
+        return Add(*(expand_mul(term, deep=False) if term.has(1 / STEP) else term for term in terms))
+
+    equations = [
+        *(p - in_velocities(value) for p, value in zip(left[dimension:], interval.left_momentum, strict=True)),
+        *(q1 - value for q1, value in arrival.items()),
+        *(p - in_velocities(value) for p, value in zip(right[dimension:], interval.right_momentum, strict=True)),
+    ]
+    return eliminate(equations, (*velocities, *right), model.parameters)
+
+
+def _euler_guesses(
+    phase: Model, scheme: OneStep, left: Sequence[Symbol], unknowns: Sequence[Symbol]
+) -> dict[Symbol, Expr]:
+    """Start every stage and the right node from explicit Euler steps that begin at the left node."""
+    rates = _rates_of_change(phase, left)
+    elapsed, guesses = S.Zero, list[Expr]()
+    for substep in scheme.substeps:
+        elapsed += substep.fraction
+        guesses += [x + elapsed * STEP * rate for x, rate in zip(left, rates, strict=True)]
+    return dict(zip(unknowns, guesses, strict=True))
+
+
+def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
+    """Guess the velocities of a step: those of the left node, or of half a step later where that costs little."""
+    dimension = len(phase.coordinates)
+    rates = _rates_of_change(phase, left)
+    velocities, slopes = rates[:dimension], rates[dimension:]
+    if any(velocity.has(*left[:dimension]) for velocity in velocities):
+        return velocities
+    momenta = left[dimension:]
+    later = {p: p + STEP * slope / 2 for p, slope in zip(momenta, slopes, strict=True)}
+    return [velocity.xreplace(later) for velocity in velocities]
+
+
+def _rates_of_change(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
+    """The forced Hamiltonian vector field at the left node."""
+    velocity = [diff(phase.function, p) for p in phase.rates]
+    slope = [f - diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True)]
+    return [_at(phase, value, left) for value in (*velocity, *slope)]
+
+
+def _at(phase: Model, expression: Expr, left: Sequence[Symbol]) -> Expr:
+    return expression.xreplace(dict(zip((*phase.coordinates, *phase.rates), left, strict=True)))
