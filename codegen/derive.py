@@ -29,7 +29,8 @@ class ControlDerivatives:
     """Everything that the structured Newton method of a control problem needs.
 
     `condensed` says that the controls' block of the Hessian is constant and regular, so that controls can be
-    eliminated interval by interval; `linear_quadratic` that no Hessian entry depends on an unknown.
+    eliminated interval by interval; `linear_quadratic` that no Hessian entry depends on an unknown and one Newton step
+    suffices (not so with nodal controls, which can make the system singular).
     """
 
     element: ElementDerivatives
@@ -63,7 +64,8 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
         start=start,
         end=end,
         condensed=_condensable(program, element, set(unknowns)),
-        linear_quadratic=not any(value.free_symbols & variables for _, _, value in entries),
+        linear_quadratic=not program.nodal_controls
+        and not any(value.free_symbols & variables for _, _, value in entries),
     )
 
 

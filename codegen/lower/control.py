@@ -106,7 +106,9 @@ def _end_kernels(
         for i, (symbol, value) in enumerate(zip(end.unknowns, end.gradient, strict=True))
         if value != 0 and i not in pins
     ]
-    kernels = [kernel(f"{name}_gradient", f"{what}.", ("unknowns", "t", "parameters", "gradient"), places, gradient)]
+    arguments = ("unknowns", "t", "parameters", "gradient")
+    # Evaluated once in a solution's every point, so compiling them would cost more than it saves.
+    kernels = [kernel(f"{name}_gradient", f"{what}.", arguments, places, gradient, compiled=False)]
     if end.hessian:
         entries = [
             Output(f"hessian[{j}]", value, f"{end.unknowns[row]}, {end.unknowns[column]}")
@@ -245,11 +247,12 @@ def _node_guess(program: ControlProgram) -> tuple[Line, ...]:
 
 
 def _interval_guess(program: ControlProgram) -> tuple[Line, ...]:
-    if program.nodal_controls:
-        return ()
-    first = len(program.interval)
-    controls = zip(program.model.controls, program.control_guess, strict=True)
-    lines = [Line(str(first + i), array_code(guess), u.name) for i, (u, guess) in enumerate(controls)]
+    """Guesses at the middle of every interval: of stages, and of controls that live there."""
+    guesses = list(enumerate(zip(program.interval_symbols, program.stage_guess, strict=False)))
+    if not program.nodal_controls:
+        controls = zip(program.control_symbols, program.control_guess, strict=True)
+        guesses += enumerate(controls, start=len(program.interval))
+    lines = [Line(str(i), array_code(guess), symbol.name) for i, (symbol, guess) in guesses]
     return tuple(line for line in lines if line.code != "0")
 
 
@@ -260,7 +263,7 @@ def _views(program: ControlProgram) -> dict[str, str]:
     nodal = program.nodal_controls
     return {
         "positions": f"nodes[:, :{n}]",
-        "momenta": "discrete_momenta(unknowns, grid.steps, grid.h, grid.parameters)" if variational else f"nodes[:, {n}:{2 * n}]",
+        "momenta": "discrete_momenta(grid, unknowns)" if variational else f"nodes[:, {n}:{2 * n}]",
         "controls": f"nodes[:, {2 * n}:]" if nodal else f"intervals[:, {kept}:]",
         "multipliers": f"nodes[:, {n}:{2 * n}]" if variational else f"intervals[:, {kept - _equations(program)}:{kept}]",
         "control_place": "at nodes" if nodal else "on intervals" if m else "none",

@@ -11,6 +11,10 @@ from sympy import Expr, Symbol
 from codegen.lower.printer import scalar_code, stabilised
 
 
+NJIT = '@njit(cache=True, error_model="numpy")'
+"""The decorator of compiled kernels; division by zero gives infinity, as it does in numpy."""
+
+
 @dataclass(frozen=True)
 class Line:
     """One assignment `target = code` (or `+=`), with a comment that says what it means."""
@@ -25,7 +29,7 @@ class Line:
 class Kernel:
     """A numba function: `inputs` unpack arrays, `body` holds the common subexpressions, `outputs` fill arrays.
 
-    `results` holds the code of what is returned, if anything is.
+    `results` holds the code of what is returned, if anything is, `compiled` the decorator, none for plain Python.
     """
 
     name: str
@@ -37,6 +41,7 @@ class Kernel:
     results: tuple[str, ...]
     operations_before: int
     operations_after: int
+    compiled: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ def kernel(
     outputs: Sequence[Output],
     result: Expr | None = None,
     assignments: Sequence[tuple[Symbol, Expr]] = (),
+    compiled: bool = True,
 ) -> Kernel:
     """Lower expressions to a kernel; `places` tells for each symbol the code that reads it (its own name: argument).
 
@@ -88,6 +94,7 @@ def kernel(
         results=tuple(scalar_code(e) for e in reduced[count:]),
         operations_before=sum(int(e.count_ops()) for e in expressions),
         operations_after=sum(int(e.count_ops()) for e in (*reduced, *(e for _, e in body))),
+        compiled=(NJIT,) if compiled else (),
     )
 
 

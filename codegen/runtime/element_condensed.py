@@ -72,7 +72,7 @@ def add_element(hessian, controls, k, element):
 
 @njit(cache=True, error_model="numpy")
 def condense(gradient, controls, reduced):
-    """The right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay."""
+    """Fill `reduced` with the right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay."""
     inverse, couplings = controls
     steps = couplings.shape[0]
     for i in range(NODE):
@@ -89,7 +89,7 @@ def condense(gradient, controls, reduced):
 
 @njit(cache=True, error_model="numpy")
 def expand(gradient, controls, reduced, step):
-    """The step of all unknowns, with the controls' share -inverse(C) (g_u + B d) of every interval."""
+    """Fill `step` with what was solved for and the controls' share -inverse(C) (g_u + B d) of every interval."""
     inverse, couplings = controls
     steps = couplings.shape[0]
     for i in range(NODE):

@@ -53,7 +53,10 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
     """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is not finite."""
-    front, element = np.zeros((SIZE, WIDTH)), np.empty((SIZE, SIZE))
+    front, element = np.empty((SIZE, WIDTH)), np.empty((SIZE, SIZE))
+    for i in range(SIZE):
+        for j in range(WIDTH):
+            front[i, j] = 0.0
     gradient, hessian = np.empty(ELEMENT), np.empty(HESSIAN_ROWS.size)
     for k in range(-1, steps):
         if k >= 0:

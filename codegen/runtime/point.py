@@ -35,6 +35,5 @@ class Point(NamedTuple):
 
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
-    gradient = np.empty_like(unknowns)
-    cost = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters, gradient)
+    cost, gradient, _ = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters)
     return Point(unknowns, gradient, cost, *measure(gradient, grid.is_multiplier))

@@ -77,6 +77,7 @@ def variational(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool) 
         ),
         boundary_values=boundary_values,
         node_guess=_coordinate_guess(model),
+        stage_guess=(),
         control_guess=_control_guess(model),
         start=ends.start_element(),
         end=ends.end_element(2 * len(names), element, right),
@@ -99,6 +100,7 @@ def hamiltonian(model: Model, scheme: OneStep, nodal_controls: bool) -> ControlP
     )
     nodal = _control_unknowns(model) if nodal_controls else ()
     mu = _symbols(multipliers, "_k")
+    state_guess = (*_coordinate_guess(model), *_momentum_guess(model))
     element = interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)) + ends.filling()
     kinds = ["coordinate"] * len(phase.coordinates) + ["momentum"] * len(phase.rates)
     node = (*(Unknown(n, f"{kind} {n}") for n, kind in zip(names, kinds, strict=True)), *ends.extra, *nodal)
@@ -135,7 +137,8 @@ def hamiltonian(model: Model, scheme: OneStep, nodal_controls: bool) -> ControlP
             ("Cd", interval.cost),
         ),
         boundary_values=boundary_values,
-        node_guess=(*_coordinate_guess(model), *_momentum_guess(model)),
+        node_guess=state_guess,
+        stage_guess=state_guess * (len(interval.stages) // len(names)),
         control_guess=_control_guess(model),
         start=ends.start_element(),
         end=ends.end_element(len(names), element, right),

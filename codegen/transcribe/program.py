@@ -48,7 +48,7 @@ class ControlProgram:
 
     Unknowns are ordered node_k, interval_k, control_k, node_k1; `controls` are those that live on intervals.
     `equations` are the discrete equations for people to read, the guesses are expressions of time, duration and
-    parameters, for the primal unknowns of a node and for the controls.
+    parameters, for the primal unknowns of a node, the stages of an interval and the controls.
     """
 
     model: Model
@@ -69,6 +69,7 @@ class ControlProgram:
     end: EndElement
     boundary_values: tuple[BoundaryValue, ...]
     node_guess: tuple[Expr, ...]
+    stage_guess: tuple[Expr, ...]
     control_guess: tuple[Expr, ...]
 
 
