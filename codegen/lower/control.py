@@ -132,6 +132,7 @@ def _constants(program: ControlProgram, derivatives: ControlDerivatives) -> list
         Line("IS_MULTIPLIER", _booleans(pattern), "of node and interval"),
         Line("START_PINNED", repr(tuple(_pins(program.start))), "unknowns of the first node that are given"),
         Line("END_PINNED", repr(tuple(_pins(program.end))), "unknowns of the last node that are given"),
+        Line("ONLY_AT_ENDS", repr(program.only_at_ends), "unknowns that inner nodes do not have; they are zero there"),
         Line("HESSIAN_ROWS", _integers([r for r, _, _ in derivatives.element.hessian])),
         Line("HESSIAN_COLUMNS", _integers([c for _, c, _ in derivatives.element.hessian])),
     ]  # fmt: skip

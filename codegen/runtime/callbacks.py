@@ -13,6 +13,7 @@ from codegen.runtime.example import (
     HESSIAN_COLUMNS,
     HESSIAN_ROWS,
     NODE,
+    ONLY_AT_ENDS,
     START_PINNED,
     STRIDE,
     interval_hessian,
@@ -23,8 +24,10 @@ from codegen.runtime.point import evaluate
 
 
 def free_unknowns(grid):
-    """Boolean mask of the unknowns that no boundary condition fixes."""
-    free = np.ones(grid.steps * STRIDE + NODE, dtype=bool)
+    """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
+    free = np.ones(grid.is_multiplier.size, dtype=bool)
+    for i in ONLY_AT_ENDS:
+        free[i + STRIDE : -NODE : STRIDE] = False
     free[list(START_PINNED)] = False
     free[[free.size - NODE + i for i in END_PINNED]] = False
     return free

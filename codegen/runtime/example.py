@@ -10,6 +10,7 @@ from numba import njit
 NODE, CONTROLS, STRIDE, ELEMENT = 2, 1, 3, 5
 IS_MULTIPLIER = np.array([False, True, False])
 START_PINNED = END_PINNED = (0,)
+ONLY_AT_ENDS = ()
 HESSIAN_ROWS = np.array([0, 1, 2, 2, 3, 3, 3, 4, 4, 4])
 HESSIAN_COLUMNS = np.array([0, 0, 1, 2, 0, 1, 3, 0, 2, 3])
 START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLUMNS = np.zeros(0, np.int64)

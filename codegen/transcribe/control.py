@@ -79,7 +79,8 @@ def variational(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool) 
         node_guess=_coordinate_guess(model),
         stage_guess=(),
         control_guess=_control_guess(model),
-        start=ends.start_element(),
+        only_at_ends=tuple(range(2 * len(names), 2 * len(names) + len(ends.extra))),
+        start=ends.start_element(2 * len(names)),
         end=ends.end_element(2 * len(names), element, right),
     )
 
@@ -140,7 +141,8 @@ def hamiltonian(model: Model, scheme: OneStep, nodal_controls: bool) -> ControlP
         node_guess=state_guess,
         stage_guess=state_guess * (len(interval.stages) // len(names)),
         control_guess=_control_guess(model),
-        start=ends.start_element(),
+        only_at_ends=tuple(range(len(names), len(names) + len(ends.extra))),
+        start=ends.start_element(len(names)),
         end=ends.end_element(len(names), element, right),
     )
 
@@ -174,10 +176,12 @@ class _Ends:
         """A share of every interval's l that makes the end's unknowns vanish at its left node."""
         return sum((symbol**2 / 2 for symbol in self.symbols("_k")), sympy.S.Zero)
 
-    def start_element(self) -> EndElement:
-        own = _symbols([unknown.name for unknown in self.start.extra], "_k")
-        element = self.start.element - sum((symbol**2 / 2 for symbol in own), sympy.S.Zero)
-        return EndElement(self.start.pins, element, self.start.conditions)
+    def start_element(self, first: int) -> EndElement:
+        """The start's share; own unknowns of the end, the first of which is at place `first`, are pinned."""
+        own = {unknown.name for unknown in self.start.extra}
+        element = self.start.element - sum((symbol**2 / 2 for symbol in _symbols(sorted(own), "_k")), sympy.S.Zero)
+        pins = [(first + i, sympy.S.Zero) for i, unknown in enumerate(self.extra) if unknown.name not in own]
+        return EndElement((*self.start.pins, *pins), element, self.start.conditions)
 
     def end_element(self, first: int, element: Expr, right: Sequence[Symbol]) -> EndElement:
         """The end's share; pins what has no meaning at the last node, of which `first` is the place of own unknowns.

@@ -47,6 +47,7 @@ class ControlProgram:
     """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
 
     Unknowns are ordered node_k, interval_k, control_k, node_k1; `controls` are those that live on intervals.
+    `only_at_ends` are places in a node of unknowns that only the first or last node has; elsewhere they are zero.
     `equations` are the discrete equations for people to read, the guesses are expressions of time, duration and
     parameters, for the primal unknowns of a node, the stages of an interval and the controls.
     """
@@ -65,6 +66,7 @@ class ControlProgram:
     element: Expr
     cost: Expr
     equations: tuple[tuple[str, Expr], ...]
+    only_at_ends: tuple[int, ...]
     start: EndElement
     end: EndElement
     boundary_values: tuple[BoundaryValue, ...]

@@ -1,0 +1,70 @@
+"""The committed generated modules: which there are, whether they are what the generator makes today, and --update.
+
+`python tests/golden.py` compares the folder `generated/` as a set of files, byte by byte, with a fresh generation and
+prints a unified diff of what differs; `--update` rewrites it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from pathlib import Path
+
+from codegen.compiler import Choices, generate, module_name
+from codegen.emit import write
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "generated"
+
+GALLERY = (
+    ("linear_pendulum", {}, Choices()),
+    ("orbital_transfer", {}, Choices()),
+    ("orbital_transfer", {}, Choices(method="hamiltonian")),
+    ("pendulum", {}, Choices()),
+    ("pendulum", {}, Choices(scheme="stormer-verlet")),
+    ("pendulum", {"form": "lagrangian"}, Choices()),
+)
+"""Problem, arguments and choices of every committed module."""
+
+
+def fresh() -> dict[str, str]:
+    """File name -> text of every module of the gallery, generated anew."""
+    texts = {}
+    for problem, arguments, choices in GALLERY:
+        path = ROOT / "problems" / f"{problem}.py"
+        texts[f"{module_name(path, arguments, choices)}.py"] = generate(path, arguments, choices)
+    return texts
+
+
+def committed() -> dict[str, str]:
+    """File name -> text of every module in the folder."""
+    return {path.name: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.py"))}
+
+
+def differences(old: dict[str, str], new: dict[str, str]) -> list[str]:
+    """Lines that tell how two sets of files differ; empty when they are the same."""
+    lines = [f"missing: {name}" for name in sorted(new.keys() - old.keys())]
+    lines += [f"not made by the generator: {name}" for name in sorted(old.keys() - new.keys())]
+    for name in sorted(old.keys() & new.keys()):
+        lines += difflib.unified_diff(
+            old[name].splitlines(), new[name].splitlines(), f"generated/{name}", f"generated anew/{name}", lineterm=""
+        )
+    return lines
+
+
+def main() -> int:
+    """Compare, or rewrite with --update; exit status 1 when the folder is not what the generator makes."""
+    texts = fresh()
+    if "--update" in sys.argv[1:]:
+        for name in committed().keys() - texts.keys():
+            (FOLDER / name).unlink()
+        for name, text in texts.items():
+            write(FOLDER / name, text)
+        return 0
+    lines = differences(committed(), texts)
+    print("\n".join(lines) if lines else f"{len(texts)} generated modules are up to date")
+    return bool(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

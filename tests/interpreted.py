@@ -1,0 +1,37 @@
+"""Generated modules run by the Python interpreter, uncompiled: what tests on many variants and few intervals need."""
+
+import types
+from pathlib import Path
+
+from codegen.compiler import Choices, generate
+
+
+def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:
+    """Execute the text of a generated module with numba's decorator replaced by one that does nothing."""
+    assert text.count("from numba import njit") == 1
+    text = text.replace("from numba import njit", "from interpreted import njit")
+    module = types.ModuleType(name)
+    exec(compile(text, f"<{name}>", "exec"), module.__dict__)
+    return module
+
+
+def njit(*_args, **_options):
+    """A decorator that leaves a function as it is."""
+    return lambda function: function
+
+
+class Interpreted:
+    """Makes uncompiled modules of problems in files or texts, each only once."""
+
+    def __init__(self, folder: Path, problems: Path) -> None:
+        self.folder, self.problems, self.made = folder, problems, {}
+
+    def __call__(self, name: str, text: str | None = None, **choices: str) -> types.ModuleType:
+        key = (name, text, tuple(sorted(choices.items())))
+        if key not in self.made:
+            path = self.problems / f"{name}.py"
+            if text is not None:
+                path = self.folder / f"{name}.py"
+                path.write_text(text)
+            self.made[key] = without_compilation(generate(path, {}, Choices(**choices)), name)
+        return self.made[key]

@@ -1,0 +1,274 @@
+"""Generated solvers of control problems against closed forms, published values and dense linear algebra."""
+
+import numpy as np
+import pytest
+from conftest import PROBLEMS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sympy import lambdify
+
+from codegen.analysis.maximum_principle import exact_optimum, reference_optimum
+from codegen.compiler import build
+from codegen.load import load
+from codegen.problem_file import load_problem
+from codegen.schemes import METHODS
+
+EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle (design.md, section 7)
+
+DOUBLE_PENDULUM = '''"""Double pendulum whose boundary conditions leave coupled velocities free."""
+from sympy import cos, pi
+from codegen import Control, controls, coordinates, parameters
+def problem() -> Control:
+    (a, b), (da, db) = coordinates("a b")
+    u, w = controls("u w")
+    m, l, g = parameters(m=1, l=1, g=9.81)
+    return Control(
+        lagrangian=m*l**2/2*(2*da**2 + db**2 + 2*da*db*cos(a - b)) + m*g*l*(2*cos(a) + cos(b)),
+        force={a: u, b: w}, cost=u**2 + w**2, duration=2,
+        start={a: 0, b: 0, da: 0}, end={a: pi/2, b: pi/2, db: 0}, steps=20)
+'''
+
+DRIVEN = '''"""A driven oscillator: time in the Lagrangian, the force, the cost and the guess; the end is free but for q."""
+from sympy import cos, exp
+from codegen import Control, control, coordinate, parameters, time
+def problem() -> Control:
+    q, dq = coordinate("q")
+    u = control("u")
+    k, R = parameters(k=2, R=0.5)
+    t = time()
+    return Control(
+        lagrangian=exp(t/3)*(dq**2/2 - k*q**2/2), force={q: u*(1 + t/5) - dq/10}, cost=R*u**2*exp(-t/2) + q**2*cos(t),
+        duration=2, start={q: 1, dq: 0}, end={q: 0}, guess={q: 1 - t/2, u: t}, steps=20)
+'''
+
+
+@pytest.fixture(scope="session")
+def linear_pendulum(cache_folder):
+    return load(build(PROBLEMS / "linear_pendulum.py").path)
+
+
+@pytest.mark.parametrize(("steps", "cost"), [(10, 4.546929903), (200, 4.530801094)])
+def test_linear_pendulum_reproduces_reference_costs(linear_pendulum, steps, cost):
+    solution = linear_pendulum.solve(steps)
+    assert solution.status == "solved"
+    assert solution.cost == pytest.approx(cost, abs=1e-9)
+    assert solution.residual < 1e-11
+
+
+def test_linear_pendulum_converges_at_order_two_over_the_whole_sweep(linear_pendulum):
+    errors = {n: linear_pendulum.solve(n).cost - EXACT for n in range(10, 201, 5)}
+    assert all(errors[2 * n] > 0 and abs(errors[n] / errors[2 * n] - 4) < 0.1 for n in range(10, 101, 5))
+
+
+@pytest.mark.parametrize("steps", [10, 55])
+def test_variational_and_hamiltonian_midpoint_are_the_same_discretisation(linear_pendulum, interpreted, steps):
+    other = interpreted("linear_pendulum", method="hamiltonian").solve(steps)
+    one = linear_pendulum.solve(steps)
+    assert other.cost == pytest.approx(one.cost, rel=1e-11)
+    np.testing.assert_allclose(other.q, one.q, atol=1e-9)
+    np.testing.assert_allclose(other.p, one.p, atol=1e-9)
+
+
+def test_explicit_euler_is_of_order_one(interpreted):
+    module = interpreted("linear_pendulum", method="hamiltonian", scheme="explicit-euler")
+    errors = [module.solve(n).cost - EXACT for n in (50, 100, 200)]
+    assert [errors[0] / errors[1], errors[1] / errors[2]] == pytest.approx([2, 2], abs=0.12)
+
+
+@pytest.mark.parametrize(
+    ("revolutions", "steps", "cost"), [(1.0, 50, 0.0487567009), (2.0, 300, 0.0244340488530)]
+)
+def test_orbital_transfer_reproduces_reference_costs(orbital_transfer, revolutions, steps, cost):
+    solution = orbital_transfer.solve(steps, revolutions=revolutions)
+    assert solution.status == "solved"
+    assert solution.cost == pytest.approx(cost, abs=1e-10)
+    assert solution.residual < 1e-9
+    assert solution.iterations <= 8
+
+
+def test_orbital_transfer_solves_thirty_thousand_intervals(orbital_transfer):
+    solution = orbital_transfer.solve(30000, revolutions=2.0)
+    assert solution.status == "solved"
+    # The continuous optimum, by shooting from scipy's collocation at 1e-10 (tests/analysis).
+    assert solution.cost == pytest.approx(0.0244339769446, abs=1e-10)
+    assert solution.residual < 5e-9
+
+
+@pytest.fixture(scope="session")
+def exact_motion():
+    """Exact optimal (q, p) of the linear pendulum as a function of time, derived from the maximum principle."""
+    model = load_problem(PROBLEMS / "linear_pendulum.py")
+    return lambdify(model.time, exact_optimum(model).states, "numpy")
+
+
+@pytest.mark.parametrize(("method", "scheme"), [(m, s) for m, table in METHODS.items() for s in table])
+def test_every_scheme_converges_to_the_exact_motion_at_its_order(interpreted, exact_motion, method, scheme):
+    module = interpreted("linear_pendulum", method=method, scheme=scheme)
+    errors = []
+    for steps in (40, 80):
+        solution = module.solve(steps)
+        assert solution.status == "solved"
+        q, p = exact_motion(solution.t)
+        errors.append(max(np.abs(solution.q[:, 0] - q).max(), np.abs(solution.p[:, 0] - p).max()))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(METHODS[method][scheme].order, abs=0.1)
+
+
+@pytest.mark.parametrize(("method", "scheme"), [(m, s) for m, table in METHODS.items() for s in table])
+def test_every_scheme_solves_the_nonlinear_transfer(interpreted, method, scheme):
+    solution = interpreted("orbital_transfer", method=method, scheme=scheme).solve(60)
+    assert solution.status == "solved"
+    # The continuous optimum is 0.0487491711595 (collocation of the maximum principle, tests/analysis).
+    assert solution.cost == pytest.approx(0.0487491711595, rel=3e-3 if METHODS[method][scheme].order == 2 else 8e-2)
+    assert solution.residual < 1e-9
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "trapezoidal"])
+def test_partly_free_velocities_agree_between_the_methods(interpreted, scheme):
+    steps = 40
+    variational = interpreted("double", DOUBLE_PENDULUM, scheme=scheme).solve(steps)
+    assert variational.status == "solved"
+    if scheme == "midpoint":
+        phase = interpreted("double", DOUBLE_PENDULUM, method="hamiltonian").solve(steps)
+        assert phase.cost == pytest.approx(variational.cost, rel=1e-10)
+    # The prescribed velocities follow from the momenta: M(q) v = p with the mass matrix of the text's Lagrangian.
+    for node, which in ((0, 0), (-1, 1)):
+        a, b = variational.q[node]
+        mass = np.array([[2, np.cos(a - b)], [np.cos(a - b), 1]])
+        assert np.linalg.solve(mass, variational.p[node])[which] == pytest.approx(0, abs=1e-9)
+
+
+def test_explicit_time_is_seen_everywhere(interpreted, tmp_path):
+    path = tmp_path / "driven.py"
+    path.write_text(DRIVEN)
+    exact = reference_optimum(load_problem(path)).cost  # scipy's collocation of the maximum principle
+    errors = []
+    for steps in (20, 40):
+        solution = interpreted("driven", DRIVEN).solve(steps)
+        assert solution.status == "solved"
+        errors.append(solution.cost - exact)
+    assert errors[0] / errors[1] == pytest.approx(4, abs=0.1)
+
+
+VARIANTS = [
+    ("linear_pendulum", None, {}),
+    ("orbital_transfer", None, {}),
+    ("orbital_transfer", None, {"scheme": "trapezoidal"}),
+    ("orbital_transfer", None, {"method": "hamiltonian", "scheme": "stormer-verlet"}),
+    ("orbital_transfer", None, {"controls": "nodal"}),
+    ("double", DOUBLE_PENDULUM, {}),
+    ("double", DOUBLE_PENDULUM, {"method": "hamiltonian"}),
+    ("driven", DRIVEN, {}),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
+@settings(max_examples=8, deadline=None)
+@given(steps=st.integers(1, 5), seed=st.integers(0, 10**6), shift=st.sampled_from([0.0, 0.3]))
+def test_structured_step_solves_the_dense_system(interpreted, name, text, choices, steps, seed, shift):
+    module = interpreted(name, text, **choices)
+    grid = module.make_grid(steps)
+    random = np.random.default_rng(seed)
+    free = module.free_unknowns(grid)
+    unknowns = module.initial_guess(grid) + np.where(free, random.normal(scale=0.2, size=free.size), 0.0)
+    matrix = _dense_kkt(module, grid, unknowns)
+    matrix += np.diag(np.where(grid.is_multiplier, -1e-3, shift))
+    keep = np.flatnonzero(free)
+    matrix = matrix[np.ix_(keep, keep)]
+    system = module.allocate_system(grid)
+    if not module.factor_kkt(grid, unknowns, 1.0, shift, 1e-3, system):
+        assert np.linalg.cond(matrix) > 1e8 or np.linalg.eigvalsh(matrix)[0] < 0
+        return
+    gradient = module.evaluate(grid, unknowns).gradient
+    step = np.empty_like(unknowns)
+    module.solve_kkt(grid, system, gradient, step)
+    scale = np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max()
+    assert np.abs(matrix @ step[keep] + gradient[keep]).max() <= 1e-8 * scale
+    assert not step[~free].any()
+
+
+def _dense_kkt(module, grid, unknowns):
+    size = unknowns.size
+    matrix = np.zeros((size, size))
+    primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    rows, columns, values = module.hessian(grid, unknowns)
+    np.add.at(matrix, (primal[rows], primal[columns]), values)
+    rows, columns, values = module.jacobian(grid, unknowns)
+    np.add.at(matrix, (multipliers[rows], primal[columns]), values)
+    np.add.at(matrix, (primal[columns], multipliers[rows]), values)
+    return matrix
+
+
+@pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
+def test_callbacks_are_each_others_derivatives(interpreted, name, text, choices):
+    module = interpreted(name, text, **choices)
+    grid = module.make_grid(4)
+    random = np.random.default_rng(3)
+    free = module.free_unknowns(grid)
+    unknowns = module.initial_guess(grid) + np.where(free, random.normal(scale=0.1, size=free.size), 0.0)
+    direction = np.where(free, random.normal(size=free.size), 0.0)
+    step = 1e-6
+    ahead, behind = unknowns + step * direction, unknowns - step * direction
+    primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+
+    slope = (module.cost(grid, ahead) - module.cost(grid, behind)) / (2 * step)
+    assert module.cost_gradient(grid, unknowns) @ direction[primal] == pytest.approx(slope, rel=1e-6, abs=1e-7)
+    matrix = _dense_kkt(module, grid, unknowns)
+    change = (module.evaluate(grid, ahead).gradient - module.evaluate(grid, behind).gradient) / (2 * step)
+    np.testing.assert_allclose((matrix @ direction)[free], change[free], rtol=1e-6, atol=1e-5 * np.abs(change).max())
+    assert module.constraints(grid, unknowns).size == multipliers.size
+
+
+def test_boundary_values_stay_arguments(linear_pendulum):
+    solution = linear_pendulum.solve(50, start={"q": 0.3, "dq": 0.1}, end={"q": -0.2}, duration=1.0)
+    assert solution.q[0, 0] == 0.3
+    assert solution.q[-1, 0] == -0.2
+    assert solution.p[0, 0] == pytest.approx(0.1, abs=1e-12)
+    with pytest.raises(ValueError, match="'v' is not prescribed at the end; prescribed: q, dq"):
+        linear_pendulum.solve(50, end={"v": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"steps": 0}, "steps is 0"),
+        ({"steps": 2.5}, "steps is 2.5"),
+        ({"duration": -1.0}, "duration is -1.0"),
+        ({"m": float("nan")}, "finite"),
+        ({"guess": np.zeros(3)}, "guess has shape"),
+    ],
+)
+def test_unusable_arguments_are_refused(orbital_transfer, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        orbital_transfer.solve(**{"steps": 10, **arguments})
+
+
+def test_iteration_limit_is_named(orbital_transfer):
+    solution = orbital_transfer.solve(50, max_iterations=2)
+    assert solution.status == "iteration limit"
+    assert "raise max_iterations" in solution.message
+
+
+def test_non_finite_start_is_named_with_its_node(orbital_transfer):
+    grid = orbital_transfer.make_grid(20)
+    guess = orbital_transfer.initial_guess(grid)
+    orbital_transfer.views(grid, guess)[0][7, 0] = np.inf
+    solution = orbital_transfer.solve(20, guess=guess)
+    assert solution.status == "non-finite"
+    assert "node" in solution.message
+
+
+def test_a_cost_without_minimum_is_not_called_solved(interpreted):
+    text = (PROBLEMS / "linear_pendulum.py").read_text().replace("cost=f**2", "cost=-(f**2)")
+    solution = interpreted("unbounded", text).solve(50)
+    assert solution.status in ("unbounded", "rank-deficient")
+
+
+def test_nodal_controls_reproduce_the_false_freedom(interpreted):
+    """The alternating control acts on the motion and costs nothing: the solver has to pick one of many optima."""
+    module = interpreted("linear_pendulum", controls="nodal")
+    solution = module.solve(50)
+    assert solution.status == "solved"
+    assert solution.u.shape == (51, 1)
+    alternating = solution.u[:, 0] + 0.7 * (-1.0) ** np.arange(51)
+    mean = (alternating[1:] + alternating[:-1]) / 2
+    assert np.sum(mean**2) * (np.pi / 2 / 50) == pytest.approx(solution.cost, rel=1e-12)
