@@ -42,11 +42,13 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         boundary_values=tuple(
             Line(v.symbol.name, scalar_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values
         ),
-        parameter_unpacking=(", ".join(s.name for s in _parameters(program)) + ",",) if _parameters(program) else (),
+        guess_inputs=_parameter_inputs(program, _guesses(program)),
+        pin_inputs=_parameter_inputs(program, [v for end in (program.start, program.end) for _, v in end.pins]),
         start_values=_pin_lines(program.start),
         end_values=_pin_lines(program.end),
         node_guess=_node_guess(program),
         interval_guess=_interval_guess(program),
+        interval_times=("grid.h * (0.5 + np.arange(grid.steps))",) if _interval_guess(program) else (),
         **_views(program),
         boundary_example=_boundary_example(program),
     )
@@ -235,6 +237,17 @@ def _pins(end: EndElement) -> dict[int, Expr]:
 
 def _pin_lines(end: EndElement) -> tuple[Line, ...]:
     return tuple(Line(str(i), scalar_code(value)) for i, value in _pins(end).items())
+
+
+def _guesses(program: ControlProgram) -> list[Expr]:
+    return [*program.node_guess, *program.stage_guess, *program.control_guess]
+
+
+def _parameter_inputs(program: ControlProgram, values: Sequence[Expr]) -> tuple[Line, ...]:
+    """Lines that read the parameters which some expressions depend on."""
+    used = set().union(*(value.free_symbols for value in values)) if values else set()
+    parameters = enumerate(_parameters(program))
+    return tuple(Line(s.name, f"grid.parameters[{i}]") for i, s in parameters if s in used)
 
 
 def _node_guess(program: ControlProgram) -> tuple[Line, ...]:

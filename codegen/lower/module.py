@@ -50,19 +50,21 @@ class Module:
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
-    `duration` and `boundary_values` are code in the arguments; `parameter_unpacking` is the target that unpacks the
-    vector of parameters, boundary values included (empty where there is none). `start_values` and `end_values` give the pinned unknowns of an end (target:
-    local index), `node_guess` and `interval_guess` arrays over time. `positions`, `momenta`, `controls` and
+    `duration` and `boundary_values` are code in the arguments; `guess_inputs` and `pin_inputs` read what guesses and pinned values depend on from the vector of
+    parameters, boundary values included. `start_values` and `end_values` give the pinned unknowns of an end (target:
+    local index), `node_guess` and `interval_guess` arrays over time (at nodes; at `interval_times`, if there are any). `positions`, `momenta`, `controls` and
     `multipliers` are code that reads the solution.
     """
 
     duration: str
     boundary_values: tuple[Line, ...]
-    parameter_unpacking: tuple[str, ...]
+    guess_inputs: tuple[Line, ...]
+    pin_inputs: tuple[Line, ...]
     start_values: tuple[Line, ...]
     end_values: tuple[Line, ...]
     node_guess: tuple[Line, ...]
     interval_guess: tuple[Line, ...]
+    interval_times: tuple[str, ...]
     positions: str
     momenta: str
     controls: str
