@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from codegen.lower.module import Origin
     from codegen.model import Model
 
-DEFAULT_METHODS = {"control": "variational", "simulate": None}
 DEFAULT_SCHEME = "midpoint"
+GENERATED = Path("generated")
+"""The folder, below the current one, in which modules are kept that someone wants to read."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,11 @@ def build(
     controls: str = "interval",
     out: Path | str | None = None,
 ) -> Build:
-    """Derive, emit and write the module of a problem file into the folder `out` (default: the user's cache).
+    """Derive, emit and write the module of a problem file into the folder `out`.
 
-    Raises a kind of CodegenError when the problem or a choice is unusable; then nothing is written.
+    Without `out` the module stays in the user's cache, unless ./generated already holds the very same text: then that
+    file is used, and with it the machine code that numba keeps beside it. Raises a kind of CodegenError when the
+    problem or a choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
     path, arguments = Path(path), dict(arguments or {})
@@ -76,8 +79,12 @@ def build(
     else:
         text = generate(path, arguments, choices)
         emit.write(store, text)
-    target = store if out is None else Path(out) / f"{name}.py"
-    written = emit.write(target, text) if out is not None else not cached
+    if out is None:
+        kept = GENERATED / f"{name}.py"
+        target = kept if kept.is_file() and kept.read_bytes() == text.encode() else store
+        return Build(target, name, time.perf_counter() - begin, cached, not cached)
+    target = Path(out) / f"{name}.py"
+    written = emit.write(target, text)
     return Build(target, name, time.perf_counter() - begin, cached, written)
 
 
