@@ -31,31 +31,32 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose entries the elimination o
 SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
 
 
-def allocate_controls(grid):
-    """The inverse of C, and the coupling blocks B of all intervals."""
-    return np.empty((CONTROLS, CONTROLS)), np.zeros((grid.steps, CONTROLS, TOUCHED.size))
-
-
-def prepare_controls(grid, unknowns, weight, shift, controls):
-    """Invert the controls' block C, which is that of the first interval; False when it is not positive definite."""
-    hessian = np.empty(HESSIAN_ROWS.size)
+def allocate_controls(grid, unknowns):
+    """The block C, which is that of the first interval, room for its inverse, and for B of all intervals."""
+    hessian, block = np.empty(HESSIAN_ROWS.size), np.zeros((CONTROLS, CONTROLS))
     interval_hessian(unknowns[:ELEMENT], 0.0, grid.h, grid.parameters, np.empty(ELEMENT), hessian)
     entries, rows, columns = INNER
-    block = np.zeros((CONTROLS, CONTROLS))
-    block[rows, columns] = block[columns, rows] = weight * hessian[entries]
-    block.flat[:: CONTROLS + 1] += shift
+    block[rows, columns] = block[columns, rows] = hessian[entries]
+    return block, np.empty_like(block), np.zeros((grid.steps, CONTROLS, TOUCHED.size))
+
+
+def prepare_controls(weight, shift, controls):
+    """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
+    block, inverse, _ = controls
+    shifted = weight * block
+    shifted.flat[:: CONTROLS + 1] += shift
     try:
-        np.linalg.cholesky(block)
+        np.linalg.cholesky(shifted)
     except np.linalg.LinAlgError:
         return False
-    controls[0][:] = np.linalg.inv(block)
-    return bool(np.isfinite(controls[0]).all())
+    inverse[:] = np.linalg.inv(shifted)
+    return bool(np.isfinite(inverse).all())
 
 
 @njit(cache=True, error_model="numpy")
 def add_element(hessian, controls, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
-    inverse, couplings = controls
+    _, inverse, couplings = controls
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
         if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
@@ -73,7 +74,7 @@ def add_element(hessian, controls, k, element):
 @njit(cache=True, error_model="numpy")
 def condense(gradient, controls, reduced):
     """Fill `reduced` with the right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay."""
-    inverse, couplings = controls
+    _, inverse, couplings = controls
     steps = couplings.shape[0]
     for i in range(NODE):
         reduced[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
@@ -90,7 +91,7 @@ def condense(gradient, controls, reduced):
 @njit(cache=True, error_model="numpy")
 def expand(gradient, controls, reduced, step):
     """Fill `step` with what was solved for and the controls' share -inverse(C) (g_u + B d) of every interval."""
-    inverse, couplings = controls
+    _, inverse, couplings = controls
     steps = couplings.shape[0]
     for i in range(NODE):
         step[steps * STRIDE + i] = reduced[steps * BLOCK + i]

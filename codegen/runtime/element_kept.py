@@ -6,12 +6,12 @@ from numba import njit
 from codegen.runtime.example import HESSIAN_COLUMNS, HESSIAN_ROWS
 
 
-def allocate_controls(grid):
+def allocate_controls(grid, unknowns):
     """Storage for eliminated controls: none."""
     return ()
 
 
-def prepare_controls(grid, unknowns, weight, shift, controls):
+def prepare_controls(weight, shift, controls):
     """True: there is no block of controls that could be indefinite."""
     return True
 

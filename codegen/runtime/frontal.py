@@ -19,14 +19,14 @@ from codegen.runtime.example import ELEMENT, END_PINNED, HESSIAN_ROWS, NODE, STA
 WIDTH = 2 * BLOCK + NODE  # columns of the front
 
 
-def allocate_system(grid):
+def allocate_system(grid, unknowns):
     """Factors of the front at every interval (lower, upper, row exchanges), the last block, and what controls need."""
     return (
         np.empty((grid.steps, SIZE, BLOCK)),
         np.empty((grid.steps, BLOCK, WIDTH)),
         np.empty((grid.steps, BLOCK), np.int64),
         np.empty((NODE, NODE)),
-        allocate_controls(grid),
+        allocate_controls(grid, unknowns),
     )
 
 
@@ -37,7 +37,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     diagonal gets -`dual_shift`.
     """
     lower, upper, exchanges, last, controls = system
-    if not prepare_controls(grid, unknowns, weight, shift, controls):
+    if not prepare_controls(weight, shift, controls):
         return False
     if not eliminate(
         unknowns, grid.steps, grid.h, grid.parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls

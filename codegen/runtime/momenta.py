@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from codegen.runtime.example import IS_MULTIPLIER, NODE, STRIDE
-from codegen.runtime.lagrangian import lagrangian_gradient
+from codegen.runtime.example import ELEMENT, IS_MULTIPLIER, NODE, STRIDE
+from codegen.runtime.lagrangian import interval_gradients
 
 EQUATIONS = np.flatnonzero(IS_MULTIPLIER[:NODE])  # places of the multipliers of the equations of motion in a node
 
@@ -13,5 +13,6 @@ def discrete_momenta(grid, unknowns):
 
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
-    parts = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters)[2]
+    parts = np.empty((grid.steps, ELEMENT))
+    interval_gradients(unknowns, grid.steps, grid.h, grid.parameters, parts, np.empty_like(unknowns))
     return np.vstack([-parts[:, EQUATIONS], parts[-1:, STRIDE + EQUATIONS]])

@@ -20,7 +20,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
-    system = allocate_system(grid)
+    system = allocate_system(grid, unknowns)
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
@@ -33,11 +33,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
             return "solved", point.unknowns, iteration
         if iteration == max_iterations:
             break
-        step, shift = regularised_step(grid, point, last_shift, system)
+        step, slope, shift = regularised_step(grid, point, last_shift, system)
         if step is None:
             return "rank-deficient", point.unknowns, iteration
         last_shift = shift or last_shift
-        trial, length = search(grid, point, step, small_violation, filtered, system)
+        trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
             if point.error <= 1e3 * rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
                 return "stalled", point.unknowns, iteration
@@ -69,26 +69,29 @@ def guess_multipliers(grid, unknowns, system):
 
 
 def regularised_step(grid, point, last_shift, system):
-    """Newton step and the shift of the Hessian that makes it a descent (algorithm IC); no step when singular."""
+    """Newton step, slope of the cost along it, and the shift of the Hessian that makes it a descent (algorithm IC).
+
+    The step is None when the system stays singular.
+    """
     step = np.empty_like(point.unknowns)
     shift, dual_shift = 0.0, 0.0
     while shift < 1e20:
         if factor_kkt(grid, point.unknowns, 1.0, shift, dual_shift, system):
             solve_kkt(grid, system, point.gradient, step)
-            if measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[2]:
-                return step, shift
+            slope, descends = measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)
+            if descends:
+                return step, slope, shift
         elif shift > 0.0:
             dual_shift = 1e-8
         if shift == 0.0:
             shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)
         else:
             shift *= 100.0 if last_shift == 0.0 else 8.0
-    return None, shift
+    return None, 0.0, shift
 
 
-def search(grid, point, step, small_violation, filtered, system):
+def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
-    slope = measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[0]
     length = 1.0
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + length * step)

@@ -13,7 +13,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
-    system = allocate_system(grid)
+    system = allocate_system(grid, unknowns)
     regular = factor_kkt(grid, unknowns, 1.0, 0.0, 0.0, system)
     for iteration in range(4):
         point = evaluate(grid, unknowns)
@@ -22,12 +22,13 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
             return "non-finite", unknowns, iteration
         if not regular:
             return "rank-deficient", unknowns, iteration
-        rounding = rounding_level(unknowns, grid.steps, grid.h, grid.parameters) if iteration else 0.0
-        if point.error <= max(tolerance, rounding):
+        if point.error <= tolerance:
+            return "solved", unknowns, iteration
+        if iteration > 0 and point.error <= rounding_level(unknowns, grid.steps, grid.h, grid.parameters):
             return "solved", unknowns, iteration
         step = np.empty_like(unknowns)
         solve_kkt(grid, system, point.gradient, step)
-        if iteration == 0 and not measure_step(unknowns, point.gradient, step, grid.is_multiplier)[2]:
+        if iteration == 0 and not measure_step(unknowns, point.gradient, step, grid.is_multiplier)[1]:
             return "unbounded", unknowns, iteration
         unknowns = unknowns + step
     return "stalled", unknowns, 3

@@ -26,7 +26,7 @@ def measure(gradient, is_multiplier):
 
 @njit(cache=True, error_model="numpy")
 def measure_step(unknowns, gradient, step, is_multiplier):
-    """Slope of the cost and curvature along a Newton step, and whether the step promises a descent.
+    """Slope of the cost along a Newton step, and whether the step promises a descent.
 
     With W the Hessian as it was factored, A the Jacobian of the equations, d the primal and m the multipliers' part
     of the step, the step's own equations W d + A' m = -gradient and A d = -residual give d' W d and the derivative of
@@ -42,4 +42,4 @@ def measure_step(unknowns, gradient, step, is_multiplier):
             slope += gradient[i] * step[i]
             curvature -= gradient[i] * step[i]
             square += step[i] * step[i]
-    return slope, curvature, curvature + max(linear, 0.0) >= 1e-10 * square
+    return slope, curvature + max(linear, 0.0) >= 1e-10 * square

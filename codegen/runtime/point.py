@@ -35,5 +35,5 @@ class Point(NamedTuple):
 
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
-    cost, gradient, _ = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters)
+    cost, gradient = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters)
     return Point(unknowns, gradient, cost, *measure(gradient, grid.is_multiplier))

@@ -1,7 +1,9 @@
 """One step of an implicit scheme by Newton's method, iterated to rounding level.
 
 Newton's method squares the error, so that after a correction of relative size 1e-13 nothing but rounding is left. The
-size of a correction is measured against the sum of the magnitudes of state and unknowns.
+size of a correction is measured against the sum of the magnitudes of state and unknowns. Corrections are taken in full:
+where they do not converge the step is too long for the scheme, and shorter corrections were seen to end in spurious
+minima of the residual as often as in a solution.
 """
 
 import numpy as np
@@ -11,7 +13,7 @@ from codegen.runtime.example_step import UNKNOWNS, complete_step, predict_step, 
 from codegen.runtime.scalar import factor, solve_factored
 
 NON_FINITE, SINGULAR, NOT_CONVERGED = -1, -2, -3  # what `advance` returns when there is no solution
-STAGNATION = 1e-8  # corrections below this that no longer shrink are rounding errors
+ROUNDING = 1e-8  # relative corrections below this are taken for rounding errors once they no longer shrink
 
 
 @njit(cache=True, error_model="numpy")
@@ -43,7 +45,7 @@ def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
             unknowns[i] -= residual[i]
             correction += abs(residual[i])
             scale += abs(unknowns[i])
-        stagnates = correction <= STAGNATION * scale and correction >= 0.5 * previous
+        stagnates = correction <= ROUNDING * scale and correction >= 0.5 * previous
         if correction <= tolerance * scale or stagnates:
             complete_step(unknowns, state, t, h, parameters, interval)
             return iteration
