@@ -122,7 +122,6 @@ def one_step_interval(model: Model, scheme: OneStep, nodal_controls: bool = Fals
     """Write the equations of one step of a composition scheme for forced Hamilton's equations (Model of form H)."""
     q_sites = sites(model, model.coordinates, nodal_controls)
     p_sites = sites(model, model.rates, nodal_controls)
-    dimension = len(model.coordinates)
     q_field = [sympy.diff(model.function, p) for p in model.rates]
     p_field = [f - sympy.diff(model.function, q) for q, f in zip(model.coordinates, model.force, strict=True)]
 
@@ -140,12 +139,11 @@ def one_step_interval(model: Model, scheme: OneStep, nodal_controls: bool = Fals
         c = elapsed + a * substep.fraction
         controls = [_between(u0, u1, c) for u0, u1 in zip(q_sites.left_controls, q_sites.right_controls, strict=True)]
 
-        def at(function: Expr, here: tuple[list[Expr], ...] = (position, momentum, controls), c: Expr = c) -> Expr:
-            return _substitute(model, function, *here, c)
-
-        equations += [q1[i] - q0[i] - fraction * at(q_field[i]) for i in range(dimension)]
-        equations += [p1[i] - p0[i] - fraction * at(p_field[i]) for i in range(dimension)]
-        cost += fraction * at(model.cost or sympy.S.Zero)
+        functions = (*q_field, *p_field, model.cost or sympy.S.Zero)
+        *rates, cost_rate = (_substitute(model, f, position, momentum, controls, c) for f in functions)
+        pairs = zip((*q0, *p0), (*q1, *p1), rates, strict=True)
+        equations += [right - left - fraction * rate for left, right, rate in pairs]
+        cost += fraction * cost_rate
         elapsed += substep.fraction
     stages = tuple(symbol for q, p in ends[1:-1] for symbol in (*q, *p))
     return OneStepInterval(q_sites, p_sites, stages, tuple(equations), cost)

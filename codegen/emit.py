@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import os
 import re
 import tempfile
@@ -34,10 +35,12 @@ def render(module: Module, origin: Origin) -> str:
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
     }
-    missing = _template_variables(environment, module.template) - set(values)
+    missing = _template_variables(environment, module.template) - set(values) - {"identity"}
     assert not missing, f"template {module.template} wants {sorted(missing)}"
-    text = environment.get_template(module.template).render(values)
-    return _tidy(text)
+    template = environment.get_template(module.template)
+    # numba's cache needs a name that belongs to this text alone; see the end of a generated module.
+    anonymous = template.render(values, identity="")
+    return _tidy(template.render(values, identity=hashlib.sha256(anonymous.encode()).hexdigest()[:16]))
 
 
 def runtime_source(names: tuple[str, ...]) -> str:

@@ -116,7 +116,7 @@ def vanishes(expression: sympy.Expr) -> bool:
     if expression.is_zero is not None:
         return bool(expression.is_zero)
     points = itertools.islice(expressions.trial_points(expression.free_symbols, {}, {}), 8)
-    values = [expressions.number_at(expression, point) for point in points]
+    values = (expressions.number_at(expression, point) for point in points)
     # evalf raises its precision until 15 digits are right, so what cancels comes out far below any true value.
     return all(value is None or abs(value) < 1e-25 for value in values)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import builtins
 import itertools
 import keyword
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -25,12 +26,14 @@ _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities",
 
 RESERVED = frozenset(
     "h steps solution math np numpy numba njit x u_interval parameters tolerance guess lambda_ duration start "
-    "end".split()
+    "end every grid state interval unknowns residual jacobian max_iterations prescribed Solution integrate make_grid "
+    "checked_grid initial_state replace_values".split()
 )
 """Names that generated modules use for their own purposes."""
+_INNER_STAGE = re.compile(r"_stage\d+$")
 
 
-class Quantity(sympy.Symbol):
+class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
     """A declared real symbol; `declared` orders symbols as their author wrote them."""
 
     __slots__ = ("declared",)
@@ -205,7 +208,7 @@ def _pairs(qs: list[str], partners: list[str], kind: type[Any]) -> tuple[tuple[C
     for q, partner in zip(first, second, strict=True):
         assert isinstance(q, Coordinate)
         q.partner, partner.partner = partner, q
-    return first, second  # type: ignore[return-value]
+    return first, second
 
 
 def _require_identifier(name: Any) -> None:
@@ -216,5 +219,5 @@ def _require_identifier(name: Any) -> None:
     if not name.isascii():
         raise SymbolError(f"{name!r} is not ASCII", "spell it out, as in phi or lam")
     own = name in RESERVED or hasattr(builtins, name)
-    if own or name.startswith("_") or name.endswith("_k") or name.endswith("_k1"):
+    if own or name.startswith("_") or name.endswith("_k") or name.endswith("_k1") or _INNER_STAGE.search(name):
         raise SymbolError(f"{name!r} is reserved for generated code", "choose another name")

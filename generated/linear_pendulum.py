@@ -18,8 +18,8 @@ Discrete equations on the interval from t_k to t_k1 = t_k + h (suffixes _k and _
     f+_q = f_k*h/2
     Cd = f_k**2*h
 
-Minimise the sum of Cd over all intervals such that at every inner node the forced discrete Euler-Lagrange
-equations hold,
+Minimise the sum of Cd over all intervals such that at every inner node the forced discrete
+Euler-Lagrange equations hold,
 
     D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k = 0,
 
@@ -77,7 +77,7 @@ metadata = {
 }
 
 NODE = 2  # unknowns of a node: q, lambda_q
-CONTROLS = 1  # controls that are eliminated inside their interval: f
+CONTROLS = 1  # eliminated inside their interval: f
 STRIDE = 3  # unknowns of a node and the interval after it
 ELEMENT = 5  # unknowns of an interval with both its nodes
 IS_MULTIPLIER = np.array([False, True, False])  # of node and interval
@@ -93,7 +93,7 @@ HESSIAN_COLUMNS = np.array([0, 1, 2, 1, 0, 2, 3], dtype=np.int64)
 
 @njit(cache=True, error_model="numpy")
 def interval_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share l of the Lagrangian of the optimisation problem; returns the discrete cost."""
+    """Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost."""
     q_k = unknowns[0]
     lambda_q_k = unknowns[1]
     f_k = unknowns[2]
@@ -118,7 +118,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(cache=True, error_model="numpy")
 def interval_hessian(unknowns, t, h, parameters, gradient, hessian):
-    """Gradient and Hessian (lower triangle, structural nonzeros) of an interval's share l; returns the discrete cost."""
+    """Gradient and Hessian (lower triangle, nonzeros) of an interval's share l; returns the discrete cost."""
     q_k = unknowns[0]
     lambda_q_k = unknowns[1]
     f_k = unknowns[2]
@@ -461,7 +461,18 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     if not prepare_controls(weight, shift, controls):
         return False
     if not eliminate(
-        unknowns, grid.steps, grid.h, grid.parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls
+        unknowns,
+        grid.steps,
+        grid.h,
+        grid.parameters,
+        weight,
+        shift,
+        dual_shift,
+        lower,
+        upper,
+        exchanges,
+        last,
+        controls,
     ):
         return False
     try:
@@ -473,7 +484,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
 
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
-    """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is not finite."""
+    """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is infinite."""
     front, element = np.empty((SIZE, WIDTH)), np.empty((SIZE, SIZE))
     for i in range(SIZE):
         for j in range(WIDTH):
@@ -487,7 +498,9 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
                 for j in range(SIZE, WIDTH):
                     front[i, j] = 0.0
         if k < steps - 1:
-            fill_element(unknowns, k + 1, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element)
+            fill_element(
+                unknowns, k + 1, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element
+            )
             for i in range(NODE):
                 for j in range(SIZE):
                     front[BLOCK + i, BLOCK + j] += element[i, j]
@@ -505,9 +518,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_element(
-    unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element
-):
+def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
     if weight != 1.0:
@@ -785,9 +796,9 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
     values = np.empty((grid.steps, HESSIAN_ROWS.size))
     interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
     offsets = STRIDE * np.arange(grid.steps)[:, None]
-    row = (offsets + HESSIAN_ROWS)[:, IS_CURVATURE == is_curvature].ravel()
-    column = (offsets + HESSIAN_COLUMNS)[:, IS_CURVATURE == is_curvature].ravel()
-    value = values[:, IS_CURVATURE == is_curvature].ravel()
+    row = (offsets + HESSIAN_ROWS)[:, is_curvature == IS_CURVATURE].ravel()
+    column = (offsets + HESSIAN_COLUMNS)[:, is_curvature == IS_CURVATURE].ravel()
+    value = values[:, is_curvature == IS_CURVATURE].ravel()
     end_row, end_column, end_value = end_entries(grid, unknowns)
     row, column = np.concatenate([row, end_row]), np.concatenate([column, end_column])
     value = np.concatenate([value, end_value])
@@ -938,7 +949,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_919665ddd7bdad11"
+_IDENTITY = "codegen_linear_pendulum_b171a4c4f5972717"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -19,8 +19,8 @@ Discrete equations on the interval from t_k to t_k1 = t_k + h (suffixes _k and _
     f+_phi = h*u_k*(r_k/2 + r_k1/2)/2
     Cd = h*u_k**2
 
-Minimise the sum of Cd over all intervals such that at every inner node the forced discrete Euler-Lagrange
-equations hold,
+Minimise the sum of Cd over all intervals such that at every inner node the forced discrete
+Euler-Lagrange equations hold,
 
     D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k = 0,
 
@@ -81,7 +81,7 @@ metadata = {
 }
 
 NODE = 4  # unknowns of a node: r, phi, lambda_r, lambda_phi
-CONTROLS = 1  # controls that are eliminated inside their interval: u
+CONTROLS = 1  # eliminated inside their interval: u
 STRIDE = 5  # unknowns of a node and the interval after it
 ELEMENT = 9  # unknowns of an interval with both its nodes
 IS_MULTIPLIER = np.array([False, False, True, True, False])  # of node and interval
@@ -97,7 +97,7 @@ HESSIAN_COLUMNS = np.array([0, 0, 1, 0, 1, 0, 1, 0, 3, 4, 0, 1, 2, 3, 4, 5, 0, 1
 
 @njit(cache=True, error_model="numpy")
 def interval_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share l of the Lagrangian of the optimisation problem; returns the discrete cost."""
+    """Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost."""
     r_k = unknowns[0]
     phi_k = unknowns[1]
     lambda_r_k = unknowns[2]
@@ -156,7 +156,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(cache=True, error_model="numpy")
 def interval_hessian(unknowns, t, h, parameters, gradient, hessian):
-    """Gradient and Hessian (lower triangle, structural nonzeros) of an interval's share l; returns the discrete cost."""
+    """Gradient and Hessian (lower triangle, nonzeros) of an interval's share l; returns the discrete cost."""
     r_k = unknowns[0]
     phi_k = unknowns[1]
     lambda_r_k = unknowns[2]
@@ -580,7 +580,18 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     if not prepare_controls(weight, shift, controls):
         return False
     if not eliminate(
-        unknowns, grid.steps, grid.h, grid.parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls
+        unknowns,
+        grid.steps,
+        grid.h,
+        grid.parameters,
+        weight,
+        shift,
+        dual_shift,
+        lower,
+        upper,
+        exchanges,
+        last,
+        controls,
     ):
         return False
     try:
@@ -592,7 +603,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
 
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
-    """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is not finite."""
+    """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is infinite."""
     front, element = np.empty((SIZE, WIDTH)), np.empty((SIZE, SIZE))
     for i in range(SIZE):
         for j in range(WIDTH):
@@ -606,7 +617,9 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
                 for j in range(SIZE, WIDTH):
                     front[i, j] = 0.0
         if k < steps - 1:
-            fill_element(unknowns, k + 1, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element)
+            fill_element(
+                unknowns, k + 1, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element
+            )
             for i in range(NODE):
                 for j in range(SIZE):
                     front[BLOCK + i, BLOCK + j] += element[i, j]
@@ -624,9 +637,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_element(
-    unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element
-):
+def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
     if weight != 1.0:
@@ -1023,9 +1034,9 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
     values = np.empty((grid.steps, HESSIAN_ROWS.size))
     interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
     offsets = STRIDE * np.arange(grid.steps)[:, None]
-    row = (offsets + HESSIAN_ROWS)[:, IS_CURVATURE == is_curvature].ravel()
-    column = (offsets + HESSIAN_COLUMNS)[:, IS_CURVATURE == is_curvature].ravel()
-    value = values[:, IS_CURVATURE == is_curvature].ravel()
+    row = (offsets + HESSIAN_ROWS)[:, is_curvature == IS_CURVATURE].ravel()
+    column = (offsets + HESSIAN_COLUMNS)[:, is_curvature == IS_CURVATURE].ravel()
+    value = values[:, is_curvature == IS_CURVATURE].ravel()
     end_row, end_column, end_value = end_entries(grid, unknowns)
     row, column = np.concatenate([row, end_row]), np.concatenate([column, end_column])
     value = np.concatenate([value, end_value])
@@ -1207,7 +1218,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_1f80e2b7e53ec2ce"
+_IDENTITY = "codegen_orbital_transfer_d035bd6b4baef98b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

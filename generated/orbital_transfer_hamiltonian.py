@@ -77,7 +77,7 @@ metadata = {
 }
 
 NODE = 4  # unknowns of a node: r, phi, p_r, p_phi
-CONTROLS = 1  # controls that are eliminated inside their interval: u
+CONTROLS = 1  # eliminated inside their interval: u
 STRIDE = 9  # unknowns of a node and the interval after it: mu_r, mu_phi, mu_p_r, mu_p_phi
 ELEMENT = 13  # unknowns of an interval with both its nodes
 IS_MULTIPLIER = np.array([False, False, False, False, True, True, True, True, False])  # of node and interval
@@ -93,7 +93,7 @@ HESSIAN_COLUMNS = np.array([0, 0, 3, 0, 2, 0, 1, 3, 0, 2, 3, 0, 3, 0, 7, 8, 0, 3
 
 @njit(cache=True, error_model="numpy")
 def interval_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share l of the Lagrangian of the optimisation problem; returns the discrete cost."""
+    """Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost."""
     r_k = unknowns[0]
     phi_k = unknowns[1]
     p_r_k = unknowns[2]
@@ -141,7 +141,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(cache=True, error_model="numpy")
 def interval_hessian(unknowns, t, h, parameters, gradient, hessian):
-    """Gradient and Hessian (lower triangle, structural nonzeros) of an interval's share l; returns the discrete cost."""
+    """Gradient and Hessian (lower triangle, nonzeros) of an interval's share l; returns the discrete cost."""
     r_k = unknowns[0]
     phi_k = unknowns[1]
     p_r_k = unknowns[2]
@@ -548,7 +548,18 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     if not prepare_controls(weight, shift, controls):
         return False
     if not eliminate(
-        unknowns, grid.steps, grid.h, grid.parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls
+        unknowns,
+        grid.steps,
+        grid.h,
+        grid.parameters,
+        weight,
+        shift,
+        dual_shift,
+        lower,
+        upper,
+        exchanges,
+        last,
+        controls,
     ):
         return False
     try:
@@ -560,7 +571,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
 
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
-    """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is not finite."""
+    """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is infinite."""
     front, element = np.empty((SIZE, WIDTH)), np.empty((SIZE, SIZE))
     for i in range(SIZE):
         for j in range(WIDTH):
@@ -574,7 +585,9 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
                 for j in range(SIZE, WIDTH):
                     front[i, j] = 0.0
         if k < steps - 1:
-            fill_element(unknowns, k + 1, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element)
+            fill_element(
+                unknowns, k + 1, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element
+            )
             for i in range(NODE):
                 for j in range(SIZE):
                     front[BLOCK + i, BLOCK + j] += element[i, j]
@@ -592,9 +605,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_element(
-    unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element
-):
+def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
     if weight != 1.0:
@@ -976,9 +987,9 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
     values = np.empty((grid.steps, HESSIAN_ROWS.size))
     interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
     offsets = STRIDE * np.arange(grid.steps)[:, None]
-    row = (offsets + HESSIAN_ROWS)[:, IS_CURVATURE == is_curvature].ravel()
-    column = (offsets + HESSIAN_COLUMNS)[:, IS_CURVATURE == is_curvature].ravel()
-    value = values[:, IS_CURVATURE == is_curvature].ravel()
+    row = (offsets + HESSIAN_ROWS)[:, is_curvature == IS_CURVATURE].ravel()
+    column = (offsets + HESSIAN_COLUMNS)[:, is_curvature == IS_CURVATURE].ravel()
+    value = values[:, is_curvature == IS_CURVATURE].ravel()
     end_row, end_column, end_value = end_entries(grid, unknowns)
     row, column = np.concatenate([row, end_row]), np.concatenate([column, end_column])
     value = np.concatenate([value, end_value])
@@ -1172,7 +1183,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_ceac5ddc3bc10634"
+_IDENTITY = "codegen_orbital_transfer_a97fd0c2d201570d"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from interpreted import Interpreted
 
 from codegen.compiler import build
 from codegen.load import GeneratedModule, load
-from interpreted import Interpreted
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 

@@ -28,7 +28,7 @@ def problem() -> Control:
         start={a: 0, b: 0, da: 0}, end={a: pi/2, b: pi/2, db: 0}, steps=20)
 '''
 
-DRIVEN = '''"""A driven oscillator: time in the Lagrangian, the force, the cost and the guess; the end is free but for q."""
+DRIVEN = '''"""A driven oscillator: time in the Lagrangian, the force, the cost and the guess; free end velocity."""
 from sympy import cos, exp
 from codegen import Control, control, coordinate, parameters, time
 def problem() -> Control:
@@ -75,9 +75,7 @@ def test_explicit_euler_is_of_order_one(interpreted):
     assert [errors[0] / errors[1], errors[1] / errors[2]] == pytest.approx([2, 2], abs=0.12)
 
 
-@pytest.mark.parametrize(
-    ("revolutions", "steps", "cost"), [(1.0, 50, 0.0487567009), (2.0, 300, 0.0244340488530)]
-)
+@pytest.mark.parametrize(("revolutions", "steps", "cost"), [(1.0, 50, 0.0487567009), (2.0, 300, 0.0244340488530)])
 def test_orbital_transfer_reproduces_reference_costs(orbital_transfer, revolutions, steps, cost):
     solution = orbital_transfer.solve(steps, revolutions=revolutions)
     assert solution.status == "solved"

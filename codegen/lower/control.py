@@ -1,4 +1,4 @@
-"""ControlProgram and its derivatives -> Module: kernels, index arrays and boundary data of an optimal-control problem."""
+"""ControlProgram and its derivatives -> ControlModule: kernels, index arrays and boundary data as strings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from codegen.discretise import STEP
 from codegen.lower.kernels import Kernel, Line, Output, kernel
 from codegen.lower.module import Argument, ControlModule
 from codegen.lower.printer import array_code, scalar_code
-from codegen.transcribe.control import DURATION
 from codegen.transcribe.program import ControlProgram, EndElement, Unknown
 
 
@@ -85,12 +84,12 @@ def _interval_kernels(program: ControlProgram, element: ElementDerivatives) -> t
     return (
         kernel(
             "interval_gradient",
-            "Gradient of an interval's share l of the Lagrangian of the optimisation problem; returns the discrete cost.",
+            "Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost.",
             arguments, places, gradient, program.cost,
         ),
         kernel(
             "interval_hessian",
-            "Gradient and Hessian (lower triangle, structural nonzeros) of an interval's share l; returns the discrete cost.",
+            "Gradient and Hessian (lower triangle, nonzeros) of an interval's share l; returns the discrete cost.",
             (*arguments, "hessian"), places, [*gradient, *hessian], program.cost,
         ),
     )  # fmt: skip
@@ -128,7 +127,7 @@ def _constants(program: ControlProgram, derivatives: ControlDerivatives) -> list
     stride = node + kept + controls
     lines = [
         Line("NODE", str(node), f"unknowns of a node: {_names(program.node)}"),
-        Line("CONTROLS", str(condensed), f"controls that are eliminated inside their interval{_list(program.controls[:condensed])}"),
+        Line("CONTROLS", str(condensed), f"eliminated inside their interval: {_names(program.controls[:condensed])}"),
         Line("STRIDE", str(stride), "unknowns of a node and the interval after it" + _list(program.interval)),
         Line("ELEMENT", str(stride + node), "unknowns of an interval with both its nodes"),
         Line("IS_MULTIPLIER", _booleans(pattern), "of node and interval"),
@@ -170,7 +169,9 @@ def _left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[
     if derivatives.linear_quadratic:
         out.append("globalisation and inertia correction: the problem is linear-quadratic, one Newton step solves it")
     if derivatives.condensed:
-        out.append("controls in the linear system: their Hessian block is constant, so each interval eliminates its own")
+        out.append(
+            "controls in the linear system: their Hessian block is constant, so each interval eliminates its own"
+        )
     if not _curved(derivatives):
         out.append("curvature of the boundary conditions: positions that they depend on are given")
     out.append("interior point: there are no inequalities")
@@ -195,8 +196,8 @@ def _description(program: ControlProgram, kernels: Sequence[Kernel]) -> list[str
     lines.append("")
     if program.method == "variational":
         lines += [
-            "Minimise the sum of Cd over all intervals such that at every inner node the forced discrete Euler-Lagrange",
-            "equations hold,",
+            "Minimise the sum of Cd over all intervals such that at every inner node the forced discrete",
+            "Euler-Lagrange equations hold,",
             "",
             "    D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k = 0,",
             "",
@@ -279,7 +280,9 @@ def _views(program: ControlProgram) -> dict[str, str]:
         "positions": f"nodes[:, :{n}]",
         "momenta": "discrete_momenta(grid, unknowns)" if variational else f"nodes[:, {n}:{2 * n}]",
         "controls": f"nodes[:, {2 * n}:]" if nodal else f"intervals[:, {kept}:]",
-        "multipliers": f"nodes[:, {n}:{2 * n}]" if variational else f"intervals[:, {kept - _equations(program)}:{kept}]",
+        "multipliers": f"nodes[:, {n}:{2 * n}]"
+        if variational
+        else f"intervals[:, {kept - _equations(program)}:{kept}]",
         "control_place": "at nodes" if nodal else "on intervals" if m else "none",
     }
 

@@ -10,7 +10,6 @@ from sympy import Expr, Symbol
 
 from codegen.lower.printer import scalar_code, stabilised
 
-
 NJIT = '@njit(cache=True, error_model="numpy")'
 """The decorator of compiled kernels; division by zero gives infinity, as it does in numpy."""
 

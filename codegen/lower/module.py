@@ -50,10 +50,11 @@ class Module:
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
-    `duration` and `boundary_values` are code in the arguments; `guess_inputs` and `pin_inputs` read what guesses and pinned values depend on from the vector of
-    parameters, boundary values included. `start_values` and `end_values` give the pinned unknowns of an end (target:
-    local index), `node_guess` and `interval_guess` arrays over time (at nodes; at `interval_times`, if there are any). `positions`, `momenta`, `controls` and
-    `multipliers` are code that reads the solution.
+    `duration` and `boundary_values` are code in the arguments; `guess_inputs` and `pin_inputs` read what guesses and
+    pinned values depend on from the vector of parameters, boundary values included. `start_values` and `end_values`
+    give the pinned unknowns of an end (target: local index), `node_guess` and `interval_guess` arrays over time (at
+    nodes; at `interval_times`, if there are any). `positions`, `momenta`, `controls` and `multipliers` are code that
+    reads the solution.
     """
 
     duration: str

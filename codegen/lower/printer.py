@@ -12,7 +12,16 @@ from sympy.printing.pycode import PythonCodePrinter
 _SHORT_DENOMINATORS = 64
 
 
-class ScalarPrinter(PythonCodePrinter):
+_NUMPY_NAMES = dict(
+    zip(
+        "asin acos atan asinh acosh atanh atan2".split(),
+        "arcsin arccos arctan arcsinh arccosh arctanh arctan2".split(),
+        strict=True,
+    )
+)
+
+
+class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untyped
     """Prints with `math.` functions; integer and half-integer powers as products that numba unrolls."""
 
     module = "math"
@@ -65,14 +74,10 @@ class ArrayPrinter(ScalarPrinter):
 
     module = "np"
 
-    _INVERSE = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh", "acosh": "arccosh",
-                "atanh": "arctanh", "atan2": "arctan2"}  # fmt: skip
-
     def _print_Function(self, expr: Any) -> str:
         name = type(expr).__name__
         arguments = ", ".join(self._print(argument) for argument in expr.args)
-        return f"np.{self._INVERSE.get(name, name)}({arguments})"
-
+        return f"np.{_NUMPY_NAMES.get(name, name)}({arguments})"
 
     def _print_Piecewise(self, expr: Any) -> str:
         text = "np.nan"
@@ -87,7 +92,7 @@ class ArrayPrinter(ScalarPrinter):
         return self._nested("np.maximum", expr.args)
 
     def _nested(self, function: str, arguments: tuple[Any, ...]) -> str:
-        text = self._print(arguments[0])
+        text = str(self._print(arguments[0]))
         for argument in arguments[1:]:
             text = f"{function}({text}, {self._print(argument)})"
         return text

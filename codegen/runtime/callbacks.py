@@ -79,9 +79,9 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
     values = np.empty((grid.steps, HESSIAN_ROWS.size))
     interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
     offsets = STRIDE * np.arange(grid.steps)[:, None]
-    row = (offsets + HESSIAN_ROWS)[:, IS_CURVATURE == is_curvature].ravel()
-    column = (offsets + HESSIAN_COLUMNS)[:, IS_CURVATURE == is_curvature].ravel()
-    value = values[:, IS_CURVATURE == is_curvature].ravel()
+    row = (offsets + HESSIAN_ROWS)[:, is_curvature == IS_CURVATURE].ravel()
+    column = (offsets + HESSIAN_COLUMNS)[:, is_curvature == IS_CURVATURE].ravel()
+    value = values[:, is_curvature == IS_CURVATURE].ravel()
     end_row, end_column, end_value = end_entries(grid, unknowns)
     row, column = np.concatenate([row, end_row]), np.concatenate([column, end_column])
     value = np.concatenate([value, end_value])

@@ -4,7 +4,6 @@ An element's unknowns are those of its left node, of the interval and of its rig
 eliminated inside the interval aside.
 """
 
-import numpy as np
 from numba import njit
 
 from codegen.runtime.example import (

@@ -3,10 +3,8 @@
 import numpy as np
 
 from codegen.runtime.example import (
-    END_PINNED,
     IS_MULTIPLIER,
     NODE,
-    START_PINNED,
     STRIDE,
     metadata,
 )

@@ -40,7 +40,18 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     if not prepare_controls(weight, shift, controls):
         return False
     if not eliminate(
-        unknowns, grid.steps, grid.h, grid.parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls
+        unknowns,
+        grid.steps,
+        grid.h,
+        grid.parameters,
+        weight,
+        shift,
+        dual_shift,
+        lower,
+        upper,
+        exchanges,
+        last,
+        controls,
     ):
         return False
     try:
@@ -52,7 +63,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
 
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
-    """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is not finite."""
+    """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is infinite."""
     front, element = np.empty((SIZE, WIDTH)), np.empty((SIZE, SIZE))
     for i in range(SIZE):
         for j in range(WIDTH):
@@ -66,7 +77,9 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
                 for j in range(SIZE, WIDTH):
                     front[i, j] = 0.0
         if k < steps - 1:
-            fill_element(unknowns, k + 1, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element)
+            fill_element(
+                unknowns, k + 1, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element
+            )
             for i in range(NODE):
                 for j in range(SIZE):
                     front[BLOCK + i, BLOCK + j] += element[i, j]
@@ -84,9 +97,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_element(
-    unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element
-):
+def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
     if weight != 1.0:

@@ -36,11 +36,9 @@ def transcribe(
 
 
 def _default_method(model: Model, scheme: str | None) -> str:
-    """Variational for control; for a simulation the side on which the author wrote the problem, if it has the scheme."""
-    if model.task == "control" or model.form == "lagrangian":
-        preferred = "variational"
-    else:
-        preferred = "hamiltonian"
+    """Variational for control; for a simulation the side on which it is written, if that has the scheme."""
+    on_lagrangian_side = model.task == "control" or model.form == "lagrangian"
+    preferred = "variational" if on_lagrangian_side else "hamiltonian"
     if scheme is None or scheme in schemes.METHODS[preferred] or (preferred, scheme) in schemes.ALIASES:
         return preferred
     others = [method for method, names in schemes.METHODS.items() if scheme in names]

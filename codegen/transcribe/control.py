@@ -229,9 +229,7 @@ def _momentum_end(model: Model, boundary: Boundary, suffix: str, sign: int) -> _
     )
 
 
-def _phase_end(
-    model: Model, phase: Model, boundary: Boundary, suffix: str, known: set[Symbol]
-) -> _End:
+def _phase_end(model: Model, phase: Model, boundary: Boundary, suffix: str, known: set[Symbol]) -> _End:
     """Fix positions and momenta; velocities that do not fix a momentum by themselves become equations."""
     dimension = len(model.coordinates)
     pins = [(i, value) for i, value in enumerate(boundary.positions) if value is not None]
@@ -245,7 +243,9 @@ def _phase_end(
             continue
         momentum = value
         if model.form == "lagrangian":
-            momentum = sympy.diff(model.function, model.rates[i]).subs({**fixed_positions, **fixed_rates}, simultaneous=True)
+            momentum = sympy.diff(model.function, model.rates[i]).subs(
+                {**fixed_positions, **fixed_rates}, simultaneous=True
+            )
         if momentum.free_symbols <= known:
             pins.append((dimension + i, momentum))
             conditions.append((phase.rates[i].name, momentum))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from sympy import Expr, S, Symbol, expand
 
@@ -21,10 +21,8 @@ Assignment = tuple[Symbol, Expr]
 
 _EXPANSION_LIMIT = 200
 """Operation count up to which it is worth expanding an expression to see that it is linear."""
-_GROWTH_LIMIT = 100
-"""Operations beyond twice the original number to which substitutions may lengthen the equations.
-
-Longer than that, a numerical solution of more unknowns is cheaper."""
+_GROWTH_LIMIT = 150
+"""Operations by which substitutions may lengthen the equations; beyond it a numerical solution is cheaper."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +46,8 @@ def eliminate(equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: 
     leaves the fewest unknowns to Newton's method is taken, and of those the shortest.
     """
     forward = range(len(unknowns))
-    attempts = [_System(list(equations), list(unknowns), frozenset(constants)) for _ in range(2)]
-    results = [system.solved(order) for system, order in zip(attempts, (forward, forward[::-1]), strict=True)]
-    return min(results, key=_labour)
+    orders = (forward, forward[::-1])
+    return min((_System(equations, unknowns, frozenset(constants)).solved(order) for order in orders), key=_labour)
 
 
 def _labour(result: Elimination) -> tuple[int, bool, int]:
@@ -59,23 +56,39 @@ def _labour(result: Elimination) -> tuple[int, bool, int]:
     return len(result.unknowns), not result.linear, operations
 
 
-@dataclass
-class _System:
-    """The equations that are still open (None: used up), the open unknowns, and what has been solved so far."""
+@dataclass(frozen=True)
+class _Equation:
+    """An expression that must vanish, with what is asked of it again and again."""
 
-    equations: list[Expr | None]
-    unknowns: list[Symbol]
-    constants: frozenset[Symbol]
-    open: set[Symbol] = field(default_factory=set)
-    found: list[Assignment] = field(default_factory=list)
+    expression: Expr
+    symbols: AbstractSet[Symbol]
+    operations: int
+
+    @classmethod
+    def of(cls, expression: Expr) -> _Equation:
+        return cls(expression, frozenset(expression.free_symbols), int(expression.count_ops()))
+
+    def with_value(self, y: Symbol, value: Expr) -> _Equation:
+        return _Equation.of(self.expression.xreplace({y: value})) if y in self.symbols else self
+
+
+class _System:
+    """The equations and unknowns that are still open, and what has been solved so far."""
+
+    def __init__(self, equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: AbstractSet[Symbol]) -> None:
+        self.equations = {i: _Equation.of(e) for i, e in enumerate(equations)}
+        self.unknowns = tuple(unknowns)
+        self.constants = constants
+        self.open = set(unknowns)
+        self.found: list[Assignment] = []
+        self.rejected: set[tuple[int, Symbol]] = set()
+        self.limit = sum(e.operations for e in self.equations.values()) + _GROWTH_LIMIT
 
     def solved(self, order: Sequence[int]) -> Elimination:
-        self.open = set(self.unknowns)
-        limit = 2 * self._operations() + _GROWTH_LIMIT
-        while self._solve_determined(order) or self._eliminate(order, limit):
+        while self._solve_determined(order) or self._eliminate(order):
             pass
         before, after = _sorted(self.found, self.open)
-        residual = tuple(e for e in self.equations if e is not None)
+        residual = tuple(e.expression for e in self.equations.values())
         left = tuple(y for y in self.unknowns if y in self.open)
         linear = all(linear_in(e, y, self.open) is not None for e in residual for y in left if e.has(y))
         return Elimination(before, left, residual, after, linear)
@@ -88,33 +101,42 @@ class _System:
                 (y,) = present
                 solution = self._solution(i, y)
                 if solution is not None:
-                    self._close(i, y, solution[1])
+                    del self.equations[i]
+                    self._record(y, solution[1])
                     return True
         return False
 
-    def _eliminate(self, order: Sequence[int], limit: int) -> bool:
+    def _eliminate(self, order: Sequence[int]) -> bool:
         """Express one unknown by other open ones, and substitute; False when none is admissible.
 
         Of the admissible pairs the one that fills in least is taken (Markowitz's count).
         """
-        candidates = []
-        for place, i in enumerate(order):
-            present = self._present(i)
-            for y in sorted(present, key=self.unknowns.index):
-                others = [j for j in range(len(self.equations)) if j != i and y in self._present(j)]
-                fill = len(others) * (len(present) - 1)
-                candidates.append((y != self.unknowns[i], fill, place, i, y))
-        for foreign, _, _, i, y in sorted(candidates, key=lambda c: c[:3]):
+        for i, y in self._candidates(order):
             solution = self._solution(i, y)
-            if solution is None or not self._is_safe(solution[0], foreign):
+            if solution is None or not self._is_safe(solution[0], y != self.unknowns[i]):
+                self.rejected.add((i, y))
                 continue
-            kept, opened, length = list(self.equations), set(self.open), len(self.found)
-            self._close(i, y, solution[1])
-            if self._operations() <= limit:
+            others = {j: e.with_value(y, solution[1]) for j, e in self.equations.items() if j != i}
+            if sum(e.operations for e in others.values()) <= self.limit:
+                changed = {j for j, e in others.items() if e is not self.equations[j]}
+                self.rejected = {(j, z) for j, z in self.rejected if j not in changed}
+                self.equations = others
+                self._record(y, solution[1])
                 return True
-            self.equations, self.open = kept, opened
-            del self.found[length:]
+            self.rejected.add((i, y))
         return False
+
+    def _candidates(self, order: Sequence[int]) -> list[tuple[int, Symbol]]:
+        """Pairs of an equation and an unknown in it: the unknown's own equation first, then those with least fill."""
+        present = {i: self._present(i) for i in order}
+        occurrences = {y: sum(y in symbols for symbols in present.values()) for y in self.open}
+        ranked = [
+            (y != self.unknowns[i], (occurrences[y] - 1) * (len(present[i]) - 1), place, self.unknowns.index(y))
+            for place, i in enumerate(order)
+            for y in present[i]
+            if (i, y) not in self.rejected
+        ]
+        return [(order[place], self.unknowns[index]) for _, _, place, index in sorted(ranked)]
 
     def _is_safe(self, coefficient: Expr, foreign: bool) -> bool:
         """Whether a pivot cannot vanish where the system as a whole is regular.
@@ -126,29 +148,21 @@ class _System:
         return bool(coefficient.free_symbols <= trusted)
 
     def _present(self, i: int) -> AbstractSet[Symbol]:
-        equation = self.equations[i]
-        return frozenset() if equation is None else equation.free_symbols & self.open
+        return self.equations[i].symbols & self.open if i in self.equations else frozenset()
 
     def _solution(self, i: int, y: Symbol) -> tuple[Expr, Expr] | None:
         """Coefficient of y in equation i and the value of y, if y enters linearly and surely."""
-        equation = self.equations[i]
-        assert equation is not None
+        equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
         if coefficient is None or vanishes(coefficient):
             return None
         rest = equation.xreplace({y: S.Zero})
-        return coefficient, -rest / coefficient if coefficient != -1 else rest
+        return coefficient, rest if coefficient == -1 else -rest / coefficient
 
-    def _close(self, i: int, y: Symbol, value: Expr) -> None:
-        """Use equation i for y; a value that open unknowns enter replaces y everywhere, another keeps its name."""
-        self.equations[i] = None
+    def _record(self, y: Symbol, value: Expr) -> None:
+        """Close an unknown; one whose value holds no open unknown keeps its name in the equations that remain."""
         self.open.discard(y)
         self.found.append((y, value))
-        if value.free_symbols & self.open:
-            self.equations = [e if e is None else e.xreplace({y: value}) for e in self.equations]
-
-    def _operations(self) -> int:
-        return sum(int(e.count_ops()) for e in self.equations if e is not None)
 
 
 def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Expr | None:

@@ -1,0 +1,293 @@
+"""The command line: `codegen build`, `solve`, `check` and `show`.
+
+Exit status 0: it worked; 1: the numerics or a check failed; 2: the input was wrong, which is said in one line.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import traceback
+import warnings
+from contextlib import AbstractContextManager, nullcontext
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from codegen.errors import ArgumentError, CodegenError
+
+if TYPE_CHECKING:
+    from codegen.compiler import Build
+
+# Everything that is slow to import is imported by the command that needs it: `codegen --help` must be instant.
+
+
+class OneLineErrors(TyperGroup):
+    """A group of commands whose errors are one line on stderr and an exit status."""
+
+    def main(self, *positional: Any, **options: Any) -> Any:
+        """Run and exit."""
+        try:
+            with warnings.catch_warnings():
+                if not sys.warnoptions:
+                    # No warning answers what was asked; what matters shows in the status and the residuals.
+                    warnings.simplefilter("ignore")
+                status = super().main(*positional, **{**options, "standalone_mode": False})
+        except Exception as error:
+            status, text = _described(error)
+            typer.echo(f"codegen: error: {text}", err=True)
+        sys.exit(status if isinstance(status, int) else 0)
+
+
+def _described(error: Exception) -> tuple[int, str]:
+    """Exit status and one line for whatever was raised."""
+    if isinstance(error, CodegenError):
+        return 2, _one_line(str(error))
+    if hasattr(error, "format_message"):  # a usage error of typer, whose class moved between versions
+        command = getattr(getattr(error, "ctx", None), "command_path", "codegen")
+        return 2, _one_line(f"{error.format_message().rstrip('.')}; see {command} --help")
+    if isinstance(error, MemoryError):
+        return 2, "there is not enough memory; take fewer --steps, or a larger --every"
+    if type(error).__name__ == "Abort":
+        return 1, "aborted"
+    if os.environ.get("CODEGEN_TRACEBACK"):
+        traceback.print_exception(error)
+    text = f"unexpected {type(error).__name__}: {error}"
+    return 1, _one_line(text, 200) + "; this is a defect of codegen, please report what CODEGEN_TRACEBACK=1 shows"
+
+
+def _one_line(text: str, limit: int = 1000) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= limit else line[:limit] + " ..."
+
+
+main = typer.Typer(
+    cls=OneLineErrors,
+    help="Derive, emit and solve discrete mechanics: problems in sympy become self-contained numba solvers.",
+    add_completion=False,
+    rich_markup_mode=None,  # plain help needs no rich
+)
+
+
+def _positive(text: str | int) -> int:
+    """A positive integer; typer passes defaults through as well."""
+    if isinstance(text, int):
+        return text
+    if not (text.isascii() and text.isdigit() and len(text) < 13 and int(text) > 0):
+        raise typer.BadParameter(f"{text!r} is not a positive integer")
+    return int(text)
+
+
+class Controls(StrEnum):
+    """Where controls live."""
+
+    INTERVAL = "interval"
+    NODAL = "nodal"
+
+
+Problem = Annotated[Path, typer.Argument(metavar="PROBLEM.py", help="The problem file.", show_default=False)]
+Set = Annotated[list[str], typer.Option("--set", metavar="NAME=VALUE", help="An argument of problem(); repeatable.")]
+Scheme = Annotated[str | None, typer.Option(help="Discretisation, such as midpoint or stormer-verlet.")]
+Method = Annotated[str | None, typer.Option(help="Formulation: variational or hamiltonian.")]
+Place = Annotated[Controls, typer.Option(help="Where controls live; nodal reproduces the thesis.")]
+Steps = Annotated[
+    int | None, typer.Option(parser=_positive, metavar="N", help="Number of intervals. [default: the problem's own]")
+]
+Every = Annotated[int, typer.Option(parser=_positive, metavar="N", help="Store every so many-th step of a simulation.")]
+Repeat = Annotated[int, typer.Option(parser=_positive, metavar="N", help="Time the best of so many solves.")]
+Log = Annotated[bool, typer.Option("--log", help="Print the iterates of the generated solver.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if up to date, else a cache]")]
+
+
+@main.callback(invoke_without_command=True)
+def _group(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    if version:
+        from codegen import __version__
+
+        typer.echo(f"codegen {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        raise ArgumentError("no command was given", "use build, solve, check or show; see codegen --help")
+
+
+@main.command()
+def build(
+    problem: Problem,
+    set_: Set = [],  # noqa: B006  typer copies it
+    scheme: Scheme = None,
+    method: Method = None,
+    controls: Place = Controls.INTERVAL,
+    out: Annotated[Path, typer.Option(help="Folder for the module.")] = Path("generated"),
+    no_compile: Annotated[bool, typer.Option("--no-compile", help="Leave compilation to the first solve.")] = False,
+) -> None:
+    """Derive and write the module that solves a problem, and compile it."""
+    from codegen import output
+
+    output.require_folder(out, "--out", may_be_made=True)
+    with _working("Deriving"):
+        made = _build(problem, set_, scheme, method, controls, out)
+    seconds = made.seconds
+    if not no_compile:
+        from codegen import drivers
+        from codegen.load import load
+
+        with _working("Compiling"):
+            seconds += drivers.prepare(load(made.path))
+    state = "written" if made.written else "up to date"
+    typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")
+
+
+@main.command()
+def solve(
+    problem: Problem,
+    set_: Set = [],  # noqa: B006
+    scheme: Scheme = None,
+    method: Method = None,
+    controls: Place = Controls.INTERVAL,
+    driver: Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr or fsolve.")] = "newton",
+    steps: Steps = None,
+    every: Every = 1,
+    repeat: Repeat = 1,
+    json: Json = False,
+    log: Log = False,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
+    out: Out = None,
+) -> None:
+    """Solve a problem, building its module first where that is necessary."""
+    from codegen import drivers, output
+
+    _require_sensible(driver, log, plot, save, out)
+    with _working("Deriving"):
+        made = _build(problem, set_, scheme, method, controls, out)
+    with _working("Solving"):
+        from codegen.load import load
+
+        begin = time.perf_counter()
+        module = load(made.path)
+        load_seconds = time.perf_counter() - begin
+        _require_fitting(module.metadata["task"], driver, every, log)
+        result = drivers.solve(module, driver, steps=steps, every=every, repeat=repeat)
+    compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
+    record = output.as_record(result, made.seconds + compile_seconds, load_seconds + read_seconds)
+    if save is not None:
+        output.save(result, record, save)
+    if plot is not None:
+        output.draw(result, plot)
+    if log:
+        _console(stderr=json).print(output.log_table(result))
+    if json:
+        typer.echo(output.as_json(record))
+    else:
+        _console().print(result.title, style="bold", markup=False)
+        _console().print(output.as_table(record))
+    if not result.solved:
+        typer.echo(_one_line(f"codegen: {result.message}"), err=True)
+        raise typer.Exit(1)
+
+
+@main.command()
+def check(
+    problem: Problem,
+    set_: Set = [],  # noqa: B006
+    scheme: Scheme = None,
+    method: Method = None,
+    controls: Place = Controls.INTERVAL,
+    out: Annotated[Path | None, typer.Option(help="Folder of the module to check. [default: generated]")] = None,
+) -> None:
+    """Check the derivation and the generated code; exit status 1 if a check fails."""
+    from codegen import output
+    from codegen.problem_file import parse_arguments
+
+    if out is not None:
+        output.require_folder(out, "--out")
+    arguments = parse_arguments(set_)
+    with _working("Checking"):
+        from codegen import checks, compiler
+
+        # A module that someone keeps is checked as it stands, never rebuilt: it may have been changed by hand.
+        choices = compiler.Choices(scheme, method, controls.value)
+        kept = (out or compiler.GENERATED) / f"{compiler.module_name(problem, arguments, choices)}.py"
+        made = kept if kept.is_file() else _build(problem, set_, scheme, method, controls, None).path
+        findings = checks.run(problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made)
+    _console().print(output.findings_table(findings))
+    failed = [finding for finding in findings if not finding.passed]
+    if failed:
+        text = f"codegen: {len(failed)} of {len(findings)} checks failed, first {failed[0].check}"
+        typer.echo(_one_line(text), err=True)
+        raise typer.Exit(1)
+
+
+@main.command()
+def show(
+    problem: Problem,
+    set_: Set = [],  # noqa: B006
+    scheme: Scheme = None,
+    method: Method = None,
+    controls: Place = Controls.INTERVAL,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
+) -> None:
+    """Print the derived discrete equations."""
+    from codegen.problem_file import parse_arguments
+    from codegen.show import equations
+
+    arguments = parse_arguments(set_)
+    with _working("Deriving"):
+        text = equations(problem, arguments, scheme=scheme, method=method, controls=controls.value, latex=latex)
+    typer.echo(text)
+
+
+def _build(
+    problem: Path, set_: list[str], scheme: str | None, method: str | None, controls: Controls, out: Path | None
+) -> Build:
+    from codegen import compiler
+    from codegen.problem_file import parse_arguments
+
+    arguments = parse_arguments(set_)
+    return compiler.build(problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out)
+
+
+def _require_sensible(driver: str, log: bool, plot: Path | None, save: Path | None, out: Path | None) -> None:
+    """Refuse, before anything is derived, what could only fail after everything is solved."""
+    from codegen import drivers, output
+
+    drivers.find(driver)
+    if log and driver != "newton":
+        raise ArgumentError(f"driver {driver} keeps no log of its iterates", "use --log with --driver newton")
+    for path, kinds, option in ((plot, output.PICTURES, "--plot"), (save, output.ARCHIVES, "--save")):
+        if path is not None:
+            output.require_writable(path, kinds, option)
+    if out is not None:
+        output.require_folder(out, "--out", may_be_made=True)
+
+
+def _require_fitting(task: str, driver: str, every: int, log: bool) -> None:
+    """Refuse options that mean nothing for the task."""
+    from codegen import drivers
+
+    drivers.find(driver, task)
+    if every > 1 and task != "simulate":
+        raise ArgumentError(f"--every {every} thins simulations, and this is a {task} problem", "leave it out")
+    if log and task == "simulate":
+        raise ArgumentError("--log shows iterates of an optimisation, and this is a simulation", "leave it out")
+
+
+def _console(stderr: bool = False) -> Any:
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False)
+
+
+def _working(what: str) -> AbstractContextManager[Any]:
+    """A sign of life on a terminal, nothing elsewhere."""
+    if not sys.stderr.isatty():
+        return nullcontext()
+    return _console(stderr=True).status(f"{what} ...")  # type: ignore[no-any-return]

@@ -1,0 +1,93 @@
+"""The result of an optimal-control problem, with residuals that are evaluated outside the driver."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codegen.drivers.result import ControlAttempt, Request, Result, component_names, max_norm
+from codegen.load import ControlModule, Entries, Grid, Matrix, Vector
+
+
+def control_result(module: ControlModule, driver: str, request: Request, attempt: ControlAttempt) -> Result:
+    """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
+    metadata, unknowns, grid = module.metadata, attempt.unknowns, module.make_grid(request.steps)
+    residual = max(max_norm(module.constraints(grid, unknowns)), max_norm(_pinned_error(module, grid, unknowns)))
+    stationarity = max_norm(module.stationarity(grid, unknowns))
+    status, message = attempt.status, attempt.message
+    rounding = _rounding_level(module, grid, unknowns) if np.isfinite(residual + stationarity) else 0.0
+    scale = max(1.0, max_norm(module.cost_gradient(grid, unknowns)))
+    too_large = residual > 10.0 * max(attempt.tolerance, rounding)
+    too_steep = stationarity > 10.0 * max(attempt.tolerance * scale, rounding)
+    if status == "solved" and (too_large or too_steep or not np.isfinite(residual + stationarity)):
+        status = "inaccurate"
+        message = (
+            f"{driver} reported success, but the discrete equations have residual {residual:.1e} and the optimality "
+            f"conditions {stationarity:.1e}; try more steps, or --driver newton."
+        )
+    t, q, p, u, multipliers = module.unpack(grid, unknowns)
+    return Result(
+        problem=metadata["problem"],
+        title=metadata["title"],
+        task="control",
+        method=metadata["method"],
+        scheme=metadata["scheme"],
+        driver=driver,
+        steps=grid.steps,
+        status=status,
+        message=message,
+        cost=float(module.cost(grid, unknowns)),
+        residual=residual,
+        stationarity=stationarity,
+        iterations=attempt.iterations,
+        t=t,
+        q=q,
+        p=p,
+        u=u,
+        multipliers=multipliers,
+        energy=None,
+        log=attempt.log,
+        names=component_names(metadata),
+        summary={
+            "duration": float(t[-1] - t[0]),
+            "final_state_miss": _final_state_miss(module, grid, unknowns, q),
+            "largest_control": max_norm(u),
+            "stationarity": stationarity,
+        },
+    )
+
+
+def _pinned_error(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
+    """By how much the unknowns that a boundary condition fixes differ from their values."""
+    pinned = np.ones(unknowns.size, dtype=bool)
+    pinned[module.primal_unknowns(grid)] = False
+    pinned[module.multiplier_unknowns(grid)] = False
+    return (unknowns - module.initial_guess(grid))[pinned]
+
+
+def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector) -> float:
+    """Error of a residual when every unknown is off by half a unit in the last place: eps max_i |K| |x|.
+
+    Source: Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    """
+    primal, dual = np.abs(unknowns[module.primal_unknowns(grid)]), np.abs(unknowns[module.multiplier_unknowns(grid)])
+
+    def row_sums(entries: Entries, x: Vector, size: int, transposed: bool = False) -> Vector:
+        rows, columns, values = entries
+        rows, columns = (columns, rows) if transposed else (rows, columns)
+        return np.asarray(np.bincount(rows, np.abs(values) * x[columns], minlength=size), dtype=float)
+
+    jacobian, hessian = module.jacobian(grid, unknowns), module.hessian(grid, unknowns)
+    equations = row_sums(jacobian, primal, dual.size)
+    optimality = row_sums(hessian, primal, primal.size) + row_sums(jacobian, dual, primal.size, transposed=True)
+    return float(np.finfo(float).eps) * max(max_norm(equations), max_norm(optimality))
+
+
+def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector, q: Matrix) -> float:
+    """Largest error of the conditions at the end: prescribed positions, and equations of the last node."""
+    boundary = module.metadata["boundary"]
+    values = dict(zip(boundary, grid.parameters[len(grid.parameters) - len(boundary) :], strict=True))
+    coordinates = module.metadata["coordinates"]
+    misses = [q[-1, i] - values[f"end {name}"] for i, name in enumerate(coordinates) if f"end {name}" in values]
+    last_node = unknowns.size - len(module.metadata["node"]) - getattr(module, "END_EXTRA", 0)
+    at_end = module.multiplier_unknowns(grid) >= last_node
+    return max(max_norm(np.array(misses)), max_norm(module.constraints(grid, unknowns)[at_end]))

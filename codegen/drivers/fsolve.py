@@ -1,0 +1,110 @@
+"""MINPACK's hybrid Powell method with exact Jacobians: implicit steps, and the KKT system as square equations.
+
+Source: Powell (1970), A hybrid method for nonlinear equations; More, Garbow and Hillstrom (1980), User guide for
+MINPACK-1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.optimize import fsolve
+
+from codegen.drivers.result import ControlAttempt, Request, SimulateAttempt, max_norm
+from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.errors import ArgumentError
+from codegen.load import ControlModule, ImplicitModule, Matrix, SimulateModule, StepGrid, Vector, is_implicit
+
+TOLERANCE = 1e-8
+LIMIT = 3000
+
+
+def control(module: ControlModule, request: Request) -> ControlAttempt:
+    """Solve residual = 0 and stationarity = 0 for unknowns and multipliers together.
+
+    Finds a stationary point, which need not be a minimum.
+    """
+    problem = ScaledProblem.on_grid(module, request.steps)
+    problem.require_at_most(LIMIT, "fsolve")
+    count = problem.primal.size
+
+    def equations(y: Vector) -> Vector:
+        x, nu = y[:count], y[count:]
+        return np.concatenate([problem.stationarity(x, nu), problem.constraints(x)])
+
+    def kkt_matrix(y: Vector) -> Matrix:
+        jacobian = problem.jacobian(y[:count]).toarray()
+        hessian = problem.hessian(y[:count], y[count:]).toarray()
+        return np.block([[hessian, jacobian.T], [jacobian, np.zeros((problem.dual.size, problem.dual.size))]])
+
+    start = np.concatenate([problem.start, np.zeros(problem.dual.size)])
+    with quiet_single_thread():
+        y, details, code, reason = fsolve(equations, start, fprime=kkt_matrix, full_output=True, xtol=1e-13)
+    evaluations = int(details["nfev"])
+    status, message = _verdict(y, details, code, reason)
+    if status == "solved":
+        message = f"fsolve found a stationary point with {evaluations} evaluations"
+    return ControlAttempt(status, message, evaluations, problem.unknowns(y[:count], y[count:]), TOLERANCE)
+
+
+def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
+    """Solve the equations of each step from the scheme's own prediction; iterations are evaluations of the residual.
+
+    Raises ArgumentError when the scheme is explicit for this problem.
+    """
+    if not is_implicit(module):
+        raise ArgumentError(
+            f"driver fsolve has nothing to solve: {module.metadata['scheme']} is explicit for this problem",
+            "use newton, or an implicit scheme such as midpoint",
+        )
+    grid = module.make_grid(request.steps)
+    states, evaluations = [grid.start], 0
+    status, message = "solved", ""
+    with quiet_single_thread():
+        for k in range(grid.steps):
+            y, details, code, reason = _solve_step(module, grid, states[-1], k * grid.h)
+            evaluations += int(details["nfev"])
+            status, message = _verdict(y, details, code, reason)
+            if status != "solved":
+                message = f"in step {k + 1} of {grid.steps}, from t = {k * grid.h:g}, {message}"
+                break
+            states.append(np.asarray(module.complete(grid, y, states[-1], k * grid.h)))
+    path, steps = np.array(states), len(states) - 1
+    stored = np.unique([*range(0, steps + 1, request.every), steps])
+    times, dimension = grid.h * stored, path.shape[1] // 2
+    return SimulateAttempt(
+        status=status,
+        message=message or f"all {steps} steps were made with {evaluations / steps:.2f} evaluations each",
+        iterations=evaluations,
+        t=times,
+        q=path[stored, :dimension],
+        p=path[stored, dimension:],
+        energy=np.array([module.energy(row, t, grid.parameters) for row, t in zip(path[stored], times, strict=True)]),
+        steps=steps,
+        residual=module.path_residual(grid, path) if steps else float("nan"),
+        tolerance=TOLERANCE,
+    )
+
+
+def _solve_step(module: ImplicitModule, grid: StepGrid, state: Vector, t: float) -> Any:
+    return fsolve(
+        lambda y: module.residual(grid, y, state, t),
+        module.predict(grid, state, t),
+        fprime=lambda y: module.jacobian(grid, y, state, t),
+        full_output=True,
+        xtol=1e-13,
+    )
+
+
+def _verdict(y: Vector, details: Mapping[str, Any], code: int, reason: str) -> tuple[str, str]:
+    """Status and message; slow progress (codes 3 to 5) is how the method ends at rounding level."""
+    residual = max_norm(details["fvec"])
+    if not np.isfinite(y).all() or not np.isfinite(residual):
+        return "non-finite", "non-finite: an expression is infinite or no number; check the start and the parameters"
+    if code == 1 or (code in (3, 4, 5) and residual <= 1e-11 * max(1.0, max_norm(y))):
+        return "solved", ""
+    if code == 2:
+        return "iteration limit", "iteration limit: fsolve ran out of evaluations; try --driver newton, or more steps"
+    return "stalled", f"stalled: fsolve says, {' '.join(reason.split())} Try --driver newton, or more steps"

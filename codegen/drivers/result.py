@@ -1,0 +1,118 @@
+"""What drivers are asked, what they claim, and the result that is returned to the user."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from codegen.load import Matrix, Vector
+
+STATUSES = {
+    "solved": "the equations hold to the driver's tolerance, or to rounding",
+    "iteration limit": "the iterations ran out first",
+    "stalled": "no step makes further progress, though the residual is small",
+    "infeasible": "the equations cannot be satisfied near the last iterate",
+    "rank-deficient": "boundary conditions or controls are redundant or insufficient",
+    "unbounded": "the cost decreases without limit along the equations",
+    "non-finite": "an expression became infinite or NaN",
+    "singular": "the equations of one step have no unique solution",
+    "newton failed": "Newton's method did not converge within one step",
+    "inaccurate": "the driver claimed success, but the residuals evaluated afterwards are too large",
+}
+"""Every status word and its meaning; all but the first are failures."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a driver: the number of steps, and for a simulation to store every how many-th of them."""
+
+    steps: int
+    every: int = 1
+
+
+@dataclass(frozen=True)
+class ControlAttempt:
+    """What a driver claims about an optimal-control problem; `tolerance` is the accuracy that it promises."""
+
+    status: str
+    message: str
+    iterations: int
+    unknowns: Vector
+    tolerance: float
+    log: Matrix | None = None
+
+
+@dataclass(frozen=True)
+class SimulateAttempt:
+    """What a driver claims about a simulation, at the stored steps."""
+
+    status: str
+    message: str
+    iterations: int
+    t: Vector
+    q: Matrix
+    p: Matrix
+    energy: Vector
+    steps: int
+    residual: float
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """A solution with its residuals; arrays run over the nodes, `u` over the intervals unless controls are nodal.
+
+    `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
+    evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
+    first run, which compiled if `compiled`.
+    """
+
+    problem: str
+    title: str
+    task: str
+    method: str
+    scheme: str
+    driver: str
+    steps: int
+    status: str
+    message: str
+    cost: float | None
+    residual: float
+    stationarity: float | None
+    iterations: int
+    t: Vector = field(repr=False)
+    q: Matrix = field(repr=False)
+    p: Matrix = field(repr=False)
+    u: Matrix | None = field(repr=False)
+    multipliers: Matrix | None = field(repr=False)
+    energy: Vector | None = field(repr=False)
+    log: Matrix | None = field(repr=False)
+    names: dict[str, tuple[str, ...]]
+    summary: dict[str, float]
+    seconds_solve: float = float("nan")
+    seconds_first: float = float("nan")
+    compiled: bool = False
+
+    @property
+    def solved(self) -> bool:
+        """Whether the numerics succeeded."""
+        return self.status == "solved"
+
+
+def max_norm(values: Vector) -> float:
+    """Max-norm; infinite when an entry is not finite."""
+    if values.size == 0:
+        return 0.0
+    norm = float(np.max(np.abs(values)))
+    return norm if np.isfinite(norm) else float("inf")
+
+
+def component_names(metadata: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """What the columns of q, p and u are called."""
+    coordinates = tuple(metadata["coordinates"])
+    is_hamiltonian = metadata.get("form") == "hamiltonian"
+    momenta = metadata["rates"] if is_hamiltonian else [f"p_{name}" for name in coordinates]
+    return {"q": coordinates, "p": tuple(momenta), "u": tuple(metadata.get("control_names", ()))}

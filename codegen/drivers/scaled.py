@@ -1,0 +1,132 @@
+"""The optimal-control problem as scipy wants it: free unknowns only, equations of comparable size.
+
+Each equation is divided by the largest entry of its row of the Jacobian at the initial guess, and the cost by its
+largest derivative there if that exceeds one, as in section 3.8 of Waechter and Biegler (2006). Unknowns are not
+scaled. With the multipliers nu of the scaled problem, lambda = r nu / f belongs to the original one.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+from threadpoolctl import threadpool_limits
+
+from codegen.drivers.result import max_norm
+from codegen.errors import ArgumentError
+from codegen.load import ControlModule, Entries, Grid, Indices, Vector
+
+
+@contextmanager
+def quiet_single_thread() -> Iterator[None]:
+    """One BLAS thread, because more only wait for each other on small matrices, and no warnings.
+
+    What would be warned of, a singular matrix or an overflow, shows in the status and in the residuals.
+    """
+    with threadpool_limits(limits=1), warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        yield
+
+
+@dataclass(frozen=True)
+class ScaledProblem:
+    """Minimise f J(x) such that r_i c_i(x) = 0; `base` holds the values of pinned unknowns."""
+
+    module: ControlModule
+    grid: Grid
+    base: Vector
+    primal: Indices
+    dual: Indices
+
+    @classmethod
+    def on_grid(cls, module: ControlModule, steps: int) -> ScaledProblem:
+        """The problem on N intervals."""
+        grid = module.make_grid(steps)
+        base = module.initial_guess(grid)
+        return cls(module, grid, base, module.primal_unknowns(grid), module.multiplier_unknowns(grid))
+
+    @property
+    def start(self) -> Vector:
+        """Free primal unknowns of the initial guess."""
+        return self.base[self.primal]
+
+    @cached_property
+    def row_scale(self) -> Vector:
+        """The factors r of the equations."""
+        rows, _, values = self.module.jacobian(self.grid, self.base)
+        size = np.zeros(self.dual.size)
+        np.maximum.at(size, rows, np.abs(values))
+        return 1.0 / np.where((size > 0.0) & np.isfinite(size), size, 1.0)
+
+    @cached_property
+    def cost_scale(self) -> float:
+        """The factor f of the cost."""
+        size = max_norm(self.module.cost_gradient(self.grid, self.base))
+        return 1.0 / max(1.0, size) if np.isfinite(size) else 1.0
+
+    def unknowns(self, x: Vector, nu: Vector | None = None) -> Vector:
+        """All unknowns, for free primal unknowns x and scaled multipliers nu (default zero)."""
+        unknowns = self.base.copy()
+        unknowns[self.primal] = x
+        unknowns[self.dual] = 0.0 if nu is None else self.row_scale * nu / self.cost_scale
+        return unknowns
+
+    def cost(self, x: Vector) -> float:
+        """The scaled cost."""
+        return self.cost_scale * self.module.cost(self.grid, self.unknowns(x))
+
+    def cost_gradient(self, x: Vector) -> Vector:
+        """Its gradient."""
+        return self.cost_scale * self.module.cost_gradient(self.grid, self.unknowns(x))
+
+    def constraints(self, x: Vector) -> Vector:
+        """The scaled equations."""
+        return self.row_scale * self.module.constraints(self.grid, self.unknowns(x))
+
+    def jacobian(self, x: Vector) -> Any:
+        """Their Jacobian, a sparse matrix."""
+        rows, columns, values = self.module.jacobian(self.grid, self.unknowns(x))
+        return self._sparse((rows, columns, values * self.row_scale[rows]), self.dual.size)
+
+    def hessian(self, x: Vector, nu: Vector | None = None) -> Any:
+        """Hessian of the scaled Lagrangian, a sparse matrix; without nu that of the cost."""
+        rows, columns, values = self.module.hessian(self.grid, self.unknowns(x, nu))
+        return self._sparse((rows, columns, self.cost_scale * values), self.primal.size)
+
+    def stationarity(self, x: Vector, nu: Vector) -> Vector:
+        """Gradient of the scaled Lagrangian."""
+        return self.cost_scale * self.module.stationarity(self.grid, self.unknowns(x, nu))
+
+    def multipliers(self, x: Vector) -> Vector:
+        """Scaled multipliers that minimise the 2-norm of the stationarity, by one sparse augmented system."""
+        jacobian = self.jacobian(x)
+        identity = scipy.sparse.identity(self.primal.size)
+        system = scipy.sparse.bmat([[identity, jacobian.T], [jacobian, None]], format="csc")
+        right = np.concatenate([-self.cost_gradient(x), np.zeros(self.dual.size)])
+        try:
+            nu = scipy.sparse.linalg.splu(system).solve(right)[self.primal.size :]
+        except RuntimeError:  # exactly singular
+            nu = np.full(self.dual.size, np.nan)
+        if not np.isfinite(nu).all():
+            nu = np.linalg.lstsq(jacobian.T.toarray(), -self.cost_gradient(x), rcond=None)[0]
+        return np.asarray(nu, dtype=float)
+
+    def require_at_most(self, limit: int, driver: str) -> None:
+        """Refuse problems that would take a dense solver minutes and gigabytes."""
+        size = self.primal.size + self.dual.size
+        if size > limit:
+            raise ArgumentError(
+                f"driver {driver} uses dense matrices, and {self.grid.steps} steps make {size} unknowns and equations",
+                f"take fewer steps (at most {limit} unknowns and equations), or use newton or trust-constr",
+            )
+
+    def _sparse(self, entries: Entries, height: int) -> Any:
+        rows, columns, values = entries
+        return scipy.sparse.csr_array((values, (rows, columns)), shape=(height, self.primal.size))

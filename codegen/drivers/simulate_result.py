@@ -1,0 +1,55 @@
+"""The result of a simulation, with residuals that are evaluated outside the driver where all states are stored."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codegen.drivers.result import Request, Result, SimulateAttempt, component_names, max_norm
+from codegen.load import SimulateModule
+
+
+def simulate_result(
+    module: SimulateModule, driver: str, request: Request, attempt: SimulateAttempt, seconds: float
+) -> Result:
+    """Re-evaluate the residual of an attempt, and downgrade a false claim of success."""
+    metadata = module.metadata
+    residual = attempt.residual
+    if request.every == 1 and attempt.t.size > 1:
+        residual = module.path_residual(module.make_grid(request.steps), np.hstack([attempt.q, attempt.p]))
+    status, message = attempt.status, attempt.message
+    rounding = 1e3 * float(np.finfo(float).eps) * max(1.0, max_norm(attempt.q), max_norm(attempt.p))
+    if status == "solved" and not residual <= max(attempt.tolerance, rounding):
+        status = "inaccurate"
+        message = f"{driver} reported success, but the scheme's equations have residual {residual:.1e}; try more steps"
+    names = component_names(metadata)
+    drift = np.abs(attempt.energy - attempt.energy[0])
+    final = zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True)
+    return Result(
+        problem=metadata["problem"],
+        title=metadata["title"],
+        task="simulate",
+        method=metadata["method"],
+        scheme=metadata["scheme"],
+        driver=driver,
+        steps=request.steps,
+        status=status,
+        message=message,
+        cost=None,
+        residual=float(residual),
+        stationarity=None,
+        iterations=attempt.iterations,
+        t=attempt.t,
+        q=attempt.q,
+        p=attempt.p,
+        u=None,
+        multipliers=None,
+        energy=attempt.energy,
+        log=None,
+        names=names,
+        summary={
+            "duration": float(attempt.t[-1]),
+            **{f"final_{name}": float(value) for name, value in final},
+            "energy_drift": float(drift.max()),
+            "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
+        },
+    )

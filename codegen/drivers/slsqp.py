@@ -1,0 +1,44 @@
+"""scipy's SLSQP: sequential quadratic programming with BFGS updates, dense. Source: Kraft (1988)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import minimize
+
+from codegen.drivers.result import ControlAttempt, Request
+from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.load import ControlModule
+
+TOLERANCE = 1e-6
+LIMIT = 3000
+MAX_ITERATIONS = 1000
+
+_FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank-deficient", 9: "iteration limit"}
+
+
+def control(module: ControlModule, request: Request) -> ControlAttempt:
+    """Minimise the cost; multipliers are the least-squares estimate at the solution."""
+    problem = ScaledProblem.on_grid(module, request.steps)
+    problem.require_at_most(LIMIT, "slsqp")
+    start = problem.start
+    equations = {"type": "eq", "fun": problem.constraints, "jac": lambda x: problem.jacobian(x).toarray()}
+    # SLSQP compares changes of the cost with ftol itself.
+    ftol = 1e-12 * max(1.0, abs(problem.cost(start)))
+    with quiet_single_thread():
+        found = minimize(
+            problem.cost,
+            start,
+            jac=problem.cost_gradient,
+            constraints=[equations],
+            method="SLSQP",
+            options={"maxiter": MAX_ITERATIONS, "ftol": ftol},
+        )
+        unknowns = problem.unknowns(found.x, problem.multipliers(found.x))
+    status = "solved" if found.success else _FAILURES.get(int(found.status), "stalled")
+    status = status if np.isfinite(found.fun) else "non-finite"
+    message = (
+        f"SLSQP found a local minimum in {found.nit} iterations"
+        if status == "solved"
+        else f"{status}: SLSQP gave up after {found.nit} iterations ({found.message}); try --driver newton"
+    )
+    return ControlAttempt(status, message, int(found.nit), unknowns, TOLERANCE)

@@ -1,0 +1,56 @@
+"""scipy's trust-constr: trust-region SQP, sparse, with the exact Hessian of the Lagrangian.
+
+Source: Byrd, Hribar and Nocedal (1999); Conn, Gould and Toint (2000), section 15.4.2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import NonlinearConstraint, minimize
+
+from codegen.drivers.result import ControlAttempt, Request
+from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.load import ControlModule
+
+TOLERANCE = 1e-6
+MAX_ITERATIONS = 1000
+
+_GRADIENT_SMALL, _STEP_SMALL = 1, 2
+
+
+def control(module: ControlModule, request: Request) -> ControlAttempt:
+    """Minimise the cost; multipliers are the least-squares estimate at the solution."""
+    problem = ScaledProblem.on_grid(module, request.steps)
+    with quiet_single_thread():
+        equations = NonlinearConstraint(
+            problem.constraints,
+            0.0,
+            0.0,
+            jac=problem.jacobian,
+            # scipy wants the equations' share alone.
+            hess=lambda x, nu: problem.hessian(x, nu) - problem.hessian(x),
+        )
+        found = minimize(
+            problem.cost,
+            problem.start,
+            jac=problem.cost_gradient,
+            hess=problem.hessian,
+            constraints=[equations],
+            method="trust-constr",
+            options={"maxiter": MAX_ITERATIONS, "gtol": 1e-9, "xtol": 1e-14},
+        )
+        unknowns = problem.unknowns(found.x, problem.multipliers(found.x))
+    if not np.isfinite(found.fun):
+        status = "non-finite"
+    elif found.status in (_GRADIENT_SMALL, _STEP_SMALL):
+        # A vanishing trust region is how the method ends at rounding level; where it ends elsewhere, the
+        # residuals evaluated afterwards tell.
+        status = "solved"
+    else:
+        status = "iteration limit"
+    message = (
+        f"trust-constr found a local minimum in {found.nit} iterations"
+        if status == "solved"
+        else f"{status}: trust-constr gave up after {found.nit} iterations; try --driver newton"
+    )
+    return ControlAttempt(status, message, int(found.nit), unknowns, TOLERANCE)

@@ -1,0 +1,226 @@
+"""StepProgram and its derivatives -> Module: kernels and texts of an initial value problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.derive import StepDerivatives
+from codegen.discretise import STEP
+from codegen.lower.kernels import Kernel, Line, Output, kernel
+from codegen.lower.module import Argument, SimulateModule
+from codegen.lower.printer import scalar_code
+from codegen.transcribe.program import StepProgram
+
+_ARGUMENTS = ("state", "t", "h", "parameters")
+
+
+def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
+    """Write every kernel of an initial value problem as strings."""
+    model = program.model
+    kernels = (
+        *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
+        _equations_kernel(program),
+        kernel("energy", "The Hamiltonian.", ("state", "t", "parameters"), _places(program), (), program.energy),
+    )
+    quantity = program.start_values[0].quantity
+    return SimulateModule(
+        template="simulate.py.j2",
+        name=model.name,
+        title=model.title,
+        description=tuple(_description(program, kernels)),
+        left_out=tuple(_left_out(program, derivatives)),
+        metadata=tuple(_metadata(program, derivatives, kernels)),
+        constants=tuple(_constants(program)),
+        kernels=kernels,
+        runtime=_runtime(program, derivatives),
+        arguments=tuple(
+            Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
+        ),
+        steps=model.steps,
+        duration=scalar_code(model.duration),
+        start_values=tuple(
+            Line(value.symbol.name, scalar_code(value.value), value.quantity) for value in program.start_values
+        ),
+        start=tuple(
+            Line(unknown.name, scalar_code(value)) for unknown, value in zip(program.state, program.start, strict=True)
+        ),
+        start_example=f'{{"{quantity}": 0.5}}',
+        state_names=", ".join(unknown.name for unknown in program.state),
+        coordinates=len(model.coordinates),
+    )
+
+
+def _places(program: StepProgram) -> dict[Symbol, str]:
+    """The code that reads each symbol inside a kernel."""
+    places = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(program.unknowns)}
+    places |= {symbol: f"state[{i}]" for i, symbol in enumerate(program.left_symbols)}
+    places |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(program.model.parameters)}
+    return places | {program.model.time: "t", STEP: "h"}
+
+
+def _interval(program: StepProgram) -> tuple[Symbol, ...]:
+    return (*program.stage_symbols, *program.right_symbols)
+
+
+def _interval_outputs(program: StepProgram) -> list[Output]:
+    return [Output(f"interval[{i}]", symbol, symbol.name) for i, symbol in enumerate(_interval(program))]
+
+
+def _explicit_kernel(program: StepProgram) -> Kernel:
+    return kernel(
+        "explicit_step",
+        "Inner stages, if there are any, and the state at the right node.",
+        (*_ARGUMENTS, "interval"), _places(program), _interval_outputs(program), None, program.before,
+    )  # fmt: skip
+
+
+def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tuple[Kernel, ...]:
+    places = _places(program)
+    names = [symbol.name for symbol in program.unknowns]
+    guess = [Output(f"unknowns[{i}]", value, names[i]) for i, value in enumerate(program.guess)]
+    residual = [Output(f"residual[{i}]", value, "") for i, value in enumerate(program.residual)]
+    entries = [
+        Output(f"jacobian[{i}, {j}]", entry, f"by {names[j]}")
+        for i, row in enumerate(derivatives.jacobian)
+        for j, entry in enumerate(row)
+    ]
+    listed = ", ".join(names)
+    needed = _needed(program.before, (*program.residual, *(entry.value for entry in entries)))
+    return (
+        kernel("predict_step", f"Where to start solving for {listed}.", (*_ARGUMENTS, "unknowns"), places, guess),
+        kernel(
+            "step_residual", f"What must vanish, as a function of {listed}.",
+            ("unknowns", *_ARGUMENTS, "residual"), places, residual, None, _needed(program.before, program.residual),
+        ),
+        kernel(
+            "step_jacobian", f"Residual, and its Jacobian by {listed}.",
+            ("unknowns", *_ARGUMENTS, "residual", "jacobian"), places, [*residual, *entries], None, needed,
+        ),
+        kernel(
+            "complete_step", f"Inner stages, if there are any, and the state at the right node, given {listed}.",
+            ("unknowns", *_ARGUMENTS, "interval"), places, _interval_outputs(program), None,
+            (*program.before, *program.after),
+        ),
+    )  # fmt: skip
+
+
+def _needed(assignments: Sequence[tuple[Symbol, Expr]], read: Iterable[Expr]) -> tuple[tuple[Symbol, Expr], ...]:
+    """Those assignments that the expressions read, directly or through others."""
+    symbols = set().union(*(expression.free_symbols for expression in read))
+    kept: list[tuple[Symbol, Expr]] = []
+    for symbol, value in reversed(assignments):
+        if symbol in symbols:
+            kept.append((symbol, value))
+            symbols |= value.free_symbols
+    return tuple(reversed(kept))
+
+
+def _equations_kernel(program: StepProgram) -> Kernel:
+    places = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
+    places |= {symbol: code for symbol, code in _places(program).items() if symbol not in places}
+    outputs = [Output(f"residual[{i}]", value, name) for i, (name, value) in enumerate(program.equations)]
+    return kernel(
+        "step_equations", "The scheme's equations as they stand above; a step makes them vanish.",
+        ("state", "interval", "t", "h", "parameters", "residual"), places, outputs,
+    )  # fmt: skip
+
+
+def _constants(program: StepProgram) -> list[Line]:
+    stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
+    lines = [
+        Line("STATE", str(len(program.state)), "; ".join(f"{i}: {u.meaning}" for i, u in enumerate(program.state))),
+        Line("STAGES", str(len(program.stage_symbols)), f"values inside a step: {stages}"),
+    ]
+    if program.unknowns:
+        names = ", ".join(symbol.name for symbol in program.unknowns)
+        lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {names}"))
+    return lines
+
+
+def _solver(program: StepProgram, derivatives: StepDerivatives) -> str:
+    """How a step is solved: explicit, constant (matrix factored once), linear or newton."""
+    if not program.unknowns:
+        return "explicit"
+    if not program.linear:
+        return "newton"
+    return "constant" if derivatives.constant else "linear"
+
+
+def _runtime(program: StepProgram, derivatives: StepDerivatives) -> tuple[str, ...]:
+    step = f"step_{_solver(program, derivatives)}"
+    if not program.unknowns:
+        return (step, "trajectory", "path")
+    algebra = "scalar" if len(program.unknowns) == 1 else "dense"
+    return (algebra, step, "trajectory", "path", "step_callbacks")
+
+
+def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:
+    model = program.model
+    solver = _solver(program, derivatives)
+    out = []
+    if solver == "explicit":
+        out.append(f"Newton's method: the scheme is explicit for this {model.form.capitalize()}")
+    if solver in ("linear", "constant"):
+        out.append("Newton's iteration: the equations of a step are linear, one linear solve is exact")
+    if solver == "constant":
+        out.append("factorisation in every step: the matrix depends on parameters and h only")
+    if len(program.unknowns) == 1:
+        out.append("linear algebra: a step has one unknown")
+    eliminated = [s.name for s in _interval(program) if s not in program.unknowns]
+    if program.unknowns and eliminated:
+        out.append(f"{', '.join(eliminated)} among the unknowns: explicit, given {_listed(program.unknowns)}")
+    cyclic = [str(q) for q in model.coordinates if not any(e.has(q) for e in (model.function, *model.force))]
+    if cyclic:
+        out.append(f"derivatives of the {model.form.capitalize()} by {', '.join(cyclic)}: cyclic")
+    idle = [str(q) for q, f in zip(model.coordinates, model.force, strict=True) if f == 0]
+    if len(idle) == len(model.coordinates):
+        out.append("forces: there are none")
+    elif idle:
+        out.append(f"forces on {', '.join(idle)}: there are none")
+    if not any(e.has(model.time) for e in (model.function, *model.force)):
+        out.append("time in the kernels: nothing depends on it explicitly")
+    return out
+
+
+def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
+    lines = ["One step from t_k to t_k1 = t_k + h (suffixes _k and _k1 mark its nodes):", ""]
+    lines += [f"    {name} = {sympy.sstr(value)}" for name, value in program.summary]
+    if program.method == "variational":
+        lines += ["", "where each p_k = -D1 Ld - f- and p_k1 = D2 Ld + f+ (position-momentum form)."]
+    if program.unknowns:
+        lines += ["", f"These are solved for {_listed(program.unknowns)}; the rest is explicit."]
+    if program.method == "variational":
+        rates = zip(program.velocity_symbols, program.left_symbols, program.right_symbols, strict=False)
+        lines += ["", "Velocities of the step are unknowns in place of positions, so that no digits cancel:", ""]
+        lines += [f"    {v} = ({right} - {left})/h" for v, left, right in rates]
+    lines += ["", "Operations of one evaluation, before and after common subexpressions are shared:", ""]
+    lines += [f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
+    return lines
+
+
+def _metadata(program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel]) -> list[tuple[str, str]]:
+    model = program.model
+    dimension = len(model.coordinates)
+    return [
+        ("task", repr("simulate")),
+        ("method", repr(program.method)),
+        ("scheme", repr(program.scheme)),
+        ("order", repr(program.order)),
+        ("form", repr(model.form)),
+        ("solver", repr(_solver(program, derivatives))),
+        ("coordinates", repr(tuple(s.name for s in model.coordinates))),
+        ("rates", repr(tuple(s.name for s in model.rates))),
+        ("momenta", repr(tuple(u.name for u in program.state[dimension:]))),
+        ("node", repr(tuple(u.name for u in program.state))),
+        ("stages", repr(tuple(s.name for s in program.stage_symbols))),
+        ("unknowns", repr(tuple(s.name for s in program.unknowns))),
+        ("start", repr(tuple(value.quantity for value in program.start_values))),
+        ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+    ]
+
+
+def _listed(symbols: Sequence[Symbol]) -> str:
+    return ", ".join(symbol.name for symbol in symbols)

@@ -1,0 +1,188 @@
+"""What `codegen solve` leaves behind: one JSON object, a table, an archive of arrays, a picture."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from codegen.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from codegen.checks import Finding
+    from codegen.drivers.result import Result
+
+ARCHIVES = (".npz",)
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def require_writable(path: Path, kinds: tuple[str, ...], option: str) -> None:
+    """Refuse, before anything is solved, a file that could not be written; ArgumentError names the option."""
+    if path.suffix.lower() not in kinds:
+        raise ArgumentError(f"{option} {path}: unknown kind of file", f"let it end in {' or '.join(kinds)}")
+    if path.is_dir():
+        raise ArgumentError(f"{option} {path}: is a directory", "give the name of a file")
+    require_folder(path.absolute().parent, option)
+
+
+def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None:
+    """Refuse a folder that does not exist (unless it can be made), is none, or is not writable."""
+    while may_be_made and not folder.exists() and folder != folder.parent:
+        folder = folder.absolute().parent
+    if not folder.exists():
+        raise ArgumentError(f"{option}: there is no folder {folder}", "make it, or choose another")
+    if not folder.is_dir():
+        raise ArgumentError(f"{option}: {folder} is not a folder", "choose a folder")
+    try:
+        # Permissions alone do not tell: the file system may be read-only.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        finding = f"{option}: nothing can be written to {folder} ({error.strerror})"
+        raise ArgumentError(finding, "choose another folder") from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary file in the same folder that takes the name of `path` when the block ends without error.
+
+    ArgumentError when the file system refuses.
+    """
+    try:
+        handle, name = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            temporary.chmod(0o644)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise ArgumentError(f"{path} cannot be written ({error.strerror})", "choose another place") from error
+
+
+def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
+    """The JSON object of `--json`: keys as documented, every number finite or null."""
+    return {
+        "problem": result.problem,
+        "task": result.task,
+        "method": result.method,
+        "scheme": result.scheme,
+        "driver": result.driver,
+        "steps": result.steps,
+        "status": result.status,
+        "message": result.message,
+        "cost": _finite(result.cost),
+        "residual": _finite(result.residual),
+        "iterations": result.iterations,
+        "seconds": {"build": _finite(build), "load": _finite(load), "solve": _finite(result.seconds_solve)},
+        "summary": {name: _finite(value) for name, value in result.summary.items()},
+    }
+
+
+def as_json(record: Mapping[str, Any]) -> str:
+    """One line of strict JSON."""
+    return json.dumps(record, allow_nan=False)
+
+
+def _finite(number: float | None) -> float | None:
+    return float(number) if number is not None and math.isfinite(number) else None
+
+
+def as_table(record: Mapping[str, Any]) -> Table:
+    """The same record for people to read."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_header=False)
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    table.add_row("problem", f"{record['problem']} ({record['task']})")
+    table.add_row("discretisation", f"{record['method']}, {record['scheme']}, {record['steps']} steps")
+    style = "green" if record["status"] == "solved" else "bold red"
+    table.add_row("status", f"[{style}]{record['status']}[/]")
+    table.add_row("", _escaped(record["message"]))
+    if record["cost"] is not None:
+        table.add_row("cost", f"{record['cost']:.12g}")
+    table.add_row("residual", _number(record["residual"]))
+    table.add_row("iterations", f"{record['iterations']} ({record['driver']})")
+    for name, value in record["summary"].items():
+        table.add_row(name.replace("_", " "), _number(value))
+    seconds = record["seconds"]
+    table.add_row("time", ", ".join(f"{name} {_duration(value)}" for name, value in seconds.items()))
+    return table
+
+
+def log_table(result: Result) -> Table:
+    """The iterates of the generated solver."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="Iterations", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    for heading in ("iteration", "cost", "residual", "stationarity", "shift", "step"):
+        table.add_column(heading, justify="right")
+    for k, row in enumerate(result.log if result.log is not None else ()):
+        cost, residual, stationarity, shift, length = row
+        errors = f"{residual:.2e}", f"{stationarity:.2e}"
+        table.add_row(str(k), f"{cost:.12g}", *errors, f"{shift:.1e}" if shift else "", f"{length:g}")
+    return table
+
+
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """What was checked, of what, and with what outcome."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD)
+    for heading in ("check", "subject", "", "detail"):
+        table.add_column(heading)
+    for finding in findings:
+        verdict = "[green]passed[/]" if finding.passed else "[bold red]FAILED[/]"
+        table.add_row(_escaped(finding.check), _escaped(finding.subject), verdict, _escaped(finding.detail))
+    return table
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _number(value: float | None) -> str:
+    return "not available" if value is None else f"{value:.6g}"
+
+
+def _duration(seconds: float | None) -> str:
+    if seconds is None:
+        return "not available"
+    for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")):
+        if seconds < limit:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
+    """Write all arrays to an .npz archive, with the record of the run as JSON text under `result`."""
+    import numpy as np
+
+    names = ("t", "q", "p", "u", "multipliers", "energy", "log")
+    arrays: dict[str, Any] = {name: getattr(result, name) for name in names if getattr(result, name) is not None}
+    labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays, **labels, result=np.array(as_json(record)))
+
+
+def draw(result: Result, path: Path) -> None:
+    """Write a picture of the solution; the ending of the path decides its kind."""
+    from codegen import plots
+
+    with replacing(path) as temporary:
+        plots.save(result, temporary)

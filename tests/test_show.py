@@ -1,0 +1,101 @@
+"""The derived equations as text and as LaTeX."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from pathlib import Path
+
+import pytest
+
+from codegen import schemes
+from codegen.errors import ArgumentError, SchemeError
+from codegen.show import equations
+
+PROBLEMS = Path(__file__).parents[1] / "problems"
+CASES = [
+    ("pendulum", {}, {}),
+    ("pendulum", {"form": "lagrangian"}, {}),
+    ("linear_pendulum", {}, {"controls": "nodal"}),
+    ("orbital_transfer", {}, {}),
+    *(
+        ("orbital_transfer", {}, {"method": method, "scheme": name})
+        for method, names in schemes.METHODS.items()
+        for name in names
+    ),
+]
+
+
+def shown(problem, arguments=None, **choices):
+    return equations(PROBLEMS / f"{problem}.py", arguments or {}, **choices)
+
+
+@pytest.mark.parametrize(("problem", "arguments", "choices"), CASES)
+def test_text_is_at_most_100_columns_wide(problem, arguments, choices):
+    for line in shown(problem, arguments, **choices).splitlines():
+        assert sum(not unicodedata.combining(character) for character in line) <= 100
+        assert line == line.rstrip()
+
+
+@pytest.mark.parametrize(("problem", "arguments", "choices"), CASES)
+def test_latex_is_balanced(problem, arguments, choices):
+    text = shown(problem, arguments, latex=True, **choices)
+    assert text.isascii()
+    assert text.count(r"\begin{align*}") == text.count(r"\end{align*}") > 3
+    depth = 0
+    for character in re.sub(r"\\[{}]", "", text):
+        depth += {"{": 1, "}": -1}.get(character, 0)
+        assert depth >= 0
+    assert depth == 0
+    assert len(re.findall(r"(?<!\\)\$", text)) % 2 == 0
+    for block in re.findall(r"\\begin\{align\*\}(.*?)\\end\{align\*\}", text, re.DOTALL):
+        rows = block.strip().split("\\\\\n")
+        assert all(row.count("&") == 1 for row in rows)
+        # \left and \right may not be separated by a line break.
+        assert all(row.count(r"\left") == row.count(r"\right") for row in rows)
+    assert r"\mathrm{}" not in text
+    assert "_{}" not in text
+
+
+def test_discrete_equation_of_the_linear_pendulum():
+    text = shown("linear_pendulum", latex=True)
+    row = next(line for line in text.splitlines() if line.startswith("0 &=") and "k-1" in line)
+    # q_{k+1} - 2 q_k + q_{k-1} = h^2 (f - q averaged): signs as in D2 Ld + D1 Ld + f+ + f- = 0, erratum 4.
+    for term in (
+        r"\frac{f_{k} h}{2}",
+        r"\frac{f_{k-1} h}{2}",
+        r"- \frac{h q_{k}}{2}",
+        r"\frac{2 q_{k}}{h}",
+        r"- \frac{q_{k+1}}{h}",
+    ):
+        assert term in row
+
+
+def test_boundary_conditions_and_dots():
+    text = shown("orbital_transfer")
+    assert "φ(T) = 2⋅π⋅revolutions" in text
+    assert "p_r(0) = 0" in text
+    assert "φ̈" in text
+    assert "λ_φₖ" in text
+    assert "rₖ₊₁" in text
+    assert "φₖ₋₁" in text
+
+
+def test_hamiltonian_step_has_stages():
+    text = shown("orbital_transfer", method="hamiltonian", scheme="stormer-verlet")
+    assert "One step" in text
+    assert "r⁽¹⁾ₖ" in text
+
+
+def test_initial_state_of_a_simulation():
+    text = shown("pendulum")
+    assert "p(0) = 7/5" in text
+    assert "solved for numerically in each step: pₖ₊₁" in text
+    assert "the step is explicit" in shown("pendulum", scheme="symplectic-euler")
+
+
+def test_unknown_choices_are_refused():
+    with pytest.raises(SchemeError):
+        shown("pendulum", scheme="middle")
+    with pytest.raises(ArgumentError):
+        shown("pendulum", controls="nodal")

@@ -1,0 +1,324 @@
+"""Simulations end to end: one step against textbook equations, orders, invariants, explicitness, failures."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+from interpreted import without_compilation
+from scipy.integrate import solve_ivp
+from simulation_systems import (
+    ROOT,
+    SYSTEMS,
+    compiled,
+    falling_root,
+    kepler,
+    model_of,
+    module_of,
+    pendulum,
+    text_of,
+)
+from textbook_steps import TEXTBOOK, textbook_step
+
+from codegen import schemes
+from codegen.errors import SchemeError, SymbolError
+from codegen.symbols import RESERVED, parameter
+from codegen.transcribe.simulate import simulate
+
+H, T = 0.1, 0.7
+"""Step and time of the single steps that are checked."""
+
+COMBINATIONS = [(method, name) for method, table in schemes.METHODS.items() for name in table]
+
+
+@pytest.fixture(scope="session")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
+    """Compiled modules by model function, method and scheme."""
+    folder = tmp_path_factory.mktemp("simulate")
+
+    @cache
+    def made(model: Callable[[], Any], method: str, scheme: str) -> Any:
+        name = f"{model.__name__}_{method}_{scheme}".replace("-", "_")
+        return compiled(text_of(model(), scheme, method), folder, name)
+
+    return made
+
+
+# ---- One step against the scheme's equations as they stand in textbooks ----
+
+
+def test_every_scheme_has_textbook_equations() -> None:
+    assert set(COMBINATIONS) <= set(TEXTBOOK)
+
+
+@pytest.mark.parametrize(("method", "scheme"), COMBINATIONS)
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_one_step_solves_the_textbook_equations(system: str, method: str, scheme: str) -> None:
+    module = module_of(system, method, scheme)
+    grid = module.make_grid(10, duration=10 * H)
+    with mpmath.workdps(30):
+        expected = textbook_step(SYSTEMS[system], method, scheme, T, H)
+    np.testing.assert_allclose(module.step(grid, SYSTEMS[system].state, T), expected, rtol=0.0, atol=2e-14)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_energy_is_the_hamiltonian(system: str) -> None:
+    module = module_of(system, "variational", "midpoint")
+    state, n = SYSTEMS[system].state, SYSTEMS[system].dimension
+    expected = float(SYSTEMS[system].hamiltonian(state[:n], state[n:], T))
+    parameters = module.make_grid().parameters
+    assert module.energy(np.array(state), T, parameters) == pytest.approx(expected, abs=1e-13)
+
+
+# ---- Jacobians ----
+
+
+def jacobian_error(module: Any, system: str) -> float:
+    """Largest difference between the Jacobian of a step and central differences of its residual."""
+    grid, state = module.make_grid(10, duration=10 * H), np.array(SYSTEMS[system].state)
+    unknowns = module.predict(grid, state, T)
+    matrix = module.jacobian(grid, unknowns, state, T)
+    columns = []
+    for i in range(unknowns.size):
+        shift = np.zeros(unknowns.size)
+        shift[i] = 1e-5
+        change = module.residual(grid, unknowns + shift, state, T) - module.residual(grid, unknowns - shift, state, T)
+        columns.append(change / 2e-5)
+    return float(np.abs(matrix - np.transpose(columns)).max())
+
+
+@pytest.mark.parametrize(("method", "scheme"), [("variational", "midpoint"), ("hamiltonian", "midpoint"),
+                                                ("hamiltonian", "implicit-euler")])  # fmt: skip
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_jacobians_are_the_derivatives_of_residuals(system: str, method: str, scheme: str) -> None:
+    assert jacobian_error(module_of(system, method, scheme), system) < 1e-8
+
+
+def test_a_corrupted_jacobian_is_noticed() -> None:
+    text = text_of(model_of("pendulum-hamiltonian"), "midpoint", "hamiltonian")
+    right = "jacobian[0, 0] = 0.25*h**2*math.cos("
+    assert text.count(right) == 1
+    corrupted = without_compilation(text.replace(right, right.replace("0.25", "0.26")))
+    assert jacobian_error(corrupted, "pendulum-hamiltonian") > 1e-5
+
+
+# ---- Accuracy ----
+
+
+def exact_pendulum(start: Sequence[float], duration: float) -> np.ndarray:
+    motion = solve_ivp(
+        lambda t, z: [z[1], -np.sin(z[0])], (0.0, duration), start, method="DOP853", rtol=1e-13, atol=1e-13
+    )
+    return np.asarray(motion.y[:, -1])
+
+
+@pytest.mark.parametrize(("method", "scheme"), COMBINATIONS)
+def test_order_of_convergence(method: str, scheme: str) -> None:
+    module = module_of("pendulum-hamiltonian", method, scheme)
+    start, duration = (0.5, 1.4), 2.0
+    exact = exact_pendulum(start, duration)
+    errors = []
+    for steps in (50, 100, 200, 400):
+        solution = module.solve(steps, duration=duration, start=start)
+        errors.append(np.abs(np.array([*solution.q[-1], *solution.p[-1]]) - exact).max())
+    order = np.log2(errors[-2] / errors[-1])
+    assert order == pytest.approx(module.metadata["order"], abs=0.05)
+
+
+@pytest.mark.parametrize("system", ["pendulum-hamiltonian", "kepler", "double-pendulum"])
+def test_variational_midpoint_is_the_midpoint_rule(system: str) -> None:
+    """Thesis, section 2.4.2: the discrete Hamiltonian map of Ld = h L(mid, v) is the implicit midpoint rule."""
+    solutions = [module_of(system, m, "midpoint").solve(100, duration=5.0) for m in ("variational", "hamiltonian")]
+    np.testing.assert_allclose(solutions[0].q, solutions[1].q, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(solutions[0].p, solutions[1].p, rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("variational", "hamiltonian"), [("trapezoidal", "stormer-verlet"), ("rectangle", "symplectic-euler")]
+)
+def test_variational_schemes_with_constant_mass_are_known_ones(variational: str, hamiltonian: str) -> None:
+    """Marsden and West (2001), section 2.6; Hairer, Lubich and Wanner (2006), VI.6.2."""
+    first = module_of("pendulum-lagrangian", "variational", variational).solve(100, duration=10.0)
+    second = module_of("pendulum-lagrangian", "hamiltonian", hamiltonian).solve(100, duration=10.0)
+    np.testing.assert_allclose(first.q, second.q, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(first.p, second.p, rtol=0.0, atol=1e-13)
+
+
+def test_thesis_eulers_spiral(build: Callable[..., Any]) -> None:
+    """Thesis, Figure 1.3: h = 0.2, explicit Euler from (.5, 0) spirals out, implicit Euler from (1.5, 0) in."""
+    outward = build(pendulum, "hamiltonian", "explicit-euler").solve(100, duration=20.0, start=(0.5, 0.0))
+    inward = build(pendulum, "hamiltonian", "implicit-euler").solve(100, duration=20.0, start=(1.5, 0.0))
+    assert outward.status == inward.status == "solved"
+    assert outward.energy[-1] - outward.energy[0] > 0.5
+    assert np.all(np.diff(outward.energy) > 0.0)
+    assert np.all(np.diff(inward.energy) < 0.0)
+    assert inward.energy[-1] < -0.9
+
+
+@pytest.mark.parametrize(("scheme", "allowed"), [("symplectic-euler", 0.5), ("midpoint", 0.05)])
+@pytest.mark.parametrize("momentum", [0.7, 1.4, 2.1])
+def test_thesis_symplectic_schemes_keep_to_level_curves(
+    build: Callable[..., Any], scheme: str, allowed: float, momentum: float
+) -> None:
+    """Thesis, Figure 1.3: h = 0.3 from (0, .7), (0, 1.4), (0, 2.1); here for 1e5 steps, bounded and without drift."""
+    solution = build(pendulum, "hamiltonian", scheme).solve(100_000, duration=30_000.0, start=(0.0, momentum))
+    assert solution.status == "solved"
+    error = np.abs(solution.energy - solution.energy[0])
+    assert error.max() < allowed * momentum
+    assert error[-10_000:].max() == pytest.approx(error[:10_000].max(), rel=0.01)
+
+
+def test_a_million_steps(build: Callable[..., Any]) -> None:
+    for method, scheme in (("hamiltonian", "stormer-verlet"), ("hamiltonian", "midpoint"), ("variational", "midpoint")):
+        solution = build(pendulum, method, scheme).solve(1_000_000, duration=1e5, every=1000)
+        assert (solution.status, solution.steps, solution.t.size) == ("solved", 1_000_000, 1001)
+        assert np.abs(solution.energy - solution.energy[0]).max() < 1e-2
+        assert solution.residual < 1e-12
+
+
+def test_small_steps_lose_no_digits(build: Callable[..., Any]) -> None:
+    """Velocities in place of differences of positions keep the rounding of the two forms of one scheme alike."""
+    steps = 100_000
+    first = build(pendulum, "variational", "trapezoidal").solve(steps, duration=1.0, every=steps)
+    second = build(pendulum, "hamiltonian", "stormer-verlet").solve(steps, duration=1.0, every=steps)
+    np.testing.assert_allclose(first.q[-1], second.q[-1], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(first.p[-1], second.p[-1], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose([*first.q[-1], *first.p[-1]], exact_pendulum((0.0, 1.4), 1.0), rtol=0.0, atol=1e-10)
+
+
+def test_compiled_and_interpreted_modules_agree(build: Callable[..., Any]) -> None:
+    first = build(kepler, "variational", "midpoint").solve(50)
+    second = module_of("kepler", "variational", "midpoint").solve(50)
+    np.testing.assert_allclose(first.q, second.q, rtol=1e-13)
+    np.testing.assert_allclose(first.p, second.p, rtol=1e-12, atol=1e-13)
+    assert first.residual < 1e-13
+
+
+# ---- Storage, initial values, parameters ----
+
+
+def test_thinned_storage_and_last_state(build: Callable[..., Any]) -> None:
+    module = build(pendulum, "hamiltonian", "midpoint")
+    full, thinned = module.solve(25, duration=5.0), module.solve(25, duration=5.0, every=10)
+    np.testing.assert_allclose(thinned.t, [0.0, 2.0, 4.0, 5.0])
+    assert np.array_equal(thinned.q, full.q[[0, 10, 20, 25]])
+    assert np.array_equal(thinned.energy, full.energy[[0, 10, 20, 25]])
+    assert thinned.iterations == full.iterations
+
+
+def test_initial_values_by_array_and_by_name() -> None:
+    module = module_of("coupled", "variational", "midpoint")
+    by_name = module.initial_state(start={"da": 0.5, "b": 0.25})
+    # p = M v with M = ((m, m/2), (m/2, m)), m = 2
+    np.testing.assert_allclose(by_name, [1.0, 0.25, 1.0, 0.5])
+    assert np.array_equal(module.make_grid(start=by_name).start, by_name)
+    np.testing.assert_allclose(module.initial_state(m=4.0, start={"da": 0.5}), [1.0, 2.0, 2.0, 1.0])
+    with pytest.raises(ValueError, match="'speed' is not prescribed"):
+        module.solve(start={"speed": 1.0})
+    with pytest.raises(ValueError, match=r"^start"):
+        module.solve(start=[1.0, 2.0])
+
+
+def test_parameters_are_arguments(build: Callable[..., Any]) -> None:
+    module = module_of("kepler", "hamiltonian", "stormer-verlet")
+    circle = module.solve(1000, GM=4.0, duration=np.pi, start=(1.0, 0.0, 0.0, 2.0), every=1000)
+    np.testing.assert_allclose(circle.q[-1], [1.0, 2 * np.pi], atol=1e-4)
+    assert module.metadata["parameters"] == {"GM": 1.5}
+
+
+def test_residual_of_a_path_is_measured_outside_the_solver() -> None:
+    module = module_of("double-pendulum", "hamiltonian", "stormer-verlet")
+    solution = module.solve(20, duration=0.4)
+    path, grid = np.hstack([solution.q, solution.p]), module.make_grid(20, duration=0.4)
+    assert module.path_residual(grid, path) == solution.residual < 1e-13
+    path[7, 1] += 1e-6
+    assert 0.5e-6 < module.path_residual(grid, path) < 1e-4
+
+
+# ---- Failures ----
+
+
+def test_newton_failure_is_reported(build: Callable[..., Any]) -> None:
+    solution = build(pendulum, "hamiltonian", "midpoint").solve(50, duration=50 * 6.0)
+    assert solution.status == "newton failed"
+    assert f"step {solution.steps + 1} of 50" in solution.message
+    assert "use more steps" in solution.message
+    assert solution.q.shape[0] == solution.t.size == solution.energy.size == solution.steps + 1
+
+
+def test_non_finite_state_is_reported(build: Callable[..., Any]) -> None:
+    for scheme in ("symplectic-euler", "midpoint"):
+        solution = build(falling_root, "hamiltonian", scheme).solve(100)
+        assert solution.status == "non-finite"
+        assert 15 < solution.steps < 25  # q = 0 is passed soon after t = 2
+        assert "t = " in solution.message
+        assert np.all(np.isfinite(solution.q))
+        assert solution.residual < 1e-14
+
+
+def test_failure_of_the_first_step() -> None:
+    solution = module_of("double-pendulum", "hamiltonian", "midpoint").solve(10, max_iterations=1)
+    assert (solution.status, solution.steps, solution.t.size) == ("newton failed", 0, 1)
+    assert np.isnan(solution.residual)
+
+
+def test_scheme_of_the_other_method_is_refused() -> None:
+    with pytest.raises(SchemeError, match="does not belong"):
+        simulate(model_of("kepler"), schemes.find("midpoint", "variational"), "hamiltonian")
+
+
+# ---- The text itself ----
+
+
+def test_names_of_the_module_are_reserved() -> None:
+    for name in ("every", "state", "residual", "integrate", "q_stage1"):
+        with pytest.raises(SymbolError, match="reserved"):
+            parameter(name, 1.0)
+    for module in (module_of("coupled", "variational", "midpoint"), module_of("kepler", "hamiltonian", "midpoint")):
+        kernels = [getattr(module, name) for name in module.metadata["operations"]]
+        for function in (module.solve, module.make_grid, module.initial_state, *kernels):
+            code = function.__code__
+            own = {*module.metadata["parameters"], "dict", "isinstance"}
+            local = {n for n in (*code.co_varnames, *code.co_names) if not n.endswith(("_k", "_k1")) and n not in own}
+            local -= {n for n in local if n.startswith(("x", "start_")) or n in ("t", "sin", "cos", "array", "values")}
+            assert local <= RESERVED | {"float"}
+
+
+def test_text_does_not_depend_on_the_hash_seed() -> None:
+    program = (
+        "import hashlib, sys; sys.path[:0] = ['tests', '.']\n"
+        "from simulation_systems import coupled, kepler, text_of\n"
+        "for case in ((coupled(), 'midpoint', 'variational'), (kepler(), 'stormer-verlet', 'hamiltonian')):\n"
+        "    print(hashlib.sha256(text_of(*case).encode()).hexdigest())\n"
+    )
+    outputs = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("0", "1", "2")
+    }
+    assert len(outputs) == 1
+
+
+def test_module_imports_nothing_of_the_package(tmp_path: Path) -> None:
+    file = tmp_path / "alone.py"
+    file.write_text(text_of(pendulum(), "midpoint", "hamiltonian"), encoding="utf-8")
+    check = (
+        "import sys, alone; solution = alone.solve(100)\n"
+        "assert (solution.status, solution.steps) == ('solved', 100), solution.message\n"
+        "assert not {'sympy', 'codegen', 'jinja2'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", check], cwd=tmp_path, check=True)
