@@ -101,7 +101,7 @@ Every = Annotated[int, typer.Option(parser=_positive, metavar="N", help="Store e
 Repeat = Annotated[int, typer.Option(parser=_positive, metavar="N", help="Time the best of so many solves.")]
 Log = Annotated[bool, typer.Option("--log", help="Print the iterates of the generated solver.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
-Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if up to date, else a cache]")]
+Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if current, else a cache]")]
 
 
 @main.callback(invoke_without_command=True)
