@@ -25,9 +25,10 @@ _serial_numbers = itertools.count()
 _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities", default=None)
 
 RESERVED = frozenset(
-    "h steps solution math np numpy numba njit x u_interval parameters tolerance guess lambda_ duration start "
-    "end every grid state interval unknowns residual jacobian max_iterations prescribed Solution integrate make_grid "
-    "checked_grid initial_state replace_values".split()
+    "np math numba njit sys h steps grid unknowns parameters gradient hessian residual jacobian interval state "
+    "duration start end every guess tolerance max_iterations log rows status iterations point boundary prescribed "
+    "nodes intervals last views Solution Grid make_grid checked_grid replace_values initial_state initial_guess "
+    "with_pinned_values minimise evaluate describe unpack print_log integrate NODE".split()
 )
 """Names that generated modules use for their own purposes."""
 _INNER_STAGE = re.compile(r"_stage\d+$")

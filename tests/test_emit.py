@@ -1,6 +1,7 @@
 """Rendering and writing: deterministic, complete, atomic."""
 
 import ast
+import builtins
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from jinja2 import meta
 from codegen import emit
 from codegen.compiler import build
 from codegen.errors import ModuleError
+from codegen.symbols import RESERVED
 
 ROOT = Path(__file__).parents[1]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"
@@ -72,6 +74,20 @@ def test_generated_modules_define_every_name_once_and_use_every_function(name):
     }
     unused = [d for d in defined if d not in used and d not in public]
     assert len(unused) <= 3, unused  # callbacks that only other optimisers call
+
+
+@pytest.mark.parametrize("name", sorted(committed()))
+def test_names_that_generated_functions_use_are_reserved(name):
+    """A parameter of the same name as a local or a function that its own module calls would shadow it."""
+    tree = ast.parse(committed()[name])
+    metadata = ast.literal_eval(next(n.value for n in tree.body if isinstance(n, ast.Assign)))
+    own = {*metadata["parameters"], "t"}
+    for function in [node for node in tree.body if isinstance(node, ast.FunctionDef)]:
+        if not own & {argument.arg for argument in function.args.kwonlyargs}:
+            continue
+        names = {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
+        names |= {argument.arg for argument in (*function.args.args, *function.args.kwonlyargs)}
+        assert names <= RESERVED | own | set(dir(builtins)), function.name
 
 
 def test_gallery_covers_every_problem_file():
