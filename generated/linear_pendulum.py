@@ -220,7 +220,6 @@ def measure(gradient, is_multiplier):
     return largest_residual, total_residual, stationarity
 
 
-@njit(cache=True, error_model="numpy")
 def measure_step(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along a Newton step, and whether the step promises a descent.
 
@@ -228,17 +227,11 @@ def measure_step(unknowns, gradient, step, is_multiplier):
     of the step, the step's own equations W d + A' m = -gradient and A d = -residual give d' W d and the derivative of
     the cost along d without another product with a matrix. The promise is the inertia-free test of Chiang and Zavala.
     """
-    slope, curvature, linear, square = 0.0, 0.0, 0.0, 0.0
-    for i in range(step.size):
-        if is_multiplier[i]:
-            slope += gradient[i] * unknowns[i]
-            curvature += gradient[i] * step[i]
-            linear -= gradient[i] * (unknowns[i] + step[i])
-        else:
-            slope += gradient[i] * step[i]
-            curvature -= gradient[i] * step[i]
-            square += step[i] * step[i]
-    return slope, curvature + max(linear, 0.0) >= 1e-10 * square
+    slope = gradient @ np.where(is_multiplier, unknowns, step)
+    curvature = gradient @ np.where(is_multiplier, step, -step)
+    linear = -(gradient @ np.where(is_multiplier, unknowns + step, 0.0))
+    primal = np.where(is_multiplier, 0.0, step)
+    return slope, curvature + max(linear, 0.0) >= 1e-10 * (primal @ primal)
 
 
 # A time grid with its data, and a vector of unknowns together with everything that is measured there.
@@ -949,7 +942,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_b171a4c4f5972717"
+_IDENTITY = "codegen_linear_pendulum_829845681c56610d"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
