@@ -46,8 +46,10 @@ def eliminate(equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: 
     leaves the fewest unknowns to Newton's method is taken, and of those the shortest.
     """
     forward = range(len(unknowns))
-    orders = (forward, forward[::-1])
-    return min((_System(equations, unknowns, frozenset(constants)).solved(order) for order in orders), key=_labour)
+    first = _System(equations, unknowns, frozenset(constants)).solved(forward)
+    if len(first.unknowns) in (0, len(unknowns)):
+        return first  # another order leaves no fewer
+    return min(first, _System(equations, unknowns, frozenset(constants)).solved(forward[::-1]), key=_labour)
 
 
 def _labour(result: Elimination) -> tuple[int, bool, int]:
