@@ -17,7 +17,10 @@ def simulate_result(
     if request.every == 1 and attempt.t.size > 1:
         residual = module.path_residual(module.make_grid(request.steps), np.hstack([attempt.q, attempt.p]))
     status, message = attempt.status, attempt.message
-    rounding = 1e3 * float(np.finfo(float).eps) * max(1.0, max_norm(attempt.q), max_norm(attempt.p))
+    # Equations of a variational step divide differences of positions by h.
+    step = attempt.t[-1] / max(attempt.steps, 1)
+    size = max(1.0, max_norm(attempt.q), max_norm(attempt.p)) * max(1.0, 1.0 / step if step > 0.0 else 1.0)
+    rounding = 1e3 * float(np.finfo(float).eps) * size
     if status == "solved" and not residual <= max(attempt.tolerance, rounding):
         status = "inaccurate"
         message = f"{driver} reported success, but the scheme's equations have residual {residual:.1e}; try more steps"

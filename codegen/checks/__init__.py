@@ -1,0 +1,107 @@
+"""The registry of checks: evidence that the derivation and the generated code are right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from codegen import compiler, emit, schemes
+from codegen.checks import (
+    area_preservation,
+    boundary_rank,
+    consistency,
+    derivatives,
+    discrete_equations,
+    layout,
+    midpoint_equivalence,
+    momentum_matching,
+    noether,
+    null_controls,
+    optimum,
+    provenance,
+    sparsity,
+    symplecticity,
+)
+from codegen.checks.base import Check, Context, Finding
+from codegen.compiler import Choices
+from codegen.load import load
+from codegen.problem_file import load_problem
+
+__all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]
+
+CHECKS: dict[str, Check] = {
+    "layout": layout.check,
+    "derivatives": derivatives.check,
+    "sparsity": sparsity.check,
+    "discrete equations": discrete_equations.check,
+    "momentum matching": momentum_matching.check,
+    "discrete Noether": noether.check,
+    "consistency": consistency.check,
+    "symplecticity": symplecticity.check,
+    "area preservation": area_preservation.check,
+    "midpoint equivalence": midpoint_equivalence.check,
+    "boundary rank": boundary_rank.check,
+    "null controls": null_controls.check,
+    "optimum": optimum.check,
+}
+"""Every check by name, in the order of a report; tests run over this table."""
+
+_RUN_THE_MODULE = ("derivatives", "sparsity", "momentum matching", "boundary rank", "optimum")
+"""Checks that call compiled code or trust its tables."""
+
+
+def run(
+    path: Path | str,
+    arguments: Mapping[str, str] | None = None,
+    *,
+    scheme: str | None = None,
+    method: str | None = None,
+    controls: str = "interval",
+    module: Path | None = None,
+) -> list[Finding]:
+    """Run all checks that apply to a problem file and return their findings.
+
+    `module` is a generated file to be checked as it stands; by default the module is built in the cache. Raises a
+    kind of CodegenError when the problem, a choice or the file is unusable.
+    """
+    path, arguments = Path(path), dict(arguments or {})
+    choices = Choices(scheme, method, controls)
+    if module is None:
+        module = compiler.build(path, arguments, scheme=scheme, method=method, controls=controls).path
+    context, text = _prepared(path, arguments, choices, module)
+    inputs = compiler.origin_of(path, arguments, choices).inputs
+    findings = list(provenance.compare(module, context.module, inputs, text))
+    for name in CHECKS:
+        findings += apply(name, context)
+    return findings
+
+
+def context_of(path: Path, arguments: Mapping[str, str], choices: Choices, module: Path) -> Context:
+    """What checks read, for a problem file and a generated module on disk."""
+    return _prepared(path, arguments, choices, module)[0]
+
+
+def apply(name: str, context: Context) -> list[Finding]:
+    """The findings of one check; whatever a damaged module raises is a finding too.
+
+    A module whose layout does not fit is not run, because compiled code would write outside its arrays.
+    """
+    try:
+        if name in _RUN_THE_MODULE and not all(finding.passed for finding in layout.check(context)):
+            return [Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")]
+        return list(CHECKS[name](context))
+    except Exception as error:  # a damaged module may fail in any way
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        return [Finding(name, "the check itself", False, f"could not be completed ({text[:300]})")]
+
+
+def _prepared(path: Path, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:
+    """The context of all checks, and the text that a fresh derivation makes; each stage runs once."""
+    from codegen import derive, lower, transcribe
+
+    model = load_problem(path, arguments)
+    program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
+    fresh = lower.lower(program, derive.derivatives(program))
+    text = emit.render(fresh, compiler.origin_of(path, arguments, choices))
+    scheme = schemes.find(program.scheme, program.method)
+    return Context(choices, model, program, scheme, load(module)), text

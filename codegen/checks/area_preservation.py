@@ -1,0 +1,45 @@
+"""The determinant of the one-step map of every scheme, for a system with one degree of freedom (thesis 1.0.1, 2.4).
+
+By implicit differentiation of the equations of a step: with E(z0, y) = 0, y the unknowns, Dy = -(dE/dy)^-1 dE/dz0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import sympy
+from sympy import Expr
+
+from codegen.checks.base import Context, Finding
+from codegen.checks.one_step import jacobians, step_equations, without_forces
+from codegen.model import Model
+from codegen.schemes import METHODS, Scheme
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Derive the determinant for every registered scheme, forces left out, where there is one coordinate."""
+    if len(context.model.coordinates) != 1:
+        return
+    model = without_forces(context.model)
+    curved = model.function.has(*model.coordinates)
+    for method, table in METHODS.items():
+        for scheme in table.values():
+            determinant = area_factor(model, scheme)
+            # In a system without potential every scheme may preserve areas by accident.
+            passed = (determinant == 1) == scheme.symplectic or (determinant == 1 and not curved)
+            claim = "symplectic" if scheme.symplectic else "not symplectic"
+            detail = f"det = {sympy.sstr(determinant)}, and the scheme is {claim}"
+            yield Finding("area preservation", f"{scheme.name} ({method})", passed, detail)
+
+
+def area_factor(model: Model, scheme: Scheme) -> Expr:
+    """The determinant of the derivative of the one-step map, simplified; a product over substeps."""
+    factor = sympy.S.One
+    for left, right, equations in step_equations(model, scheme).links():
+        before, after = jacobians(left, right, equations)
+        if len(right) == len(left):
+            factor *= before.det() / after.det()
+        else:
+            factor *= (-after.LUsolve(before))[-len(left) :, :].det()
+    factor = sympy.factor(sympy.simplify(factor))
+    return factor if factor.count_ops() < sympy.expand(factor).count_ops() else sympy.expand(factor)

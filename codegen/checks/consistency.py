@@ -1,0 +1,127 @@
+"""The order of a scheme, by expanding one step and the exact flow in powers of h.
+
+Both expansions are made for a generic forced, time-dependent system with rational coefficients, in exact arithmetic,
+so that agreement and disagreement are proved. The exact flow is expanded by its Lie series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import sympy
+from sympy import Expr, Rational, S, Symbol
+
+from codegen import legendre
+from codegen.checks.base import Context, Finding
+from codegen.checks.one_step import StepEquations, generic_model, step_equations, without_boundaries
+from codegen.discretise import STEP
+from codegen.model import Model
+from codegen.schemes import DiscreteLagrangian, Scheme
+
+_STATE = (Rational(3, 5), Rational(4, 7))
+_INSTANT = Rational(1, 3)
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Find the first power of h in which one step differs from the flow; the scheme's order is one less."""
+    scheme = context.scheme
+    agreement, difference = first_difference(scheme, scheme.order + 1)
+    passed = difference != 0 and agreement == scheme.order
+    detail = f"one step and the Lie series of the flow agree up to h^{agreement} (exact expansion, generic system)"
+    if difference != 0:
+        detail += f", and differ by {float(difference):.3g} h^{agreement + 1}"
+    if not passed:
+        detail = f"order {scheme.order} is claimed, but {detail}"
+    yield Finding("consistency", f"order of {scheme.name}", passed, detail)
+
+
+def first_difference(scheme: Scheme, highest: int) -> tuple[int, Expr]:
+    """The last power of h up to which step and flow agree, and the largest coefficient of their difference after it.
+
+    Zero when they agree up to the highest power.
+    """
+    model = without_boundaries(generic_model())
+    step = _step_series(model, scheme, highest)
+    flow = _flow_series(model, highest)
+    for power in range(1, highest + 1):
+        differences = [a[power] - b[power] for a, b in zip(step, flow, strict=True)]
+        largest = max(differences, key=abs)
+        if largest != 0:
+            return power - 1, largest
+    return highest, S.Zero
+
+
+def _flow_series(model: Model, highest: int) -> list[list[Expr]]:
+    """Taylor coefficients of (q, p)(t + h), from x_{j+1} = [h^j] F(x_0 + x_1 h + ... ) / (j + 1)."""
+    phase = legendre.hamiltonian_form(model)
+    states = (*phase.coordinates, *phase.rates)
+    slopes = [f - sympy.diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True)]
+    field = [*(sympy.diff(phase.function, p) for p in phase.rates), *slopes]
+    series = [[value] for value in _STATE]
+    for power in range(highest):
+        here = {**_polynomials(states, series), phase.time: _INSTANT + STEP}
+        coefficients = [_coefficient(rate.xreplace(here), power) for rate in field]
+        for known, value in zip(series, coefficients, strict=True):
+            known.append(value / (power + 1))
+    return series
+
+
+def _step_series(model: Model, scheme: Scheme, highest: int) -> list[list[Expr]]:
+    """Coefficients of the state after one step, one linear system for each power of h."""
+    step = step_equations(model, scheme)
+    start = dict(zip(step.left, _STATE, strict=True)) | {model.time: _INSTANT}
+    equations, unknowns, first = _regularised(model, scheme, step, start)
+    matrix = sympy.Matrix(
+        [
+            [_coefficient(e.diff(y).xreplace(dict(zip(unknowns, first, strict=True))), 0) for y in unknowns]
+            for e in equations
+        ]
+    )
+    series = [[value] for value in first]
+    for power in range(1, highest + 1):
+        here = _polynomials(unknowns, series)
+        left_over = sympy.Matrix([_coefficient(e.xreplace(here), power) for e in equations])
+        for known, value in zip(series, -matrix.LUsolve(left_over), strict=True):
+            known.append(value)
+    size = len(step.left)
+    if not isinstance(scheme, DiscreteLagrangian):
+        return series[-size:]
+    # The unknown was the mean velocity V, and q_k1 = q_k + h V.
+    half = size // 2
+    positions = [[q, *velocity[:-1]] for q, velocity in zip(_STATE[:half], series[:half], strict=True)]
+    return positions + series[half:]
+
+
+def _regularised(
+    model: Model, scheme: Scheme, step: StepEquations, start: dict[Symbol, Expr]
+) -> tuple[list[Expr], list[Symbol], list[Expr]]:
+    """Equations that are regular at h = 0, their unknowns, and the values of these at h = 0."""
+    if not isinstance(scheme, DiscreteLagrangian):
+        states = _STATE * (len(step.unknowns) // len(_STATE))
+        return [e.xreplace(start) for e in step.equations], list(step.unknowns), list(states)
+    half = len(step.left) // 2
+    velocities = [Symbol(f"V{i}", real=True) for i in range(half)]
+    arrival = {q1: start[q] + STEP * v for q, q1, v in zip(step.left, step.right, velocities, strict=False)}
+    equations = [sympy.cancel(e.xreplace(start).xreplace(arrival)) for e in step.equations]
+    momentum = dict(zip((*model.coordinates, *legendre.conjugate_symbols(model)), _STATE, strict=True))
+    initial = [v.xreplace({**momentum, model.time: _INSTANT}) for v in legendre.velocity_of_momentum(model)]
+    return equations, [*velocities, *step.right[half:]], [*initial, *_STATE[half:]]
+
+
+def _polynomials(symbols: Sequence[Symbol], series: Sequence[Sequence[Expr]]) -> dict[Symbol, Expr]:
+    return {
+        symbol: sum((c * STEP**i for i, c in enumerate(coefficients)), S.Zero)
+        for symbol, coefficients in zip(symbols, series, strict=True)
+    }
+
+
+def _coefficient(expression: Expr, power: int) -> Expr:
+    """The coefficient of h^power of a rational function of h that is regular at zero, by long division."""
+    numerator, denominator = sympy.fraction(sympy.cancel(sympy.together(expression)))
+    above, below = (sympy.Poly(part, STEP).all_coeffs()[::-1] for part in (numerator, denominator))
+    quotient: list[Expr] = []
+    for n in range(power + 1):
+        value = above[n] if n < len(above) else S.Zero
+        value -= sum((below[i] * quotient[n - i] for i in range(1, min(n, len(below) - 1) + 1)), S.Zero)
+        quotient.append(value / below[0])
+    return quotient[power]

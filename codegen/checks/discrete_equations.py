@@ -1,0 +1,142 @@
+"""The derived discrete equations, divided by h, tend to the forced equations of motion as h -> 0.
+
+This settles the signs of forces and potentials (the thesis prints one of them wrongly in A.1). The discrete side is
+what the module was emitted from; the continuous side is d/dt dL/dv - dL/dq = f, or Hamilton's equations, put together
+here. Along a smooth motion their difference must vanish like h.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import mpmath  # type: ignore[import-untyped]
+import sympy
+from sympy import Expr, Symbol
+
+from codegen import legendre
+from codegen.checks.base import Context, Finding
+from codegen.checks.evaluation import DIGITS, function_of, random_points
+from codegen.checks.one_step import without_boundaries
+from codegen.discretise import STEP, at_nodes
+from codegen.model import Model
+from codegen.transcribe.program import ControlProgram, StepProgram
+
+_STEPS = (mpmath.mpf(10) ** -20, mpmath.mpf(10) ** -22)
+_VANISHED = 1e-15
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Compare both sides at random states, one finding for each equation."""
+    model, program = without_boundaries(context.model), context.program
+    if program.method == "variational":
+        model = legendre.lagrangian_form(model)
+        names = [f"equation of motion of {q}" for q in model.coordinates]
+        discrete, continuous = _nodal(model, node_equations(program)), _euler_lagrange(model)
+        rates: list[Symbol] = [*model.rates, *_accelerations(model)]
+    else:
+        model = legendre.hamiltonian_form(model)
+        names = [f"step of {x}" for x in (*model.coordinates, *model.rates)]
+        rates = [Symbol(f"rate_{x}", real=True) for x in (*model.coordinates, *model.rates)]
+        discrete, continuous = _stepwise(model, _one_step_equations(program), rates), _hamilton(model, rates)
+    symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
+    symbols = list(dict.fromkeys(symbols))
+    points = random_points(continuous, symbols, model.default_values)
+    for name, scheme_side, exact in zip(names, discrete, continuous, strict=True):
+        at_h, limit = function_of([*symbols, STEP], [scheme_side]), function_of(symbols, [exact])
+        gaps = []
+        with mpmath.workdps(DIGITS):
+            for step in _STEPS:
+                differences, sizes = [], []
+                for point in points:
+                    numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
+                    wanted = limit(*numbers)[0]
+                    differences.append(abs(at_h(*numbers, step)[0] / step - wanted))
+                    sizes.append(abs(wanted))
+                gaps.append(max(differences) / max(sizes))
+        passed = gaps[-1] < _VANISHED
+        detail = f"divided by h it is the forced equation of motion, up to {float(gaps[-1]):.1g} at h = 1e-22"
+        if not passed:
+            detail = f"divided by h it differs from the forced equation of motion by {float(gaps[-1]):.2g} as h -> 0"
+        yield Finding("discrete equations", name, bool(passed), detail)
+
+
+def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], list[Expr]]:
+    """Halves of a node's discrete Euler-Lagrange equation: -p_k of the interval after it, p_k1 of the one before it."""
+    dimension = len(program.model.coordinates)
+    if isinstance(program, ControlProgram):
+        left = program.left_symbols[dimension : 2 * dimension]
+        right = program.right_symbols[dimension : 2 * dimension]
+        after, before = ([sympy.diff(program.element, m) for m in side] for side in (left, right))
+        return after, before
+    # The step's equations are p - (momentum as a function of both positions).
+    momenta = [*program.left_symbols[dimension:], *program.right_symbols[dimension:]]
+    values = [p - equation for p, (_, equation) in zip(momenta, program.equations, strict=True)]
+    return [-value for value in values[:dimension]], values[dimension:]
+
+
+def _nodal(model: Model, halves: tuple[list[Expr], list[Expr]]) -> list[Expr]:
+    """The equations of a node on the motion q(t +- h) = q +- h v + h^2 a/2, with the node at time t."""
+    after, before = halves
+    q, v, a = model.coordinates, model.rates, _accelerations(model)
+    left, right = at_nodes(q, "_k"), at_nodes(q, "_k1")
+    earlier = [x - STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
+    later = [x + STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
+    controls = _controls(model)
+    going = {**dict(zip(left, q, strict=True)), **dict(zip(right, later, strict=True)), **controls}
+    coming = {**dict(zip(left, earlier, strict=True)), **dict(zip(right, q, strict=True)), **controls}
+    coming[model.time] = model.time - STEP
+    return [e.xreplace(going) + f.xreplace(coming) for e, f in zip(after, before, strict=True)]
+
+
+def _euler_lagrange(model: Model) -> list[Expr]:
+    """L_q - d/dt L_v + f."""
+    function, q, v, a = model.function, model.coordinates, model.rates, _accelerations(model)
+    equations = []
+    for x, w, f in zip(q, v, model.force, strict=True):
+        momentum = sympy.diff(function, w)
+        rate = sympy.diff(momentum, model.time)
+        rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *a), strict=True))
+        equations.append(sympy.diff(function, x) - rate + f)
+    return equations
+
+
+def _one_step_equations(program: ControlProgram | StepProgram) -> list[Expr]:
+    if isinstance(program, StepProgram):
+        return [equation for _, equation in program.equations]
+    return [equation for name, equation in program.equations if name == "0"]
+
+
+def _stepwise(model: Model, equations: Sequence[Expr], rates: Sequence[Symbol]) -> list[Expr]:
+    """The sum of all substeps on the motion x(t + s h) = x + s h x', for each state."""
+    states = (*model.coordinates, *model.rates)
+    size = len(states)
+    count = len(equations) // size
+    place: dict[Symbol, Expr] = _controls(model)
+    for index in range(count + 1):
+        suffix = "_k" if index == 0 else "_k1" if index == count else f"_stage{index}"
+        share = sympy.Rational(index, count)
+        for node, x, rate in zip(at_nodes(states, suffix), states, rates, strict=True):
+            place[node] = x + share * STEP * rate
+    total = [sum((equations[i + j] for j in range(0, len(equations), size)), sympy.S.Zero) for i in range(size)]
+    return [e.xreplace(place) for e in total]
+
+
+def _hamilton(model: Model, rates: Sequence[Symbol]) -> list[Expr]:
+    """The left sides of q' - dH/dp = 0 and p' + dH/dq - f = 0."""
+    half = len(model.coordinates)
+    first = [rate - sympy.diff(model.function, p) for rate, p in zip(rates[:half], model.rates, strict=True)]
+    pairs = zip(rates[half:], model.coordinates, model.force, strict=True)
+    return first + [rate + sympy.diff(model.function, q) - f for rate, q, f in pairs]
+
+
+def _accelerations(model: Model) -> list[Symbol]:
+    return [Symbol(f"acceleration_{q}", real=True) for q in model.coordinates]
+
+
+def _controls(model: Model) -> dict[Symbol, Expr]:
+    """Constant controls, wherever they live."""
+    return {
+        site: u
+        for suffix in ("_k", "_k1")
+        for site, u in zip(at_nodes(model.controls, suffix), model.controls, strict=True)
+    }

@@ -1,0 +1,118 @@
+"""Momentum matching: the discrete Euler-Lagrange equation says p_k^+ = p_k^-, and the ends match prescribed momenta.
+
+With p_k^- = -D1 Ld(q_k, q_k1) - f- and p_k^+ = D2 Ld(q_k-1, q_k) + f+ (Marsden and West 2001, section 1.5; the thesis
+drops the minus sign in 2.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import mpmath  # type: ignore[import-untyped]
+import numpy as np
+import sympy
+from sympy import Expr, Symbol
+
+from codegen import legendre, schemes
+from codegen.checks.base import Context, Finding
+from codegen.checks.discrete_equations import node_equations
+from codegen.checks.evaluation import DIGITS, function_of, random_points, vanishes_symbolically
+from codegen.checks.one_step import without_boundaries
+from codegen.discretise import STEP, variational_interval
+from codegen.model import Boundary, Model
+from codegen.transcribe.program import ControlProgram
+
+_NODES = 8
+_MATCHED = 1e-9
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Check the symbolic identity, the sign of the transforms, and momenta of a computed motion at both ends."""
+    program = context.program
+    if program.method != "variational":
+        return
+    model = legendre.lagrangian_form(without_boundaries(context.model))
+    yield from _matching(context, model)
+    yield from _limits(context, model)
+    if isinstance(program, ControlProgram):
+        yield from _ends(context)
+
+
+def _matching(context: Context, model: Model) -> Iterator[Finding]:
+    """The emitted equation of a node against the gradient of the action of its two intervals."""
+    scheme = context.scheme
+    assert isinstance(scheme, schemes.DiscreteLagrangian)
+    interval = variational_interval(model, scheme, context.choices.controls == "nodal")
+    after, before = node_equations(context.program)
+    for i, q in enumerate(model.coordinates):
+        minus = -sympy.diff(interval.lagrangian, interval.q.left[i]) - interval.force_minus[i]
+        plus = sympy.diff(interval.lagrangian, interval.q.right[i]) + interval.force_plus[i]
+        passed = vanishes_symbolically(before[i] - plus) and vanishes_symbolically(after[i] + minus)
+        detail = "its discrete Euler-Lagrange equation is p_k^+ - p_k^- = 0, proved symbolically"
+        if not passed:
+            detail = "its emitted equation is not p_k^+ - p_k^- = 0 with p_k^- = -D1 Ld - f-, p_k^+ = D2 Ld + f+"
+        yield Finding("momentum matching", f"node equation of {q}", passed, detail)
+
+
+def _limits(context: Context, model: Model) -> Iterator[Finding]:
+    """Both discrete momenta tend to dL/dv as h -> 0; a lost sign would show here."""
+    after, before = node_equations(context.program)
+    q, v = model.coordinates, model.rates
+    sites = [Symbol(f"{x}_k", real=True) for x in q], [Symbol(f"{x}_k1", real=True) for x in q]
+    arrival: dict[Symbol, Expr] = dict(zip(sites[0], q, strict=True))
+    arrival |= {site: x + STEP * w for site, x, w in zip(sites[1], q, v, strict=True)}
+    arrival |= {Symbol(f"{u}{end}", real=True): u for u in model.controls for end in ("_k", "_k1")}
+    symbols = [*q, *v, *model.controls, *model.parameters, model.time]
+    for i, x in enumerate(q):
+        momentum = sympy.diff(model.function, v[i])
+        function = function_of([*symbols, STEP], [e.xreplace(arrival) for e in (-after[i], before[i])])
+        limit, worst = function_of(symbols, [momentum]), mpmath.mpf(0)
+        with mpmath.workdps(DIGITS):
+            for point in random_points([momentum, *model.force], symbols, model.default_values, count=2):
+                numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
+                exact = limit(*numbers)[0]
+                both = function(*numbers, mpmath.mpf(10) ** -20)
+                worst = max(worst, *(abs(value - exact) / (1 + abs(exact)) for value in both))
+        passed = bool(worst < 1e-10)
+        detail = f"-D1 Ld - f- and D2 Ld + f+ tend to dL/d{v[i]} as h -> 0"
+        if not passed:
+            detail = f"-D1 Ld - f- and D2 Ld + f+ do not both tend to dL/d{v[i]}: off by {float(worst):.2g}"
+        yield Finding("momentum matching", f"discrete momenta of {x}", passed, detail)
+
+
+def _ends(context: Context) -> Iterator[Finding]:
+    """Momenta of the generated solution at its ends against D2 L(q, v) of the prescribed positions and velocities."""
+    model = legendre.lagrangian_form(context.model)
+    assert model.end is not None
+    solution = context.module.solve(max(_NODES, context.model.steps))
+    values: dict[Symbol, Any] = dict(model.default_values)
+    for where, boundary, row in (("start", model.start, 0), ("end", model.end, -1)):
+        instant = 0.0 if where == "start" else float(solution.t[-1])
+        wanted = _prescribed(model, boundary, values, instant)
+        if not wanted:
+            continue
+        errors = {name: abs(float(solution.p[row, i]) - p) / max(1.0, abs(p)) for i, (name, p) in wanted.items()}
+        worst = max(errors, key=lambda name: errors[name])
+        passed = solution.status == "solved" and errors[worst] < _MATCHED
+        detail = f"the solution's momenta are those of the prescribed velocities, up to {errors[worst]:.1g}"
+        if not passed:
+            detail = f"momentum of {worst} differs by {errors[worst]:.2g} from that of the prescribed velocity"
+        if solution.status != "solved":
+            detail = f"no solution to measure: {solution.message}"
+        yield Finding("momentum matching", f"momenta at the {where}", passed, detail)
+
+
+def _prescribed(
+    model: Model, boundary: Boundary, values: dict[Symbol, Any], instant: float
+) -> dict[int, tuple[str, float]]:
+    """Index, name and value of every momentum that the prescribed values of an end determine."""
+    symbols: Sequence[Symbol] = (*model.coordinates, *model.rates)
+    given = zip(symbols, (*boundary.positions, *boundary.rates), strict=True)
+    known = {model.time: instant} | {symbol: value.subs(values) for symbol, value in given if value is not None}
+    found = {}
+    for i, (q, v) in enumerate(zip(model.coordinates, model.rates, strict=True)):
+        momentum = sympy.diff(model.function, v).subs(known).subs(values)
+        if boundary.rates[i] is not None and not momentum.free_symbols:
+            found[i] = (q.name, float(np.float64(momentum.evalf())))
+    return found

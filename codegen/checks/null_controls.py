@@ -1,0 +1,61 @@
+"""Controls that cost nothing: a mode of the discrete controls that the discrete cost does not see.
+
+With controls on nodes and averages in the cost, u_k = (-1)^k a leaves the average of every interval unchanged. The
+continuous cost does penalise it, so the discrete optimum may be arbitrarily wrong (design.md 6.1; thesis, Figures
+3.7-3.9 and A.1-A.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import sympy
+from sympy import Symbol
+
+from codegen.checks.base import Context, Finding
+from codegen.checks.evaluation import vanishes_symbolically
+from codegen.discretise import at_nodes
+from codegen.transcribe.program import ControlProgram
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Look for the alternating mode of nodal controls, and for free modes of interval controls, control by control."""
+    program = context.program
+    if not isinstance(program, ControlProgram):
+        return
+    for u in program.model.controls:
+        if program.nodal_controls:
+            yield _nodal(program, u)
+        else:
+            yield _interval(program, u)
+
+
+def _nodal(program: ControlProgram, u: Symbol) -> Finding:
+    """The cost of an interval under u_k + a, u_k1 - a; both signs of a occur in turn."""
+    (left,), (right,) = at_nodes([u], "_k"), at_nodes([u], "_k1")
+    amplitude = sympy.Dummy("a", real=True)
+    mode = {left: left + amplitude, right: right - amplitude}
+    change = program.cost.subs(mode, simultaneous=True).diff(amplitude)
+    if not vanishes_symbolically(change) or not _is_penalised(program, u):
+        return Finding("null controls", f"nodal control {u}", True, "the alternating control is seen by the cost")
+    # What the mode adds to the equations of motion; it vanishes where forces are averaged and do not depend on place.
+    force = (program.element - program.cost).subs(mode, simultaneous=True).diff(amplitude)
+    acts = not vanishes_symbolically(force)
+    effect = "yet acts on the motion" if acts else "and does nothing either, so that it is undetermined"
+    detail = f"alternating nodal control {u}: {u}_k = (-1)^k a costs nothing, {effect}; use controls on intervals"
+    return Finding("null controls", f"nodal control {u}", False, detail)
+
+
+def _interval(program: ControlProgram, u: Symbol) -> Finding:
+    """With one control an interval a free mode would have to be free within an interval."""
+    (site,) = at_nodes([u], "_k")
+    passed = not (vanishes_symbolically(program.cost.diff(site)) and _is_penalised(program, u))
+    detail = "none: the discrete cost sees the control of every interval" if passed else f"{site} costs nothing"
+    if passed and not _is_penalised(program, u):
+        detail = "none of the discretisation: the problem's own cost does not hold it"
+    return Finding("null controls", f"interval control {u}", passed, detail)
+
+
+def _is_penalised(program: ControlProgram, u: Symbol) -> bool:
+    """Whether the continuous cost holds the control at all."""
+    return program.model.cost is not None and bool(program.model.cost.has(u))

@@ -1,0 +1,104 @@
+"""The equations of one step of any scheme in phase space, and the derivative of the map that they define."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import sympy
+from sympy import Expr, Matrix, S, Symbol
+
+from codegen import legendre
+from codegen.discretise import at_nodes, one_step_interval, variational_interval
+from codegen.model import Boundary, Model, normalise
+from codegen.problem import Simulate
+from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+from codegen.symbols import coordinate, time
+
+
+@dataclass(frozen=True)
+class StepEquations:
+    """Expressions that vanish in a step from `left` = (q_k, p_k) over inner `stages` to `right` = (q_k1, p_k1)."""
+
+    left: tuple[Symbol, ...]
+    stages: tuple[Symbol, ...]
+    right: tuple[Symbol, ...]
+    equations: tuple[Expr, ...]
+
+    @property
+    def unknowns(self) -> tuple[Symbol, ...]:
+        """What a step determines."""
+        return (*self.stages, *self.right)
+
+    def links(self) -> list[tuple[tuple[Symbol, ...], tuple[Symbol, ...], tuple[Expr, ...]]]:
+        """The step as a chain of substeps from one state to the next; one link when it is no such chain."""
+        size = len(self.left)
+        whole = (*self.left, *self.unknowns)
+        chain = [whole[i : i + size] for i in range(0, len(whole), size)]
+        parts = [self.equations[i : i + size] for i in range(0, len(self.equations), size)]
+        links = list(zip(chain[:-1], chain[1:], parts, strict=True))
+        for before, after, part in links:
+            if any(e.free_symbols & (set(whole) - set(before) - set(after)) for e in part):
+                return [(self.left, self.unknowns, self.equations)]
+        return links
+
+
+def step_equations(model: Model, scheme: Scheme) -> StepEquations:
+    """Write one step: the equations of a one-step method, or both Legendre transforms of a discrete Lagrangian.
+
+    Raises what the Legendre transforms raise.
+    """
+    model = without_boundaries(model)
+    phase = legendre.hamiltonian_form(model)
+    if isinstance(scheme, OneStep):
+        step = one_step_interval(phase, scheme)
+        return StepEquations((*step.q.left, *step.p.left), step.stages, (*step.q.right, *step.p.right), step.equations)
+    assert isinstance(scheme, DiscreteLagrangian)
+    interval = variational_interval(legendre.lagrangian_form(model), scheme)
+    left, right = at_nodes(phase.rates, "_k"), at_nodes(phase.rates, "_k1")
+    equations = [p - momentum for p, momentum in zip(left, interval.left_momentum, strict=True)]
+    equations += [p - momentum for p, momentum in zip(right, interval.right_momentum, strict=True)]
+    return StepEquations((*interval.q.left, *left), (), (*interval.q.right, *right), tuple(equations))
+
+
+def without_boundaries(model: Model) -> Model:
+    """The model with both ends free, whose Legendre transforms cannot fail for the sake of an end."""
+    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
+    return replace(model, start=free, end=free)
+
+
+def without_forces(model: Model) -> Model:
+    """The conservative part of a model."""
+    return replace(model, force=(S.Zero,) * len(model.force), controls=(), cost=None)
+
+
+def jacobians(left: Sequence[Symbol], right: Sequence[Symbol], equations: Sequence[Expr]) -> tuple[Matrix, Matrix]:
+    """Derivatives of equations by the state before and the unknowns after a step."""
+    column = Matrix(list(equations))
+    return column.jacobian(list(left)), column.jacobian(list(right))
+
+
+def symplectic_form(size: int) -> Matrix:
+    """The matrix J of the canonical symplectic form on a phase space of that (even) dimension."""
+    half = size // 2
+    zero, unit = sympy.zeros(half), sympy.eye(half)
+    return Matrix(sympy.BlockMatrix([[zero, unit], [-unit, zero]]))
+
+
+def generic_model() -> Model:
+    """A system without special structure, which no scheme treats better than any other.
+
+    Its mass depends on the position, it is gyroscopic, driven in time and damped; everything is rational, so that
+    series in h are computed exactly.
+    """
+    q, v = coordinate("q")
+    t = time()
+    return normalise(
+        Simulate(
+            lagrangian=(1 + q**2 / 3) * v**2 / 2 + q**2 * v / 5 - q**3 / 3 + q * t / 7,
+            force={q: -q * v / 4 + t**2 / 3 + q**2 / 9},
+            duration=1,
+            start={q: 1, v: 1},
+        ),
+        name="generic",
+    )

@@ -1,0 +1,66 @@
+"""Costs of the generated solver tend to the maximum principle's optimum, at least at the order of the scheme.
+
+They may do so faster: where time reversal maps the problem to itself, odd powers of h cancel in the cost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from codegen.analysis import maximum_principle
+from codegen.checks.base import Context, Finding
+from codegen.errors import CodegenError
+from codegen.transcribe.program import ControlProgram
+
+_ALLOWED = 0.15
+_ROUND_OFF = 1e-9
+_LARGEST = 10_000
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Solve on N, 2N and 4N intervals, more if need be, and compare with the optimum of the continuous problem."""
+    if not isinstance(context.program, ControlProgram):
+        return
+    try:
+        cost, source = optimal_cost(context)
+    except CodegenError as error:
+        detail = f"not measured: {error}"
+        yield Finding("optimum", "convergence to the optimum", True, " ".join(detail.split()))
+        return
+    yield _convergence(context, cost, source)
+
+
+def optimal_cost(context: Context) -> tuple[float, str]:
+    """The cost of the continuous optimum and where it comes from."""
+    exact = maximum_principle.exact_optimum(context.model)
+    if exact is not None:
+        return exact.cost_at(), "in closed form"
+    return maximum_principle.reference_optimum(context.model).cost, "by collocation"
+
+
+def _convergence(context: Context, optimum: float, source: str) -> Finding:
+    order, steps = context.scheme.order, context.model.steps
+    subject = "convergence to the optimum"
+    errors: list[tuple[int, float]] = []
+    while steps <= _LARGEST or len(errors) < 3:
+        solution = context.module.solve(steps)
+        if solution.status != "solved":
+            return Finding("optimum", subject, False, f"N = {steps}: {solution.message}")
+        errors.append((steps, abs(solution.cost - optimum)))
+        steps *= 2
+        if len(errors) >= 3:
+            rate = _rate(errors)
+            if rate > order - _ALLOWED or errors[-1][1] < _ROUND_OFF * max(1.0, abs(optimum)):
+                break
+    listed = ", ".join(f"{error:.3g} (N = {n})" for n, error in errors[-3:])
+    rate = _rate(errors)
+    passed = rate > order - _ALLOWED or errors[-1][1] < _ROUND_OFF * max(1.0, abs(optimum))
+    detail = f"J* = {optimum:.12g} {source}; errors {listed}; order {rate:.2f}, the scheme's is {order}"
+    return Finding("optimum", subject, passed, detail)
+
+
+def _rate(errors: list[tuple[int, float]]) -> float:
+    """The observed order from the two finest grids."""
+    (_, coarse), (_, fine) = errors[-2:]
+    return math.log2(coarse / fine) if coarse > 0.0 and fine > 0.0 else math.inf

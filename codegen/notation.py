@@ -1,0 +1,196 @@
+"""How derived equations are written for people: symbols as in a textbook, wrapped pretty text or LaTeX."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Add, Expr, Symbol, expand_mul
+from sympy.printing.pretty.pretty import PrettyPrinter
+from sympy.printing.pretty.stringpict import prettyForm
+
+from codegen.model import Model
+
+WIDTH = 100
+_LATEX_WIDTH = 90
+_INDEX = re.compile(r"^(?P<base>.+?)(?:_(?:stage(?P<stage>\d+)|k(?P<shift>1|-1)?)|@(?P<end>[0T]))?$")
+_GREEK = (
+    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma tau upsilon phi chi "
+    "psi omega"
+).split()
+_LETTERS = dict(zip(_GREEK, "αβγδεζηθικλμνξοπρστυφχψω", strict=True))
+_LETTERS |= {name.capitalize(): letter.upper() for name, letter in list(_LETTERS.items())}
+_VARIANTS = {"phi": r"\varphi", "epsilon": r"\varepsilon"}
+_LOW = str.maketrans("0123456789+-k", "₀₁₂₃₄₅₆₇₈₉₊₋ₖ")
+_HIGH = str.maketrans("0123456789+-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻")
+
+
+class _NamesAsTheyAre(PrettyPrinter):  # type: ignore[misc]
+    """Prints symbols by their names, which are in their final form already."""
+
+    def _print_Symbol(self, e: Symbol, bold_name: bool = False) -> prettyForm:
+        return prettyForm(e.name)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A heading, equations left = right, and remarks, each as plain text and as LaTeX."""
+
+    heading: str
+    equations: tuple[tuple[Expr, Expr], ...] = ()
+    remarks: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Notation:
+    """Symbols of the pipeline to symbols as they are written; `velocities` maps the name dq to that of q.
+
+    Names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the ends of time; they
+    begin with `rate ` for one derivative by time, with `acceleration ` for two, with `f- ` or `f+ ` for forces.
+    """
+
+    velocities: dict[str, str]
+    latex: bool
+
+    @classmethod
+    def of(cls, *models: Model, latex: bool = False) -> Notation:
+        """The notation of a problem; velocities that are called d<coordinate> are written with a dot."""
+        pairs = [
+            pair
+            for model in models
+            if model.form == "lagrangian"
+            for pair in zip(model.rates, model.coordinates, strict=True)
+        ]
+        return cls({v.name: q.name for v, q in pairs if v.name == f"d{q.name}"}, latex)
+
+    def translated(self, expression: Expr) -> Expr:
+        """The expression in symbols whose names are what is to be printed."""
+        return expression.xreplace({s: Symbol(self.name(s), real=True) for s in expression.free_symbols})
+
+    def name(self, symbol: Symbol) -> str:
+        """How one symbol is written."""
+        match = _INDEX.match(symbol.name)
+        assert match is not None
+        index = ""
+        if symbol.name != match["base"] and not match["end"]:
+            index = {None: "k", "1": "k+1", "-1": "k-1"}[match["shift"]]
+        return self._written(match["base"], match["stage"], index) + (f"({match['end']})" if match["end"] else "")
+
+    def _written(self, base: str, stage: str | None, index: str) -> str:
+        letter, low, high, dots = self._parts(base)
+        high = f"({stage})" if stage else high
+        if not self.latex:
+            marks = "\u0307" * dots if dots < 2 else "\u0308"
+            written = letter + marks + high.translate(_HIGH).replace("(", "⁽").replace(")", "⁾")
+            return written + (f"_{low}" if low and not low.isdigit() else low.translate(_LOW)) + index.translate(_LOW)
+        letter = rf"\{'d' * dots}ot{{{letter}}}" if dots else letter
+        lows = ",".join(part for part in (low, index) if part)
+        return letter + (f"^{{{high}}}" if high else "") + (f"_{{{lows}}}" if lows else "")
+
+    def _parts(self, base: str) -> tuple[str, str, str, int]:
+        """Letter, subscript, superscript and number of dots."""
+        mark, _, rest = base.rpartition(" ")
+        if mark in ("f-", "f+"):
+            return "f", self._letter(rest), mark[1], 0
+        dots = {"rate": 1, "acceleration": 2}.get(mark, 0)
+        if rest in self.velocities:
+            rest, dots = self.velocities[rest], dots + 1
+        letter, _, low = rest.partition("_")
+        digits = re.fullmatch(r"([^\W\d]+)(\d+)", letter)
+        if digits and not low:
+            letter, low = digits[1], digits[2]
+        parts = [f"({part[5:]})" if re.fullmatch(r"stage\d+", part) else self._letter(part) for part in low.split("_")]
+        if not low:
+            return self._letter(letter), "", "", dots
+        return self._letter(letter), ("," if self.latex else "_").join(parts), "", dots
+
+    def _letter(self, word: str) -> str:
+        if word in self.velocities:
+            word = self.velocities[word]
+            return rf"\dot{{{self._letter(word)}}}" if self.latex else self._letter(word) + "\u0307"
+        if not self.latex:
+            return _LETTERS.get(word, word)
+        if word.lower() in _GREEK:
+            return _VARIANTS.get(word, "\\" + word)
+        word = word.replace("_", r"\_")
+        return word if len(word) == 1 or word.isdigit() else rf"\mathrm{{{word}}}"
+
+
+def written(title: str, blocks: Sequence[Block], notation: Notation) -> str:
+    """All blocks one after the other, ending without a newline."""
+    render = _latex_block if notation.latex else _plain_block
+    head = rf"\section*{{{_escaped(title)}}}" if notation.latex else textwrap.fill(title, WIDTH)
+    return "\n\n".join([head, *("\n".join(render(block, notation)) for block in blocks)])
+
+
+def _plain_block(block: Block, notation: Notation) -> Iterator[str]:
+    yield from (block.heading, "-" * len(block.heading))
+    for plain, _ in block.remarks:
+        yield from textwrap.wrap(plain, WIDTH, initial_indent="  ", subsequent_indent="    ")
+    for left, right in block.equations:
+        yield ""
+        yield from (line.rstrip() for line in _pretty(notation.translated(left), notation.translated(right)))
+
+
+def _pretty(left: Expr, right: Expr) -> Iterator[str]:
+    """The lines of one equation, sums broken between terms."""
+    printer = _NamesAsTheyAre({"use_unicode": True, "wrap_line": False})
+    label = prettyForm(f"  {left.name} = ")
+    room = WIDTH - label.width() - 2
+    for i, row in enumerate(_rows(right, lambda e: int(printer._print(e).width()), room)):
+        form = printer._print(row)
+        begin = label if i == 0 else prettyForm(" " * (label.width() - 2) + _sign(row))
+        yield from str(prettyForm(*begin.right(form))).split("\n")
+
+
+def _latex_block(block: Block, notation: Notation) -> Iterator[str]:
+    yield rf"\paragraph{{{_escaped(block.heading)}.}}"
+    yield from (_escaped(plain) if plain == tex else tex for plain, tex in block.remarks)
+    if not block.equations:
+        return
+    yield r"\begin{align*}"
+    for number, (left, right) in enumerate(block.equations):
+        label, value = notation.translated(left), notation.translated(right)
+        rows = list(_rows(value, lambda e: len(_ink(sympy.latex(e))), _LATEX_WIDTH))
+        for i, row in enumerate(rows):
+            begin = f"{label.name} &= " if i == 0 else r"&\quad " + _sign(row)
+            last = number == len(block.equations) - 1 and i == len(rows) - 1
+            yield begin + sympy.latex(row) + ("" if last else r" \\")
+    yield r"\end{align*}"
+
+
+def _rows(value: Expr, width: Callable[[Expr], int], room: int) -> Iterator[Expr]:
+    """Sums that add up to the value, each as long as room permits; products with sums are expanded if need be."""
+    if width(value) <= room:
+        yield value
+        return
+    row: list[Expr] = []
+    for term in _terms(value):
+        for part in [term] if width(term) <= room else _terms(term):
+            if row and width(Add(*row, part)) > room:
+                yield Add(*row)
+                row = []
+            row.append(part)
+    yield Add(*row)
+
+
+def _terms(value: Expr) -> list[Expr]:
+    """The terms of a sum, or of a product with one sum as factor, in the order in which they are printed."""
+    return list(expand_mul(value, deep=False).as_ordered_terms())
+
+
+def _sign(row: Expr) -> str:
+    """The sign before a row that continues a sum; a negative first term brings its own."""
+    return "  " if row.as_ordered_terms()[0].could_extract_minus_sign() else "+ "
+
+
+def _ink(tex: str) -> str:
+    """LaTeX without what takes no place on paper, for a guess of its width."""
+    return re.sub(r"\\(left|right|frac|mathrm|operatorname)|[{}^_\s]", "", tex)
+
+
+def _escaped(text: str) -> str:
+    return re.sub(r"([_%&#$^{}])", r"\\\1", text)

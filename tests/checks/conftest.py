@@ -1,0 +1,49 @@
+"""The gallery's modules, built once a session, and damaged copies of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from codegen import checks, compiler
+from codegen.checks import Context
+from codegen.compiler import Choices
+from codegen.load import load
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+Prepare = Callable[..., Context]
+
+
+@pytest.fixture(scope="session")
+def prepared(cache_folder: Path) -> Prepare:
+    """Contexts by problem file, arguments and choices; each is built once."""
+    known: dict[object, Context] = {}
+
+    def prepare(problem: str | Path, arguments: Mapping[str, str] | None = None, **choices: str) -> Context:
+        path = PROBLEMS / f"{problem}.py" if isinstance(problem, str) else problem
+        key = (path, tuple((arguments or {}).items()), tuple(choices.items()))
+        if key not in known:
+            made = compiler.build(path, arguments, **choices)
+            known[key] = checks.context_of(path, arguments or {}, Choices(**choices), made.path)
+        return known[key]
+
+    return prepare
+
+
+@pytest.fixture
+def damaged(tmp_path: Path) -> Callable[..., Context]:
+    """A context whose module is a copy in which the first occurrence of each text is replaced by the text after it."""
+
+    def damage(context: Context, *texts: str) -> Context:
+        text = Path(context.module.__file__).read_text(encoding="utf-8")
+        for old, new in zip(texts[::2], texts[1::2], strict=True):
+            assert old in text, f"the module does not hold {old!r}"
+            text = text.replace(old, new, 1)
+        copy = tmp_path / "damaged.py"
+        copy.write_text(text, encoding="utf-8")
+        return replace(context, module=load(copy))
+
+    return damage

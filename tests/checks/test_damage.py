@@ -1,0 +1,160 @@
+"""A damaged kernel or pattern is found, and the finding names the entry."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from codegen import checks
+
+
+def failures(name, context):
+    return [finding for finding in checks.apply(name, context) if not finding.passed]
+
+
+def line_with(context, comment: str, kernel: str) -> str:
+    """The assignment in a kernel that carries a comment."""
+    text = Path(context.module.__file__).read_text(encoding="utf-8")
+    body = text[text.index(f"def {kernel}(") :]
+    match = re.search(rf"^    [^=\n]+= .*  # {re.escape(comment)}$", body, re.MULTILINE)
+    assert match
+    return match[0]
+
+
+def negated(line: str) -> str:
+    target, operator, code = re.fullmatch(r"(    [^=]+?) (\+?=) (.*?)  #.*", line).groups()
+    return f"{target} {operator} -({code})"
+
+
+@pytest.mark.parametrize("problem", ["linear_pendulum", "orbital_transfer"])
+def test_sign_in_the_hessian(prepared, damaged, problem):
+    context = prepared(problem)
+    entry = "d2l/dq_k1 dlambda_q_k" if problem == "linear_pendulum" else "d2l/dphi_k1 dr_k"
+    line = line_with(context, entry, "interval_hessian")
+    (failure,) = failures("derivatives", damaged(context, line, negated(line)))
+    assert failure.subject == "interval_hessian"
+    assert entry in failure.detail
+
+
+def test_sign_in_the_gradient(prepared, damaged):
+    context = prepared("linear_pendulum")
+    line = line_with(context, "dl/dlambda_q_k", "interval_gradient")
+    found = failures("derivatives", damaged(context, line, negated(line)))
+    # Differences and complex steps find it independently.
+    assert [failure.subject for failure in found] == ["interval_gradient"] * 2
+    assert all("dl/dlambda_q_k " in failure.detail for failure in found)
+
+
+def test_slight_error_in_the_gradient(prepared, damaged):
+    context = prepared("linear_pendulum")
+    line = line_with(context, "dl/df_k", "interval_gradient")
+    found = failures("derivatives", damaged(context, line, line.replace("  #", "*(1 + 1e-9)  #")))
+    assert found
+    assert all("dl/df_k " in failure.detail for failure in found)
+
+
+def test_cost(prepared, damaged):
+    context = prepared("linear_pendulum")
+    text = Path(context.module.__file__).read_text(encoding="utf-8")
+    line = re.search(r"    return .*", text[text.index("def interval_gradient(") :])[0]
+    (failure,) = failures("derivatives", damaged(context, line, line + "*1.01"))
+    assert "Cd differs" in failure.detail
+
+
+@pytest.mark.parametrize("end", ["start", "end"])
+def test_end_momentum(prepared, damaged, end):
+    context = prepared("linear_pendulum")
+    suffix = "k" if end == "start" else "k1"
+    line = line_with(context, f"by lambda_q_{suffix}", f"{end}_gradient")
+    (failure,) = failures("derivatives", damaged(context, line, negated(line)))
+    assert failure.subject == f"{end}_gradient"
+    assert f"by lambda_q_{suffix}" in failure.detail
+
+
+def test_permuted_pattern(prepared, damaged):
+    context = prepared("linear_pendulum")
+    columns = [int(c) for c in context.module.HESSIAN_COLUMNS]
+    rows = [int(r) for r in context.module.HESSIAN_ROWS]
+    place = next(i for i in range(1, len(rows)) if rows[i] == rows[i - 1] and columns[i] - columns[i - 1] > 1)
+    permuted = [*columns]
+    permuted[place - 1] += 1  # the entry moves to a neighbouring column
+    damage = damaged(context, f"HESSIAN_COLUMNS = np.array({columns}", f"HESSIAN_COLUMNS = np.array({permuted}")
+    missing, needless = failures("sparsity", damage)
+    assert "not emitted: d2l/d" in missing.detail
+    assert "identically zero: d2l/d" in needless.detail
+    assert failures("derivatives", damage)
+
+
+def test_swapped_columns_of_equal_rows(prepared, damaged):
+    context = prepared("orbital_transfer")
+    columns = [int(c) for c in context.module.HESSIAN_COLUMNS]
+    swapped = [*columns[:-2], columns[-1], columns[-2]]
+    damage = damaged(context, f"HESSIAN_COLUMNS = np.array({columns}", f"HESSIAN_COLUMNS = np.array({swapped}")
+    (failure,) = failures("derivatives", damage)
+    assert "d2l/dlambda_phi_k1 d" in failure.detail
+
+
+def test_jacobian_of_a_step(prepared, damaged):
+    context = prepared("pendulum")
+    line = line_with(context, "by p_k1", "step_jacobian")
+    found = failures("derivatives", damaged(context, line, negated(line)))
+    assert "step_jacobian" in [failure.subject for failure in found]
+    assert "d residual 0/dp_k1" in next(f for f in found if f.subject == "step_jacobian").detail
+
+
+def test_elimination(prepared, damaged):
+    context = prepared("pendulum")
+    damage = damaged(context, "interval[0] = q_k1", "interval[0] = q_k1 + 1e-6")
+    assert "one step" in [failure.subject for failure in failures("derivatives", damage)]
+
+
+def test_energy(prepared, damaged):
+    context = prepared("pendulum", {}, scheme="symplectic-euler")
+    text = Path(context.module.__file__).read_text(encoding="utf-8")
+    line = re.search(r"    return .*", text[text.index("def energy(") :])[0]
+    (failure,) = failures("derivatives", damaged(context, line, line + " + 1"))
+    assert failure.subject == "energy"
+
+
+def test_module_that_cannot_run_is_a_finding(prepared, damaged):
+    context = prepared("pendulum")
+    damage = damaged(context, "def energy(state, t, parameters):", "def energy(state, t):")
+    (failure,) = failures("layout", damage)
+    assert "kernel energy fails (TypeError" in failure.detail
+
+
+def test_pattern_that_is_too_short(prepared, damaged):
+    # Compiled, the kernel would write beyond the end of an array.
+    context = prepared("linear_pendulum")
+    texts = []
+    for name in ("HESSIAN_ROWS", "HESSIAN_COLUMNS"):
+        entries = [int(i) for i in getattr(context.module, name)]
+        texts += [f"{name} = np.array({entries}", f"{name} = np.array({entries[:-1]}"]
+    damage = damaged(context, *texts)
+    (failure,) = failures("layout", damage)
+    assert "kernel interval_hessian fails (IndexError" in failure.detail
+    for name in ("derivatives", "sparsity", "momentum matching", "boundary rank", "optimum"):
+        (failure,) = failures(name, damage)
+        assert "not run" in failure.detail
+
+
+def test_entry_that_is_never_written(prepared, damaged):
+    context = prepared("linear_pendulum")
+    line = line_with(context, "dl/df_k", "interval_gradient")
+    (failure,) = failures("layout", damaged(context, line, "    pass"))
+    assert "kernel interval_gradient leaves gradient[2] without a value" in failure.detail
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("START_PINNED = (0,)", "START_PINNED = (1,)"),
+        ("IS_MULTIPLIER = np.array([False, True, False])", "IS_MULTIPLIER = np.array([True, True, False])"),
+        ("ELEMENT = 5", "ELEMENT = 6"),
+    ],
+)
+def test_tables(prepared, damaged, old, new):
+    (failure,) = failures("layout", damaged(prepared("linear_pendulum"), old, new))
+    assert f"{old.partition(' ')[0]} is" in failure.detail
