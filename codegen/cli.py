@@ -132,15 +132,21 @@ def build(
     from codegen import output
 
     output.require_folder(out, "--out", may_be_made=True)
-    with _working("Deriving"):
-        made = _build(problem, set_, scheme, method, controls, out)
-    seconds = made.seconds
-    if not no_compile:
+    begin = time.perf_counter()
+    if no_compile:
+        with _working("Deriving"):
+            made = _build(problem, set_, scheme, method, controls, out)
+    else:
         from codegen import drivers
+        from codegen.drivers.compilation import second_process
         from codegen.load import load
 
-        with _working("Compiling"):
-            seconds += drivers.prepare(load(made.path))
+        with second_process() as helper:
+            with _working("Deriving"):
+                made = _build(problem, set_, scheme, method, controls, out)
+            with _working("Compiling"):
+                drivers.prepare(load(made.path), helper)
+    seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
     typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")
 

@@ -40,6 +40,7 @@ Operations per interval, before and after common subexpressions are shared:
 
     interval_gradient: 324 -> 93
     interval_hessian: 806 -> 137
+    control_hessian: 1 -> 1
     start_gradient: 4 -> 4
     end_gradient: 6 -> 6
 """
@@ -68,7 +69,7 @@ metadata = {
     "node": ('r', 'phi', 'lambda_r', 'lambda_phi'),
     "interval": ('u',),
     "boundary": ('start r', 'start phi', 'start dr', 'start dphi', 'end r', 'end phi', 'end dr', 'end dphi'),
-    "operations": {'interval_gradient': (324, 93), 'interval_hessian': (806, 137), 'start_gradient': (4, 4), 'end_gradient': (6, 6)},
+    "operations": {'interval_gradient': (324, 93), 'interval_hessian': (806, 137), 'control_hessian': (1, 1), 'start_gradient': (4, 4), 'end_gradient': (6, 6)},
     "left_out": (
         'controls in the linear system: their Hessian block is constant, so each interval eliminates its own',
         'curvature of the boundary conditions: positions that they depend on are given',
@@ -95,7 +96,7 @@ HESSIAN_COLUMNS = np.array([0, 0, 1, 0, 1, 0, 1, 0, 3, 4, 0, 1, 2, 3, 4, 5, 0, 1
 # ---- Kernels: everything that is special about this problem ----
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def interval_gradient(unknowns, t, h, parameters, gradient):
     """Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost."""
     r_k = unknowns[0]
@@ -154,7 +155,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     return h*u_k**2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def interval_hessian(unknowns, t, h, parameters, gradient, hessian):
     """Gradient and Hessian (lower triangle, nonzeros) of an interval's share l; returns the discrete cost."""
     r_k = unknowns[0]
@@ -256,6 +257,11 @@ def interval_hessian(unknowns, t, h, parameters, gradient, hessian):
     hessian[29] = x20  # d2l/dlambda_phi_k1 dr_k1
     hessian[30] = x24  # d2l/dlambda_phi_k1 dphi_k1
     return h*u_k**2
+
+
+def control_hessian(h, parameters, block):
+    """Controls' block of the Hessian (lower triangle), the same on every interval."""
+    block[0, 0] = 2*h  # d2l/du_k du_k
 
 
 def start_gradient(unknowns, t, parameters, gradient):
@@ -397,7 +403,7 @@ SIZE = BLOCK + NODE  # unknowns of an element
 IS_CURVATURE = IS_MULTIPLIER[HESSIAN_ROWS % STRIDE] == IS_MULTIPLIER[HESSIAN_COLUMNS % STRIDE]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def shift_and_pin(k, steps, shift, dual_shift, element):
     """Add `shift` to the diagonal of primal unknowns, -`dual_shift` to that of multipliers, and pin what is given.
 
@@ -414,7 +420,7 @@ def shift_and_pin(k, steps, shift, dual_shift, element):
             pin(BLOCK + i, element)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def pin(place, element):
     """Make one row and column of an element matrix that of the unit matrix."""
     for i in range(SIZE):
@@ -426,7 +432,7 @@ def pin(place, element):
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element):
     """Shift the diagonal of an element matrix and pin what is given."""
     shift_and_pin(k, steps, shift, dual_shift, element)
@@ -444,7 +450,7 @@ def end_entries(grid, unknowns):
 
 
 def sort_entries():
-    """Sort the entries of an interval's Hessian: those that stay, those that couple to controls, the controls' own.
+    """Sort the entries of an interval's Hessian: those that stay, and those that couple to controls.
 
     Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are counted among the
     unknowns that stay, or among the controls.
@@ -455,20 +461,19 @@ def sort_entries():
     swapped = is_control[HESSIAN_COLUMNS] & ~is_control[HESSIAN_ROWS]
     rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
     columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
-    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
+    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(2))]
 
 
-(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS), INNER = sort_entries()
+(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS) = sort_entries()
 TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose entries the elimination of the controls changes
 SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
 
 
-def allocate_controls(grid, unknowns):
-    """The block C, which is that of the first interval, room for its inverse, and for B of all intervals."""
-    hessian, block = np.empty(HESSIAN_ROWS.size), np.zeros((CONTROLS, CONTROLS))
-    interval_hessian(unknowns[:ELEMENT], 0.0, grid.h, grid.parameters, np.empty(ELEMENT), hessian)
-    entries, rows, columns = INNER
-    block[rows, columns] = block[columns, rows] = hessian[entries]
+def allocate_controls(grid):
+    """The block C, room for its inverse, and for B of all intervals."""
+    block = np.zeros((CONTROLS, CONTROLS))
+    control_hessian(grid.h, grid.parameters, block)
+    block += np.tril(block, -1).T
     return block, np.empty_like(block), np.zeros((grid.steps, CONTROLS, TOUCHED.size))
 
 
@@ -485,7 +490,7 @@ def prepare_controls(weight, shift, controls):
     return bool(np.isfinite(inverse).all())
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def add_element(hessian, controls, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
     _, inverse, couplings = controls
@@ -552,14 +557,14 @@ def expand(gradient, controls, reduced, step):
 WIDTH = 2 * BLOCK + NODE  # columns of the front
 
 
-def allocate_system(grid, unknowns):
+def allocate_system(grid):
     """Factors of the front at every interval (lower, upper, row exchanges), the last block, and what controls need."""
     return (
         np.empty((grid.steps, SIZE, BLOCK)),
         np.empty((grid.steps, BLOCK, WIDTH)),
         np.empty((grid.steps, BLOCK), np.int64),
         np.empty((NODE, NODE)),
-        allocate_controls(grid, unknowns),
+        allocate_controls(grid),
     )
 
 
@@ -629,7 +634,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
@@ -644,7 +649,7 @@ def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, g
     close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def eliminate_block(front, lower, upper, exchanges):
     """Eliminate the first BLOCK columns of the front with row exchanges; False when a pivot vanishes."""
     for c in range(BLOCK):
@@ -753,7 +758,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
-    system = allocate_system(grid, unknowns)
+    system = allocate_system(grid)
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
@@ -1211,7 +1216,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_d4121f237337b114"
+_IDENTITY = "codegen_orbital_transfer_ed08ca4c740729e9"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -36,6 +36,7 @@ Operations per interval, before and after common subexpressions are shared:
 
     interval_gradient: 185 -> 77
     interval_hessian: 539 -> 107
+    control_hessian: 1 -> 1
     start_gradient: 0 -> 0
     end_gradient: 0 -> 0
 """
@@ -64,7 +65,7 @@ metadata = {
     "node": ('r', 'phi', 'p_r', 'p_phi'),
     "interval": ('mu_r', 'mu_phi', 'mu_p_r', 'mu_p_phi', 'u'),
     "boundary": ('start r', 'start phi', 'start dr', 'start dphi', 'end r', 'end phi', 'end dr', 'end dphi'),
-    "operations": {'interval_gradient': (185, 77), 'interval_hessian': (539, 107), 'start_gradient': (0, 0), 'end_gradient': (0, 0)},
+    "operations": {'interval_gradient': (185, 77), 'interval_hessian': (539, 107), 'control_hessian': (1, 1), 'start_gradient': (0, 0), 'end_gradient': (0, 0)},
     "left_out": (
         'controls in the linear system: their Hessian block is constant, so each interval eliminates its own',
         'curvature of the boundary conditions: positions that they depend on are given',
@@ -91,7 +92,7 @@ HESSIAN_COLUMNS = np.array([0, 0, 3, 0, 2, 0, 1, 3, 0, 2, 3, 0, 3, 0, 7, 8, 0, 3
 # ---- Kernels: everything that is special about this problem ----
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def interval_gradient(unknowns, t, h, parameters, gradient):
     """Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost."""
     r_k = unknowns[0]
@@ -139,7 +140,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     return h*u_k**2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def interval_hessian(unknowns, t, h, parameters, gradient, hessian):
     """Gradient and Hessian (lower triangle, nonzeros) of an interval's share l; returns the discrete cost."""
     r_k = unknowns[0]
@@ -236,6 +237,11 @@ def interval_hessian(unknowns, t, h, parameters, gradient, hessian):
     hessian[32] = x23  # d2l/dp_phi_k1 dr_k1
     hessian[33] = x24  # d2l/dp_phi_k1 dp_phi_k1
     return h*u_k**2
+
+
+def control_hessian(h, parameters, block):
+    """Controls' block of the Hessian (lower triangle), the same on every interval."""
+    block[0, 0] = 2*h  # d2l/du_k du_k
 
 
 def start_gradient(unknowns, t, parameters, gradient):
@@ -365,7 +371,7 @@ SIZE = BLOCK + NODE  # unknowns of an element
 IS_CURVATURE = IS_MULTIPLIER[HESSIAN_ROWS % STRIDE] == IS_MULTIPLIER[HESSIAN_COLUMNS % STRIDE]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def shift_and_pin(k, steps, shift, dual_shift, element):
     """Add `shift` to the diagonal of primal unknowns, -`dual_shift` to that of multipliers, and pin what is given.
 
@@ -382,7 +388,7 @@ def shift_and_pin(k, steps, shift, dual_shift, element):
             pin(BLOCK + i, element)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def pin(place, element):
     """Make one row and column of an element matrix that of the unit matrix."""
     for i in range(SIZE):
@@ -394,7 +400,7 @@ def pin(place, element):
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element):
     """Shift the diagonal of an element matrix and pin what is given."""
     shift_and_pin(k, steps, shift, dual_shift, element)
@@ -412,7 +418,7 @@ def end_entries(grid, unknowns):
 
 
 def sort_entries():
-    """Sort the entries of an interval's Hessian: those that stay, those that couple to controls, the controls' own.
+    """Sort the entries of an interval's Hessian: those that stay, and those that couple to controls.
 
     Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are counted among the
     unknowns that stay, or among the controls.
@@ -423,20 +429,19 @@ def sort_entries():
     swapped = is_control[HESSIAN_COLUMNS] & ~is_control[HESSIAN_ROWS]
     rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
     columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
-    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
+    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(2))]
 
 
-(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS), INNER = sort_entries()
+(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS) = sort_entries()
 TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose entries the elimination of the controls changes
 SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
 
 
-def allocate_controls(grid, unknowns):
-    """The block C, which is that of the first interval, room for its inverse, and for B of all intervals."""
-    hessian, block = np.empty(HESSIAN_ROWS.size), np.zeros((CONTROLS, CONTROLS))
-    interval_hessian(unknowns[:ELEMENT], 0.0, grid.h, grid.parameters, np.empty(ELEMENT), hessian)
-    entries, rows, columns = INNER
-    block[rows, columns] = block[columns, rows] = hessian[entries]
+def allocate_controls(grid):
+    """The block C, room for its inverse, and for B of all intervals."""
+    block = np.zeros((CONTROLS, CONTROLS))
+    control_hessian(grid.h, grid.parameters, block)
+    block += np.tril(block, -1).T
     return block, np.empty_like(block), np.zeros((grid.steps, CONTROLS, TOUCHED.size))
 
 
@@ -453,7 +458,7 @@ def prepare_controls(weight, shift, controls):
     return bool(np.isfinite(inverse).all())
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def add_element(hessian, controls, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
     _, inverse, couplings = controls
@@ -520,14 +525,14 @@ def expand(gradient, controls, reduced, step):
 WIDTH = 2 * BLOCK + NODE  # columns of the front
 
 
-def allocate_system(grid, unknowns):
+def allocate_system(grid):
     """Factors of the front at every interval (lower, upper, row exchanges), the last block, and what controls need."""
     return (
         np.empty((grid.steps, SIZE, BLOCK)),
         np.empty((grid.steps, BLOCK, WIDTH)),
         np.empty((grid.steps, BLOCK), np.int64),
         np.empty((NODE, NODE)),
-        allocate_controls(grid, unknowns),
+        allocate_controls(grid),
     )
 
 
@@ -597,7 +602,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
@@ -612,7 +617,7 @@ def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, g
     close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def eliminate_block(front, lower, upper, exchanges):
     """Eliminate the first BLOCK columns of the front with row exchanges; False when a pivot vanishes."""
     for c in range(BLOCK):
@@ -721,7 +726,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
-    system = allocate_system(grid, unknowns)
+    system = allocate_system(grid)
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
@@ -1176,7 +1181,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_1fa70482928736ed"
+_IDENTITY = "codegen_orbital_transfer_47ce5fcf2c4e94ab"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

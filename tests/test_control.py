@@ -172,7 +172,7 @@ def test_structured_step_solves_the_dense_system(interpreted, name, text, choice
     matrix += np.diag(np.where(grid.is_multiplier, -1e-3, shift))
     keep = np.flatnonzero(free)
     matrix = matrix[np.ix_(keep, keep)]
-    system = module.allocate_system(grid, unknowns)
+    system = module.allocate_system(grid)
     if not module.factor_kkt(grid, unknowns, 1.0, shift, 1e-3, system):
         assert np.linalg.cond(matrix) > 1e8 or np.linalg.eigvalsh(matrix)[0] < 0
         return

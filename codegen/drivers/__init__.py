@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from codegen.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from codegen.drivers.compilation import SecondProcess
     from codegen.drivers.result import Result
     from codegen.load import GeneratedModule
 
@@ -71,8 +72,8 @@ def solve(
     return run(module, find(driver, module.metadata["task"]), steps=steps, every=every, repeat=repeat)
 
 
-def prepare(module: GeneratedModule) -> float:
+def prepare(module: GeneratedModule, helper: SecondProcess) -> float:
     """Have everything that `newton` needs compiled, so that later processes find machine code; return the seconds."""
     from codegen.drivers.run import prepare
 
-    return prepare(module)
+    return prepare(module, helper)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from codegen.drivers import Driver
+from codegen.drivers.compilation import SecondProcess
 from codegen.drivers.control_result import control_result
 from codegen.drivers.result import Request, Result
 from codegen.drivers.simulate_result import simulate_result
@@ -27,7 +28,7 @@ def run(module: GeneratedModule, driver: Driver, *, steps: int | None, every: in
     function = driver.function(module.metadata["task"])
     begin, compiled_before = time.perf_counter(), machine_code_counts(module)[0]
     try:
-        _touch(module, request)
+        _touch(module, request, driver.name)
         attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
     except ValueError as error:
         # Generated modules know nothing of codegen's errors.
@@ -62,15 +63,18 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
         )
 
 
-def prepare(module: GeneratedModule) -> float:
+def prepare(module: GeneratedModule, helper: SecondProcess) -> float:
     """See `codegen.drivers.prepare`."""
     begin = time.perf_counter()
+    helper.compile(module)
     module.solve()
     return time.perf_counter() - begin
 
 
-def _touch(module: GeneratedModule, request: Request) -> None:
-    """Have the functions compiled, or their machine code read, that every driver may call."""
+def _touch(module: GeneratedModule, request: Request, driver: str) -> None:
+    """Have the functions compiled, or their machine code read, that a driver of scipy may call."""
+    if driver == "newton":
+        return
     if is_control(module):
         grid = module.make_grid(request.steps)
         unknowns = module.initial_guess(grid)

@@ -9,7 +9,7 @@ from sympy import Expr, Symbol
 
 from codegen.derive import ControlDerivatives, ElementDerivatives
 from codegen.discretise import STEP
-from codegen.lower.kernels import Kernel, Line, Output, kernel
+from codegen.lower.kernels import INNER, PLAIN, Kernel, Line, Output, kernel
 from codegen.lower.module import Argument, ControlModule
 from codegen.lower.printer import array_code, scalar_code
 from codegen.transcribe.program import ControlProgram, EndElement, Unknown
@@ -20,6 +20,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
     model = program.model
     kernels = (
         *_interval_kernels(program, derivatives.element),
+        *_control_kernels(program, derivatives),
         *_end_kernels(program, derivatives.start, "start", _pins(program.start)),
         *_end_kernels(program, derivatives.end, "end", _pins(program.end)),
     )
@@ -85,14 +86,34 @@ def _interval_kernels(program: ControlProgram, element: ElementDerivatives) -> t
         kernel(
             "interval_gradient",
             "Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost.",
-            arguments, places, gradient, program.cost,
+            arguments, places, gradient, program.cost, decorators=INNER,
         ),
         kernel(
             "interval_hessian",
             "Gradient and Hessian (lower triangle, nonzeros) of an interval's share l; returns the discrete cost.",
-            (*arguments, "hessian"), places, [*gradient, *hessian], program.cost,
+            (*arguments, "hessian"), places, [*gradient, *hessian], program.cost, decorators=INNER,
         ),
     )  # fmt: skip
+
+
+def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
+    """The controls' block of the Hessian, where it is the same on every interval."""
+    if not derivatives.condensed:
+        return ()
+    controls = {program.control_symbols.index(s): s for s in program.control_symbols}
+    first = len(program.left_symbols) + len(program.interval_symbols)
+    block = [
+        Output(
+            f"block[{row - first}, {column - first}]",
+            value,
+            f"d2l/d{controls[row - first]} d{controls[column - first]}",
+        )
+        for row, column, value in derivatives.element.hessian
+        if row - first in controls and column - first in controls
+    ]
+    places = _places(program, derivatives.element.unknowns)
+    summary = "Controls' block of the Hessian (lower triangle), the same on every interval."
+    return (kernel("control_hessian", summary, ("h", "parameters", "block"), places, block, decorators=PLAIN),)
 
 
 def _end_kernels(
@@ -109,14 +130,15 @@ def _end_kernels(
     ]
     arguments = ("unknowns", "t", "parameters", "gradient")
     # Evaluated once in a solution's every point, so compiling them would cost more than it saves.
-    kernels = [kernel(f"{name}_gradient", f"{what}.", arguments, places, gradient, compiled=False)]
+    kernels = [kernel(f"{name}_gradient", f"{what}.", arguments, places, gradient, decorators=PLAIN)]
     if end.hessian:
         entries = [
             Output(f"hessian[{j}]", value, f"{end.unknowns[row]}, {end.unknowns[column]}")
             for j, (row, column, value) in enumerate(end.hessian)
         ]
         summary = f"Hessian (lower triangle, structural nonzeros) of the {name}'s own share."
-        kernels.append(kernel(f"{name}_hessian", summary, ("unknowns", "t", "parameters", "hessian"), places, entries))
+        arguments = ("unknowns", "t", "parameters", "hessian")
+        kernels.append(kernel(f"{name}_hessian", summary, arguments, places, entries, decorators=INNER))
     return tuple(kernels)
 
 

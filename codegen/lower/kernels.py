@@ -10,8 +10,12 @@ from sympy import Expr, Symbol
 
 from codegen.lower.printer import scalar_code, stabilised
 
-NJIT = '@njit(cache=True, error_model="numpy")'
-"""The decorator of compiled kernels; division by zero gives infinity, as it does in numpy."""
+CACHED = ('@njit(cache=True, error_model="numpy")',)
+"""Decorator of functions that Python calls; division by zero gives infinity, as it does in numpy."""
+INNER = ('@njit(error_model="numpy")',)
+"""Decorator of functions that only compiled functions call: their machine code is kept as part of the caller's."""
+PLAIN: tuple[str, ...] = ()
+"""No decorator: for functions that run too seldom to be worth compiling."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class Line:
 class Kernel:
     """A numba function: `inputs` unpack arrays, `body` holds the common subexpressions, `outputs` fill arrays.
 
-    `results` holds the code of what is returned, if anything is, `compiled` the decorator, none for plain Python.
+    `results` holds the code of what is returned, if anything is, `decorators` how the function is compiled.
     """
 
     name: str
@@ -40,7 +44,7 @@ class Kernel:
     results: tuple[str, ...]
     operations_before: int
     operations_after: int
-    compiled: tuple[str, ...]
+    decorators: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ def kernel(
     outputs: Sequence[Output],
     result: Expr | None = None,
     assignments: Sequence[tuple[Symbol, Expr]] = (),
-    compiled: bool = True,
+    decorators: tuple[str, ...] = CACHED,
 ) -> Kernel:
     """Lower expressions to a kernel; `places` tells for each symbol the code that reads it (its own name: argument).
 
@@ -93,7 +97,7 @@ def kernel(
         results=tuple(scalar_code(e) for e in reduced[count:]),
         operations_before=sum(int(e.count_ops()) for e in expressions),
         operations_after=sum(int(e.count_ops()) for e in (*reduced, *(e for _, e in body))),
-        compiled=(NJIT,) if compiled else (),
+        decorators=decorators,
     )
 
 

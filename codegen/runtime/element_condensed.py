@@ -8,11 +8,11 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.elements import BLOCK, SIZE
-from codegen.runtime.example import CONTROLS, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, STRIDE, interval_hessian
+from codegen.runtime.example import CONTROLS, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, STRIDE, control_hessian
 
 
 def sort_entries():
-    """Sort the entries of an interval's Hessian: those that stay, those that couple to controls, the controls' own.
+    """Sort the entries of an interval's Hessian: those that stay, and those that couple to controls.
 
     Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are counted among the
     unknowns that stay, or among the controls.
@@ -23,20 +23,19 @@ def sort_entries():
     swapped = is_control[HESSIAN_COLUMNS] & ~is_control[HESSIAN_ROWS]
     rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
     columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
-    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
+    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(2))]
 
 
-(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS), INNER = sort_entries()
+(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS) = sort_entries()
 TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose entries the elimination of the controls changes
 SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
 
 
-def allocate_controls(grid, unknowns):
-    """The block C, which is that of the first interval, room for its inverse, and for B of all intervals."""
-    hessian, block = np.empty(HESSIAN_ROWS.size), np.zeros((CONTROLS, CONTROLS))
-    interval_hessian(unknowns[:ELEMENT], 0.0, grid.h, grid.parameters, np.empty(ELEMENT), hessian)
-    entries, rows, columns = INNER
-    block[rows, columns] = block[columns, rows] = hessian[entries]
+def allocate_controls(grid):
+    """The block C, room for its inverse, and for B of all intervals."""
+    block = np.zeros((CONTROLS, CONTROLS))
+    control_hessian(grid.h, grid.parameters, block)
+    block += np.tril(block, -1).T
     return block, np.empty_like(block), np.zeros((grid.steps, CONTROLS, TOUCHED.size))
 
 
@@ -53,7 +52,7 @@ def prepare_controls(weight, shift, controls):
     return bool(np.isfinite(inverse).all())
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def add_element(hessian, controls, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
     _, inverse, couplings = controls

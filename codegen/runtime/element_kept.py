@@ -6,7 +6,7 @@ from numba import njit
 from codegen.runtime.example import HESSIAN_COLUMNS, HESSIAN_ROWS
 
 
-def allocate_controls(grid, unknowns):
+def allocate_controls(grid):
     """Storage for eliminated controls: none."""
     return ()
 
@@ -16,7 +16,7 @@ def prepare_controls(weight, shift, controls):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def add_element(hessian, controls, k, element):
     """Add the Hessian of interval k to the element matrix."""
     for j in range(hessian.size):

@@ -17,7 +17,7 @@ START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLU
 metadata = {"node": ("q", "lambda_q"), "interval": ("u",), "parameters": {}}
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def interval_gradient(x, t, h, parameters, gradient):
     """Gradient of l = h u^2 + lambda_k (D1 Ld + h u/2) + lambda_k1 (D2 Ld + h u/2); returns the cost h u^2."""
     q, left, u, q1, right = x[0], x[1], x[2], x[3], x[4]
@@ -31,7 +31,7 @@ def interval_gradient(x, t, h, parameters, gradient):
     return h * u * u
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def interval_hessian(x, t, h, parameters, gradient, hessian):
     """Fill the gradient and the lower triangle of the Hessian; returns the cost."""
     middle = (x[0] + x[3]) / 2
@@ -51,6 +51,11 @@ def interval_hessian(x, t, h, parameters, gradient, hessian):
 
 
 @njit(cache=True, error_model="numpy")
+def control_hessian(h, parameters, block):
+    """Second derivative of l by u."""
+    block[0, 0] = 2 * h
+
+
 def start_gradient(x, t, parameters, gradient):
     """Add the gradient of lambda_0 v(0)."""
     gradient[1] += parameters[1]
@@ -62,11 +67,11 @@ def end_gradient(x, t, parameters, gradient):
     gradient[1] -= parameters[3]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def start_hessian(x, t, parameters, hessian):
     """Nothing is curved at the start."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def end_hessian(x, t, parameters, hessian):
     """Nothing is curved at the end."""

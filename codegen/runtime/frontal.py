@@ -19,14 +19,14 @@ from codegen.runtime.example import ELEMENT, END_PINNED, HESSIAN_ROWS, NODE, STA
 WIDTH = 2 * BLOCK + NODE  # columns of the front
 
 
-def allocate_system(grid, unknowns):
+def allocate_system(grid):
     """Factors of the front at every interval (lower, upper, row exchanges), the last block, and what controls need."""
     return (
         np.empty((grid.steps, SIZE, BLOCK)),
         np.empty((grid.steps, BLOCK, WIDTH)),
         np.empty((grid.steps, BLOCK), np.int64),
         np.empty((NODE, NODE)),
-        allocate_controls(grid, unknowns),
+        allocate_controls(grid),
     )
 
 
@@ -96,7 +96,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
@@ -111,7 +111,7 @@ def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, g
     close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def eliminate_block(front, lower, upper, exchanges):
     """Eliminate the first BLOCK columns of the front with row exchanges; False when a pivot vanishes."""
     for c in range(BLOCK):

@@ -20,7 +20,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
-    system = allocate_system(grid, unknowns)
+    system = allocate_system(grid)
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]

@@ -13,7 +13,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
-    system = allocate_system(grid, unknowns)
+    system = allocate_system(grid)
     regular = factor_kkt(grid, unknowns, 1.0, 0.0, 0.0, system)
     for iteration in range(4):
         point = evaluate(grid, unknowns)

@@ -1,0 +1,103 @@
+"""Compile the machine code of a generated module in two processes at once.
+
+numba compiles one function after the other. The KKT factorisation of a control problem, or the loop over the steps of
+a simulation, takes about half of that time, so a second process compiles it, having loaded numba while the module was
+still being derived; numba's cache on disk brings both together.
+`python -m codegen.drivers.compilation` is that second process: it reads the path of a module from its standard input.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codegen.load import GeneratedModule, load
+
+
+class SecondProcess:
+    """A process that has numba ready and compiles the longest function of one module when it is told to."""
+
+    def __init__(self) -> None:
+        self.process: subprocess.Popen[bytes] | None = None
+        if (os.cpu_count() or 1) > 1:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "codegen.drivers.compilation"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+
+    def compile(self, module: GeneratedModule) -> None:
+        """Compile a module together with the second process; afterwards `solve` finds everything on disk."""
+        if self.process is None:
+            return
+        assert self.process.stdin is not None
+        self.process.stdin.write(os.fsencode(str(Path(str(module.__file__)).absolute())))
+        self.process.stdin.close()
+        compile_all_but_the_longest(module)
+        self.process.wait()
+
+
+@contextmanager
+def second_process() -> Iterator[SecondProcess]:
+    """Start the second process, and make sure that it ends with the block."""
+    helper = SecondProcess()
+    try:
+        yield helper
+    finally:
+        if helper.process is not None:
+            helper.process.kill()
+            helper.process.wait()
+            if helper.process.stdin is not None:
+                helper.process.stdin.close()
+
+
+def compile_all_but_the_longest(module: Any) -> None:
+    """Call what a solution calls, except the longest function; the factors of a control problem are zeros."""
+    grid = module.make_grid(2)
+    if module.metadata["task"] == "simulate":
+        module.path_residual(grid, np.vstack([grid.start, grid.start]))
+        return
+    unknowns = module.initial_guess(grid)
+    gradient = module.evaluate(grid, unknowns).gradient
+    system = module.allocate_system(grid)
+    for part in (*system[:-1], *system[-1]):
+        part.fill(0)
+    with np.errstate(all="ignore"):
+        module.solve_kkt(grid, system, gradient, np.empty_like(unknowns))
+        module.unpack(grid, unknowns)
+
+
+def compile_the_longest(module: Any) -> None:
+    """Call the factorisation of a control problem, or the loop of a simulation, once."""
+    grid = module.make_grid(2)
+    if module.metadata["task"] == "simulate":
+        path = np.empty((3, grid.start.size))
+        module.follow(grid.start, 2, grid.h, grid.parameters, 1, 1e-13, 50, path, path)
+        return
+    module.factor_kkt(grid, module.initial_guess(grid), 1.0, 0.0, 0.0, module.allocate_system(grid))
+
+
+def main() -> None:
+    """Get numba ready, wait for the path of a module, compile its longest function."""
+    from numba import njit
+
+    njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
+    path = os.fsdecode(sys.stdin.buffer.read())
+    if path:
+        compile_the_longest(load(Path(path)))
+
+
+def _nothing(x: Any) -> Any:
+    return x
+
+
+if __name__ == "__main__":
+    main()
