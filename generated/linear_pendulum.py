@@ -226,6 +226,7 @@ def measure(gradient, is_multiplier):
     return largest_residual, total_residual, stationarity
 
 
+@njit(cache=True, error_model="numpy")
 def measure_step(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along a Newton step, and whether the step promises a descent.
 
@@ -233,11 +234,17 @@ def measure_step(unknowns, gradient, step, is_multiplier):
     of the step, the step's own equations W d + A' m = -gradient and A d = -residual give d' W d and the derivative of
     the cost along d without another product with a matrix. The promise is the inertia-free test of Chiang and Zavala.
     """
-    slope = gradient @ np.where(is_multiplier, unknowns, step)
-    curvature = gradient @ np.where(is_multiplier, step, -step)
-    linear = -(gradient @ np.where(is_multiplier, unknowns + step, 0.0))
-    primal = np.where(is_multiplier, 0.0, step)
-    return slope, curvature + max(linear, 0.0) >= 1e-10 * (primal @ primal)
+    slope, curvature, linear, square = 0.0, 0.0, 0.0, 0.0
+    for i in range(step.size):
+        if is_multiplier[i]:
+            slope += gradient[i] * unknowns[i]
+            curvature += gradient[i] * step[i]
+            linear -= gradient[i] * (unknowns[i] + step[i])
+        else:
+            slope += gradient[i] * step[i]
+            curvature -= gradient[i] * step[i]
+            square += step[i] * step[i]
+    return slope, curvature + max(linear, 0.0) >= 1e-10 * square
 
 
 # A time grid with its data, and a vector of unknowns together with everything that is measured there.
@@ -629,29 +636,29 @@ def rounding_level(unknowns, steps, h, parameters):
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, log):
-    """Find the minimum; return (status, unknowns, iterations).
+    """Find the minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
     system = allocate_system(grid)
     regular = factor_kkt(grid, unknowns, 1.0, 0.0, 0.0, system)
+    point = evaluate(grid, unknowns)
     for iteration in range(4):
-        point = evaluate(grid, unknowns)
         log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
         if not point.error < np.inf:
-            return "non-finite", unknowns, iteration
+            return "non-finite", point, iteration
         if not regular:
-            return "rank-deficient", unknowns, iteration
+            return "rank-deficient", point, iteration
         if point.error <= tolerance:
-            return "solved", unknowns, iteration
-        if iteration > 0 and point.error <= rounding_level(unknowns, grid.steps, grid.h, grid.parameters):
-            return "solved", unknowns, iteration
+            return "solved", point, iteration
+        if iteration > 0 and point.error <= rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
+            return "solved", point, iteration
         step = np.empty_like(unknowns)
         solve_kkt(grid, system, point.gradient, step)
-        if iteration == 0 and not measure_step(unknowns, point.gradient, step, grid.is_multiplier)[1]:
-            return "unbounded", unknowns, iteration
-        unknowns = unknowns + step
-    return "stalled", unknowns, 3
+        if iteration == 0 and not measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[1]:
+            return "unbounded", point, iteration
+        point = evaluate(grid, point.unknowns + step)
+    return "stalled", point, 3
 
 
 # Momenta of a discrete motion by the forced discrete Legendre transforms.
@@ -825,7 +832,7 @@ class Solution(NamedTuple):
     """What `solve` returns; arrays run over the N + 1 nodes, or over the N intervals where it is said.
 
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
-    evaluated anew at the solution; `u` holds controls (on intervals), `unknowns` is the vector that `guess` takes.
+    evaluated at the solution; `u` holds controls (on intervals), `unknowns` is the vector that `guess` takes.
     """
 
     status: str
@@ -868,8 +875,7 @@ def solve(
     )
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
     rows = []
-    status, unknowns, iterations = minimise(grid, unknowns, tolerance, max_iterations, rows)
-    point = evaluate(grid, unknowns)
+    status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, rows)
     if log:
         print_log(rows)
     return Solution(
@@ -879,8 +885,8 @@ def solve(
         float(point.residual),
         float(point.stationarity),
         iterations,
-        *unpack(grid, unknowns),
-        unknowns,
+        *unpack(grid, point.unknowns),
+        point.unknowns,
         np.array(rows),
     )
 
@@ -947,7 +953,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_5d93409964f27998"
+_IDENTITY = "codegen_linear_pendulum_b986e036314018ab"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

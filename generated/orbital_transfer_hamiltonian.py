@@ -313,6 +313,7 @@ def measure(gradient, is_multiplier):
     return largest_residual, total_residual, stationarity
 
 
+@njit(cache=True, error_model="numpy")
 def measure_step(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along a Newton step, and whether the step promises a descent.
 
@@ -320,11 +321,17 @@ def measure_step(unknowns, gradient, step, is_multiplier):
     of the step, the step's own equations W d + A' m = -gradient and A d = -residual give d' W d and the derivative of
     the cost along d without another product with a matrix. The promise is the inertia-free test of Chiang and Zavala.
     """
-    slope = gradient @ np.where(is_multiplier, unknowns, step)
-    curvature = gradient @ np.where(is_multiplier, step, -step)
-    linear = -(gradient @ np.where(is_multiplier, unknowns + step, 0.0))
-    primal = np.where(is_multiplier, 0.0, step)
-    return slope, curvature + max(linear, 0.0) >= 1e-10 * (primal @ primal)
+    slope, curvature, linear, square = 0.0, 0.0, 0.0, 0.0
+    for i in range(step.size):
+        if is_multiplier[i]:
+            slope += gradient[i] * unknowns[i]
+            curvature += gradient[i] * step[i]
+            linear -= gradient[i] * (unknowns[i] + step[i])
+        else:
+            slope += gradient[i] * step[i]
+            curvature -= gradient[i] * step[i]
+            square += step[i] * step[i]
+    return slope, curvature + max(linear, 0.0) >= 1e-10 * square
 
 
 # A time grid with its data, and a vector of unknowns together with everything that is measured there.
@@ -722,7 +729,7 @@ SHORTEST_STEP = 1e-10
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, log):
-    """Find a local minimum; return (status, unknowns, iterations).
+    """Find a local minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
@@ -734,26 +741,26 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
     for iteration in range(max_iterations + 1):
         log.append((point.cost, point.residual, point.stationarity, shift, length))
         if not point.error < np.inf:
-            return "non-finite", point.unknowns, iteration
+            return "non-finite", point, iteration
         if point.error <= tolerance or is_rounding(grid, point, log[0]):
-            return "solved", point.unknowns, iteration
+            return "solved", point, iteration
         if iteration == max_iterations:
             break
         step, slope, shift = regularised_step(grid, point, last_shift, system)
         if step is None:
-            return "rank-deficient", point.unknowns, iteration
+            return "rank-deficient", point, iteration
         last_shift = shift or last_shift
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
             if point.error <= 1e3 * rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
-                return "stalled", point.unknowns, iteration
+                return "stalled", point, iteration
             filtered.append(envelope(point))
             trial = restore(grid, point, filtered, system)
             if trial is None:
-                return "infeasible", point.unknowns, iteration
+                return "infeasible", point, iteration
             trial = evaluate(grid, guess_multipliers(grid, trial.unknowns, system))
         point = trial
-    return "iteration limit", point.unknowns, max_iterations
+    return "iteration limit", point, max_iterations
 
 
 def is_rounding(grid, point, first):
@@ -1016,7 +1023,7 @@ class Solution(NamedTuple):
     """What `solve` returns; arrays run over the N + 1 nodes, or over the N intervals where it is said.
 
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
-    evaluated anew at the solution; `u` holds controls (on intervals), `unknowns` is the vector that `guess` takes.
+    evaluated at the solution; `u` holds controls (on intervals), `unknowns` is the vector that `guess` takes.
     """
 
     status: str
@@ -1069,8 +1076,7 @@ def solve(
     )
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
     rows = []
-    status, unknowns, iterations = minimise(grid, unknowns, tolerance, max_iterations, rows)
-    point = evaluate(grid, unknowns)
+    status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, rows)
     if log:
         print_log(rows)
     return Solution(
@@ -1080,8 +1086,8 @@ def solve(
         float(point.residual),
         float(point.stationarity),
         iterations,
-        *unpack(grid, unknowns),
-        unknowns,
+        *unpack(grid, point.unknowns),
+        point.unknowns,
         np.array(rows),
     )
 
@@ -1181,7 +1187,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_47ce5fcf2c4e94ab"
+_IDENTITY = "codegen_orbital_transfer_bbeefa4f92f16f28"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -39,7 +39,7 @@ class SecondProcess:
         if self.process is None:
             return
         assert self.process.stdin is not None
-        self.process.stdin.write(os.fsencode(str(Path(str(module.__file__)).absolute())))
+        self.process.stdin.write(os.fsencode(os.path.abspath(str(vars(module)["__file__"]))))
         self.process.stdin.close()
         compile_all_but_the_longest(module)
         self.process.wait()

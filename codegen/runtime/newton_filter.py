@@ -16,7 +16,7 @@ SHORTEST_STEP = 1e-10
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, log):
-    """Find a local minimum; return (status, unknowns, iterations).
+    """Find a local minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
@@ -28,26 +28,26 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
     for iteration in range(max_iterations + 1):
         log.append((point.cost, point.residual, point.stationarity, shift, length))
         if not point.error < np.inf:
-            return "non-finite", point.unknowns, iteration
+            return "non-finite", point, iteration
         if point.error <= tolerance or is_rounding(grid, point, log[0]):
-            return "solved", point.unknowns, iteration
+            return "solved", point, iteration
         if iteration == max_iterations:
             break
         step, slope, shift = regularised_step(grid, point, last_shift, system)
         if step is None:
-            return "rank-deficient", point.unknowns, iteration
+            return "rank-deficient", point, iteration
         last_shift = shift or last_shift
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
             if point.error <= 1e3 * rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
-                return "stalled", point.unknowns, iteration
+                return "stalled", point, iteration
             filtered.append(envelope(point))
             trial = restore(grid, point, filtered, system)
             if trial is None:
-                return "infeasible", point.unknowns, iteration
+                return "infeasible", point, iteration
             trial = evaluate(grid, guess_multipliers(grid, trial.unknowns, system))
         point = trial
-    return "iteration limit", point.unknowns, max_iterations
+    return "iteration limit", point, max_iterations
 
 
 def is_rounding(grid, point, first):

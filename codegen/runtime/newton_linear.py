@@ -9,26 +9,26 @@ from codegen.runtime.rounding import rounding_level
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, log):
-    """Find the minimum; return (status, unknowns, iterations).
+    """Find the minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
     system = allocate_system(grid)
     regular = factor_kkt(grid, unknowns, 1.0, 0.0, 0.0, system)
+    point = evaluate(grid, unknowns)
     for iteration in range(4):
-        point = evaluate(grid, unknowns)
         log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
         if not point.error < np.inf:
-            return "non-finite", unknowns, iteration
+            return "non-finite", point, iteration
         if not regular:
-            return "rank-deficient", unknowns, iteration
+            return "rank-deficient", point, iteration
         if point.error <= tolerance:
-            return "solved", unknowns, iteration
-        if iteration > 0 and point.error <= rounding_level(unknowns, grid.steps, grid.h, grid.parameters):
-            return "solved", unknowns, iteration
+            return "solved", point, iteration
+        if iteration > 0 and point.error <= rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
+            return "solved", point, iteration
         step = np.empty_like(unknowns)
         solve_kkt(grid, system, point.gradient, step)
-        if iteration == 0 and not measure_step(unknowns, point.gradient, step, grid.is_multiplier)[1]:
-            return "unbounded", unknowns, iteration
-        unknowns = unknowns + step
-    return "stalled", unknowns, 3
+        if iteration == 0 and not measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[1]:
+            return "unbounded", point, iteration
+        point = evaluate(grid, point.unknowns + step)
+    return "stalled", point, 3

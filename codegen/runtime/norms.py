@@ -24,6 +24,7 @@ def measure(gradient, is_multiplier):
     return largest_residual, total_residual, stationarity
 
 
+@njit(cache=True, error_model="numpy")
 def measure_step(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along a Newton step, and whether the step promises a descent.
 
@@ -31,8 +32,14 @@ def measure_step(unknowns, gradient, step, is_multiplier):
     of the step, the step's own equations W d + A' m = -gradient and A d = -residual give d' W d and the derivative of
     the cost along d without another product with a matrix. The promise is the inertia-free test of Chiang and Zavala.
     """
-    slope = gradient @ np.where(is_multiplier, unknowns, step)
-    curvature = gradient @ np.where(is_multiplier, step, -step)
-    linear = -(gradient @ np.where(is_multiplier, unknowns + step, 0.0))
-    primal = np.where(is_multiplier, 0.0, step)
-    return slope, curvature + max(linear, 0.0) >= 1e-10 * (primal @ primal)
+    slope, curvature, linear, square = 0.0, 0.0, 0.0, 0.0
+    for i in range(step.size):
+        if is_multiplier[i]:
+            slope += gradient[i] * unknowns[i]
+            curvature += gradient[i] * step[i]
+            linear -= gradient[i] * (unknowns[i] + step[i])
+        else:
+            slope += gradient[i] * step[i]
+            curvature -= gradient[i] * step[i]
+            square += step[i] * step[i]
+    return slope, curvature + max(linear, 0.0) >= 1e-10 * square
