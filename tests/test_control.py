@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy import lambdify
 
-from codegen.analysis.maximum_principle import exact_optimum, reference_optimum
+from codegen.analysis.exact_optimum import exact_optimum
+from codegen.analysis.reference_optimum import reference_optimum
 from codegen.compiler import build
 from codegen.load import load
 from codegen.problem_file import load_problem

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from codegen.analysis import maximum_principle
+from codegen.analysis.exact_optimum import exact_optimum
+from codegen.analysis.reference_optimum import reference_optimum
 from codegen.checks.base import Context, Finding
 from codegen.errors import CodegenError
 from codegen.transcribe.program import ControlProgram
@@ -33,10 +34,10 @@ def check(context: Context) -> Iterator[Finding]:
 
 def optimal_cost(context: Context) -> tuple[float, str]:
     """The cost of the continuous optimum and where it comes from."""
-    exact = maximum_principle.exact_optimum(context.model)
+    exact = exact_optimum(context.model)
     if exact is not None:
         return exact.cost_at(), "in closed form"
-    return maximum_principle.reference_optimum(context.model).cost, "by collocation"
+    return reference_optimum(context.model).cost, "by collocation"
 
 
 def _convergence(context: Context, optimum: float, source: str) -> Finding:

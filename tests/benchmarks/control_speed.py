@@ -38,6 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # where the packag
 
 from peers.casadi_control import PreparedControl
 
+BLOCK = 10  # solves in a row before the next contestant has its turn
 TOLERANCE = 1e-10
 OPTY_CASE = ("orbital_transfer_2", 300)
 CASES = [
@@ -107,16 +108,21 @@ def casadi(problem: str, steps: int, compiled: bool) -> Contestant:
 
 
 def compare(problem: str, steps: int, rounds: int) -> list[Row]:
-    """Run all contestants in turn, `rounds` times, and give one row for each."""
+    """Run all contestants in turn, `rounds` times, and give one row for each.
+
+    In its turn each solves BLOCK times in a row: what is compared are warm solves, of a program that others interrupt
+    only now and then, and a drift of the machine's speed still meets all of them.
+    """
     own = ours(problem, steps)
     peers = [casadi(problem, steps, compiled=False), casadi(problem, steps, compiled=True)]
     contestants = [own, *peers] if own else peers
     seconds: dict[str, list[float]] = {contestant.name: [] for contestant in contestants}
     for _ in range(rounds):
         for contestant in contestants:
-            started = perf_counter()
-            contestant.run()
-            seconds[contestant.name].append(perf_counter() - started)
+            for _ in range(BLOCK):
+                started = perf_counter()
+                contestant.run()
+                seconds[contestant.name].append(perf_counter() - started)
     return [row(problem, steps, contestant, seconds[contestant.name]) for contestant in contestants]
 
 
