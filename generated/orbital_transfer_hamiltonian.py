@@ -378,7 +378,7 @@ SIZE = BLOCK + NODE  # unknowns of an element
 IS_CURVATURE = IS_MULTIPLIER[HESSIAN_ROWS % STRIDE] == IS_MULTIPLIER[HESSIAN_COLUMNS % STRIDE]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def shift_and_pin(k, steps, shift, dual_shift, element):
     """Add `shift` to the diagonal of primal unknowns, -`dual_shift` to that of multipliers, and pin what is given.
 
@@ -395,7 +395,7 @@ def shift_and_pin(k, steps, shift, dual_shift, element):
             pin(BLOCK + i, element)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def pin(place, element):
     """Make one row and column of an element matrix that of the unit matrix."""
     for i in range(SIZE):
@@ -407,7 +407,7 @@ def pin(place, element):
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element):
     """Shift the diagonal of an element matrix and pin what is given."""
     shift_and_pin(k, steps, shift, dual_shift, element)
@@ -457,15 +457,30 @@ def prepare_controls(weight, shift, controls):
     block, inverse, _ = controls
     shifted = weight * block
     shifted.flat[:: CONTROLS + 1] += shift
-    try:
-        np.linalg.cholesky(shifted)
-    except np.linalg.LinAlgError:
-        return False
-    inverse[:] = np.linalg.inv(shifted)
-    return bool(np.isfinite(inverse).all())
+    return invert_positive_definite(shifted.tolist(), inverse)
 
 
-@njit(error_model="numpy")
+def invert_positive_definite(rows, inverse):
+    """Invert a small symmetric matrix, given as lists, by Gauss-Jordan elimination; False when it is not positive.
+
+    Plain Python is faster here than numpy, whose calls cost more than the arithmetic of a few controls.
+    """
+    size = len(rows)
+    for k, pivot_row in enumerate(rows):
+        pivot = pivot_row[k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        pivot_row[k] = 1.0
+        pivot_row[:] = [value / pivot for value in pivot_row]
+        for i in range(size):
+            if i != k:
+                factor, rows[i][k] = rows[i][k], 0.0
+                rows[i][:] = [value - factor * above for value, above in zip(rows[i], pivot_row, strict=True)]
+    inverse[:] = rows
+    return True
+
+
+@njit(error_model="numpy", inline="always")
 def add_element(hessian, controls, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
     _, inverse, couplings = controls
@@ -574,6 +589,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     return bool(np.isfinite(last).all())
 
 
+# What the loop over the intervals calls is inlined: a call costs as much as the arithmetic of a small block.
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
     """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is infinite."""
@@ -609,7 +625,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
@@ -624,7 +640,7 @@ def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, g
     close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def eliminate_block(front, lower, upper, exchanges):
     """Eliminate the first BLOCK columns of the front with row exchanges; False when a pivot vanishes."""
     for c in range(BLOCK):
@@ -889,8 +905,11 @@ def checked_grid(steps, duration, parameters):
     parameters = np.array(parameters, dtype=float)
     if not np.isfinite(parameters).all():
         raise ValueError(f"parameters and boundary values must be finite, got {parameters}")
-    is_multiplier = np.concatenate([np.tile(IS_MULTIPLIER, int(steps)), IS_MULTIPLIER[:NODE]])
-    return Grid(int(steps), float(duration) / int(steps), parameters, is_multiplier)
+    steps = int(steps)
+    is_multiplier = np.empty(steps * STRIDE + NODE, dtype=bool)
+    is_multiplier[: steps * STRIDE].reshape(steps, STRIDE)[:] = IS_MULTIPLIER
+    is_multiplier[steps * STRIDE :] = IS_MULTIPLIER[:NODE]
+    return Grid(steps, float(duration) / steps, parameters, is_multiplier)
 
 
 def replace_values(boundary, where, values):
@@ -1187,7 +1206,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_bbeefa4f92f16f28"
+_IDENTITY = "codegen_orbital_transfer_f85c018e0ba9c88f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -44,15 +44,30 @@ def prepare_controls(weight, shift, controls):
     block, inverse, _ = controls
     shifted = weight * block
     shifted.flat[:: CONTROLS + 1] += shift
-    try:
-        np.linalg.cholesky(shifted)
-    except np.linalg.LinAlgError:
-        return False
-    inverse[:] = np.linalg.inv(shifted)
-    return bool(np.isfinite(inverse).all())
+    return invert_positive_definite(shifted.tolist(), inverse)
 
 
-@njit(error_model="numpy")
+def invert_positive_definite(rows, inverse):
+    """Invert a small symmetric matrix, given as lists, by Gauss-Jordan elimination; False when it is not positive.
+
+    Plain Python is faster here than numpy, whose calls cost more than the arithmetic of a few controls.
+    """
+    size = len(rows)
+    for k, pivot_row in enumerate(rows):
+        pivot = pivot_row[k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        pivot_row[k] = 1.0
+        pivot_row[:] = [value / pivot for value in pivot_row]
+        for i in range(size):
+            if i != k:
+                factor, rows[i][k] = rows[i][k], 0.0
+                rows[i][:] = [value - factor * above for value, above in zip(rows[i], pivot_row, strict=True)]
+    inverse[:] = rows
+    return True
+
+
+@njit(error_model="numpy", inline="always")
 def add_element(hessian, controls, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
     _, inverse, couplings = controls

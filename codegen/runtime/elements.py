@@ -22,7 +22,7 @@ SIZE = BLOCK + NODE  # unknowns of an element
 IS_CURVATURE = IS_MULTIPLIER[HESSIAN_ROWS % STRIDE] == IS_MULTIPLIER[HESSIAN_COLUMNS % STRIDE]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def shift_and_pin(k, steps, shift, dual_shift, element):
     """Add `shift` to the diagonal of primal unknowns, -`dual_shift` to that of multipliers, and pin what is given.
 
@@ -39,7 +39,7 @@ def shift_and_pin(k, steps, shift, dual_shift, element):
             pin(BLOCK + i, element)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def pin(place, element):
     """Make one row and column of an element matrix that of the unit matrix."""
     for i in range(SIZE):

@@ -6,7 +6,7 @@ from numba import njit
 from codegen.runtime.elements import shift_and_pin
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element):
     """Shift the diagonal of an element matrix and pin what is given."""
     shift_and_pin(k, steps, shift, dual_shift, element)

@@ -30,8 +30,11 @@ def checked_grid(steps, duration, parameters):
     parameters = np.array(parameters, dtype=float)
     if not np.isfinite(parameters).all():
         raise ValueError(f"parameters and boundary values must be finite, got {parameters}")
-    is_multiplier = np.concatenate([np.tile(IS_MULTIPLIER, int(steps)), IS_MULTIPLIER[:NODE]])
-    return Grid(int(steps), float(duration) / int(steps), parameters, is_multiplier)
+    steps = int(steps)
+    is_multiplier = np.empty(steps * STRIDE + NODE, dtype=bool)
+    is_multiplier[: steps * STRIDE].reshape(steps, STRIDE)[:] = IS_MULTIPLIER
+    is_multiplier[steps * STRIDE :] = IS_MULTIPLIER[:NODE]
+    return Grid(steps, float(duration) / steps, parameters, is_multiplier)
 
 
 def replace_values(boundary, where, values):

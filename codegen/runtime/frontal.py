@@ -61,6 +61,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     return bool(np.isfinite(last).all())
 
 
+# What the loop over the intervals calls is inlined: a call costs as much as the arithmetic of a small block.
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
     """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is infinite."""
@@ -96,7 +97,7 @@ def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, 
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, gradient, hessian, controls, element):
     """Fill the element matrix of interval k."""
     interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
@@ -111,7 +112,7 @@ def fill_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, g
     close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", inline="always")
 def eliminate_block(front, lower, upper, exchanges):
     """Eliminate the first BLOCK columns of the front with row exchanges; False when a pivot vanishes."""
     for c in range(BLOCK):
