@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -69,7 +70,10 @@ def build(
     """
     begin = time.perf_counter()
     path, arguments = Path(path), dict(arguments or {})
-    choices = Choices(scheme, method, controls)
+    for key, value in arguments.items():
+        if not value.isprintable():
+            raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
+    choices = Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls)
     digest = input_digest(path, arguments, *_choice_texts(choices), *versions(), _own_digest())
     name = module_name(path, arguments, choices)
     store = cache_folder() / digest[:20] / f"{name}.py"
@@ -108,7 +112,8 @@ def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Ori
     """The header's record of where a module comes from; it names no folder, so that any machine makes the same text."""
     from codegen.lower.module import Origin
 
-    words = ["codegen build", path.name, *(f"--set {key}={value}" for key, value in sorted(arguments.items()))]
+    settings = (shlex.quote(f"{key}={value}") for key, value in sorted(arguments.items()))
+    words = ["codegen build", shlex.quote(path.name), *(f"--set {setting}" for setting in settings)]
     for option in ("scheme", "method"):
         words += [f"--{option} {value}" for value in (getattr(choices, option),) if value]
     words += ["--controls nodal"] if choices.controls == "nodal" else []
@@ -119,7 +124,7 @@ def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Ori
 def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
     """The problem's name, followed by every choice that is not the default."""
     parts = [path.stem]
-    if choices.method and choices.method != "variational":
+    if choices.method:
         parts.append(choices.method)
     if choices.scheme and choices.scheme != DEFAULT_SCHEME:
         parts.append(choices.scheme)
@@ -127,7 +132,11 @@ def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> s
         parts.append(f"{choices.controls}_controls")
     parts += [f"{key}_{value}" for key, value in sorted(arguments.items())]
     name = "_".join(parts)
-    return "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
+    plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
+    if plain == name.replace("-", "_"):
+        return plain
+    # Characters were lost that may have told two modules apart.
+    return f"{plain}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
 def versions() -> tuple[str, ...]:

@@ -35,6 +35,7 @@ def render(module: Module, origin: Origin) -> str:
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
     values |= {
         "runtime": runtime_source(module.runtime),
+        "title": _in_docstring(module.title),
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
     }
@@ -43,7 +44,9 @@ def render(module: Module, origin: Origin) -> str:
     template = environment.get_template(module.template)
     # numba's cache needs a name that belongs to this text alone; see the end of a generated module.
     anonymous = template.render(values, identity="")
-    return _tidy(template.render(values, identity=hashlib.sha256(anonymous.encode()).hexdigest()[:16]))
+    text = _tidy(template.render(values, identity=hashlib.sha256(anonymous.encode()).hexdigest()[:16]))
+    compile(text, f"{module.name}.py", "exec")
+    return text
 
 
 def runtime_source(names: tuple[str, ...]) -> str:
@@ -84,6 +87,11 @@ def write(path: Path, text: str) -> bool:
     except (OSError, UnicodeDecodeError) as error:
         raise ModuleError(f"{path} cannot be written ({error})", "choose another --out folder") from None
     return True
+
+
+def _in_docstring(text: str) -> str:
+    """Text as it has to be written between triple quotes."""
+    return text.replace("\\", "\\\\").replace('"', '\\"')
 
 
 def _template_variables(environment: jinja2.Environment, name: str) -> set[str]:

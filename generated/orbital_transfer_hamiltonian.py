@@ -313,27 +313,6 @@ def measure(gradient, is_multiplier):
     return largest_residual, total_residual, stationarity
 
 
-@njit(cache=True, error_model="numpy")
-def measure_step(unknowns, gradient, step, is_multiplier):
-    """Slope of the cost along a Newton step, and whether the step promises a descent.
-
-    With W the Hessian as it was factored, A the Jacobian of the equations, d the primal and m the multipliers' part
-    of the step, the step's own equations W d + A' m = -gradient and A d = -residual give d' W d and the derivative of
-    the cost along d without another product with a matrix. The promise is the inertia-free test of Chiang and Zavala.
-    """
-    slope, curvature, linear, square = 0.0, 0.0, 0.0, 0.0
-    for i in range(step.size):
-        if is_multiplier[i]:
-            slope += gradient[i] * unknowns[i]
-            curvature += gradient[i] * step[i]
-            linear -= gradient[i] * (unknowns[i] + step[i])
-        else:
-            slope += gradient[i] * step[i]
-            curvature -= gradient[i] * step[i]
-            square += step[i] * step[i]
-    return slope, curvature + max(linear, 0.0) >= 1e-10 * square
-
-
 # A time grid with its data, and a vector of unknowns together with everything that is measured there.
 
 
@@ -395,7 +374,7 @@ def shift_and_pin(k, steps, shift, dual_shift, element):
             pin(BLOCK + i, element)
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def pin(place, element):
     """Make one row and column of an element matrix that of the unit matrix."""
     for i in range(SIZE):
@@ -480,7 +459,7 @@ def invert_positive_definite(rows, inverse):
     return True
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def add_element(hessian, controls, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
     _, inverse, couplings = controls
@@ -589,7 +568,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     return bool(np.isfinite(last).all())
 
 
-# What the loop over the intervals calls is inlined: a call costs as much as the arithmetic of a small block.
+# The most frequent calls are inlined: a call costs as much as the arithmetic of a small block.
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
     """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is infinite."""
@@ -710,14 +689,18 @@ def backward(upper, reduced):
             reduced[first + c] = (value - rest) / upper[k, c, c]
 
 
-# The smallest residual that floating-point numbers can be expected to reach.
+# How large the terms of the equations are: what a residual has to be compared with.
+
+UNIT_ROUNDOFF = 2.2e-16
+WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
 
 
 @njit(cache=True, error_model="numpy")
-def rounding_level(unknowns, steps, h, parameters):
-    """Largest error of a residual when every unknown is off by half a unit in the last place: eps max_i |K| |x|.
+def term_sizes(unknowns, steps, h, parameters, is_multiplier):
+    """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
-    Source: Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
+    Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     """
     local, hessian = np.empty(ELEMENT), np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
@@ -729,10 +712,80 @@ def rounding_level(unknowns, steps, h, parameters):
             sums[row] += abs(hessian[j] * unknowns[column])
             if row != column:
                 sums[column] += abs(hessian[j] * unknowns[row])
-    largest = 0.0
+    equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
-        largest = max(largest, sums[i])
-    return 2.2e-16 * largest
+        if is_multiplier[i]:
+            equations = max(equations, sums[i])
+        else:
+            stationarity = max(stationarity, sums[i])
+    return equations, stationarity
+
+
+def is_solved(grid, point, tolerance):
+    """Whether residual and stationarity are within the tolerance, or as small as rounding errors allow.
+
+    The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
+    so that a problem in small units is not called solved too early.
+    """
+    if point.error > max(tolerance, WORTH_MEASURING):
+        return False
+    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    measured = (point.residual, point.stationarity)
+    return all(
+        value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
+        for value, size in zip(measured, sizes, strict=True)
+    )
+
+
+def is_rounding(grid, point):
+    """Whether residual and stationarity are no larger than a thousand rounding errors."""
+    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]
+
+
+# A test of the second-order condition with the factors of the KKT matrix.
+
+
+def curves_upwards(grid, system, waves):
+    """Whether the Hessian curves upwards along slow variations that respect the linearised equations.
+
+    For a right-hand side r in the stationarity conditions alone, the primal part d of the solution keeps the equations
+    and has d' W d = d . r, W being the Hessian. Sines of one, two, ... half waves over the time interval are tried,
+    because that is where a problem without minimum gives itself away: short waves are held down by the controls.
+    """
+    place = np.arange(grid.is_multiplier.size) / grid.is_multiplier.size
+    step = np.empty(place.size)
+    for wave in range(1, waves + 1):
+        force = np.where(grid.is_multiplier, 0.0, np.sin(wave * np.pi * place))
+        solve_kkt(grid, system, -force, step)
+        if not force @ step >= 0.0:
+            return False
+    return True
+
+
+# What a Newton step promises: the slope of the cost along it, and whether it descends.
+
+
+@njit(cache=True, error_model="numpy")
+def measure_step(unknowns, gradient, step, is_multiplier):
+    """Slope of the cost along a Newton step, and whether the step promises a descent.
+
+    With W the Hessian as it was factored, A the Jacobian of the equations, d the primal and m the multipliers' part
+    of the step, the step's own equations W d + A' m = -gradient and A d = -residual give d' W d and the derivative of
+    the cost along d without another product with a matrix. The promise is the inertia-free test of Chiang and Zavala.
+    A shift of the multipliers' diagonal, made only where A loses rank, adds an error of its own size.
+    """
+    slope, curvature, linear, square = 0.0, 0.0, 0.0, 0.0
+    for i in range(step.size):
+        if is_multiplier[i]:
+            slope += gradient[i] * unknowns[i]
+            curvature += gradient[i] * step[i]
+            linear -= gradient[i] * (unknowns[i] + step[i])
+        else:
+            slope += gradient[i] * step[i]
+            curvature -= gradient[i] * step[i]
+            square += step[i] * step[i]
+    return slope, curvature + max(linear, 0.0) >= 1e-10 * square
 
 
 # Newton's method on the KKT system, made dependable by a filter line search and by shifts of the Hessian.
@@ -758,8 +811,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
         log.append((point.cost, point.residual, point.stationarity, shift, length))
         if not point.error < np.inf:
             return "non-finite", point, iteration
-        if point.error <= tolerance or is_rounding(grid, point, log[0]):
-            return "solved", point, iteration
+        if is_solved(grid, point, tolerance):
+            return ("solved" if iteration or is_minimum(grid, point, system) else "saddle point"), point, iteration
         if iteration == max_iterations:
             break
         step, slope, shift = regularised_step(grid, point, last_shift, system)
@@ -768,7 +821,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
         last_shift = shift or last_shift
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
-            if point.error <= 1e3 * rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
+            if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point))
             trial = restore(grid, point, filtered, system)
@@ -779,11 +832,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
     return "iteration limit", point, max_iterations
 
 
-def is_rounding(grid, point, first):
-    """Whether nothing but rounding errors is left; not worth asking while the first error has hardly shrunk."""
-    if point.error > 1e-8 * max(first[1:3]):
-        return False
-    return point.error <= rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters)
+def is_minimum(grid, point, system):
+    """Whether a start that is stationary already is a minimum, as far as slow variations of the unknowns can tell."""
+    return factor_kkt(grid, point.unknowns, 1.0, 0.0, 0.0, system) and curves_upwards(grid, system, 3)
 
 
 def guess_multipliers(grid, unknowns, system):
@@ -890,6 +941,7 @@ REMEDIES = {
     "non-finite": "a kernel returned NaN or infinity; change the guess or the parameters",
     "rank-deficient": "the optimality conditions are singular: a control is free of cost, or a boundary condition is"
     " redundant or out of reach; run codegen check",
+    "saddle point": "the guess is stationary, but no minimum; start from another guess",
     "unbounded": "the cost has no minimum under the constraints; check the sign of the cost",
     "stalled": "no further progress in floating-point arithmetic; loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps",
@@ -1206,7 +1258,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_f85c018e0ba9c88f"
+_IDENTITY = "codegen_orbital_transfer_bbe4dca496782f00"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -321,6 +321,8 @@ def integrate(grid, every, tolerance, max_iterations):
     """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations)."""
     every = min(checked_count("every", every), grid.steps)
     tolerance, max_iterations = float(tolerance), checked_count("max_iterations", max_iterations)
+    if not 0.0 < tolerance <= 1e-6:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and 1e-6")
     path = np.empty((1 - (-grid.steps // every), STATE))
     before = path if every == 1 else np.empty((path.shape[0] - 1, STATE))
     steps, rows, iterations, outcome = follow(
@@ -488,7 +490,7 @@ def initial_state(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_8f1f69d61f985bcf"
+_IDENTITY = "codegen_pendulum_ca2392178b424df4"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -271,3 +271,32 @@ def test_nodal_controls_reproduce_the_false_freedom(interpreted):
     alternating = solution.u[:, 0] + 0.7 * (-1.0) ** np.arange(51)
     mean = (alternating[1:] + alternating[:-1]) / 2
     assert np.sum(mean**2) * (np.pi / 2 / 50) == pytest.approx(solution.cost, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("potential", "cost", "word"),
+    [("0", "u**2 - 1000*q**2", "unbounded"), ("cos(q)", "u**2 + 1000*cos(q)", "saddle point")],
+)
+def test_a_stationary_start_that_is_no_minimum_is_not_called_solved(interpreted, potential, cost, word):
+    """All ends are zero, so the guess is stationary; the cost has no minimum there (by hand: try any small bump)."""
+    text = '''"""Stay at zero."""
+from sympy import cos
+from codegen import Control, control, coordinate
+def problem() -> Control:
+    q, dq = coordinate("q")
+    u = control("u")
+    return Control(lagrangian=dq**2/2 + POTENTIAL, force={q: u}, cost=COST, duration=10,
+                   start={q: 0, dq: 0}, end={q: 0, dq: 0}, steps=40)
+'''
+    text = text.replace("POTENTIAL", potential).replace("COST", cost)
+    assert interpreted(f"stay_{word[:3]}", text).solve(40).status == word
+
+
+@pytest.mark.parametrize("mass", [1e-11, 1e-6, 1e-3, 1.0, 1e3, 1e6])
+def test_an_unusual_unit_of_mass_gives_no_wrong_answer(interpreted, mass):
+    """The cost of the transfer is proportional to the squared mass (thrust is mass times acceleration)."""
+    solution = interpreted("orbital_transfer").solve(30, m=mass, max_iterations=40)
+    if not 1e-3 <= mass <= 1e3 and solution.status != "solved":
+        return  # such units are not solved yet, and that is said
+    assert solution.status == "solved"
+    assert solution.cost / mass**2 == pytest.approx(interpreted("orbital_transfer").solve(30).cost / 1e4, rel=1e-6)

@@ -12,7 +12,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +39,9 @@ class SecondProcess:
         if self.process is None:
             return
         assert self.process.stdin is not None
-        self.process.stdin.write(os.fsencode(os.path.abspath(str(vars(module)["__file__"]))))
-        self.process.stdin.close()
+        with suppress(BrokenPipeError):  # a second process that has died is missed, not needed
+            self.process.stdin.write(os.fsencode(os.path.abspath(str(vars(module)["__file__"]))))
+            self.process.stdin.close()
         compile_all_but_the_longest(module)
         self.process.wait()
 
@@ -56,7 +57,8 @@ def second_process() -> Iterator[SecondProcess]:
             helper.process.kill()
             helper.process.wait()
             if helper.process.stdin is not None:
-                helper.process.stdin.close()
+                with suppress(BrokenPipeError):
+                    helper.process.stdin.close()
 
 
 def compile_all_but_the_longest(module: Any) -> None:

@@ -16,6 +16,7 @@ STATUSES = {
     "stalled": "no step makes further progress, though the residual is small",
     "infeasible": "the equations cannot be satisfied near the last iterate",
     "rank-deficient": "boundary conditions or controls are redundant or insufficient",
+    "saddle point": "the guess is stationary but no minimum",
     "unbounded": "the cost decreases without limit along the equations",
     "non-finite": "an expression became infinite or NaN",
     "singular": "the equations of one step have no unique solution",

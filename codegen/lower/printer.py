@@ -105,7 +105,8 @@ for _name in "sin cos tan sinh cosh tanh exp log asin acos atan asinh acosh atan
 def stabilised(expression: sympy.Expr) -> sympy.Expr:
     """Rewrite what loses digits as it is written: log(1 + x) and exp(x) - 1; drop Dirac deltas of kinks.
 
-    A second derivative of |x|, sign, Min or Max holds deltas that no quadrature sees; they are zero almost everywhere.
+    A second derivative of |x|, Min or Max holds deltas that no quadrature sees; they are zero almost everywhere. Steps
+    themselves, whose first derivative is a delta, are refused in the author's expressions.
     """
     if expression.has(sympy.DiracDelta):
         expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)

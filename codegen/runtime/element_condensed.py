@@ -67,7 +67,7 @@ def invert_positive_definite(rows, inverse):
     return True
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def add_element(hessian, controls, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
     _, inverse, couplings = controls

@@ -16,7 +16,7 @@ def prepare_controls(weight, shift, controls):
     return True
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def add_element(hessian, controls, k, element):
     """Add the Hessian of interval k to the element matrix."""
     for j in range(hessian.size):

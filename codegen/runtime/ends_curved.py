@@ -30,7 +30,7 @@ def close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, 
     shift_and_pin(k, steps, shift, dual_shift, element)
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def add_end(entries, rows, columns, first, weight, element):
     """Add the lower triangle `entries` of a node's Hessian, and its mirror image, at row and column `first`."""
     for j in range(entries.size):

@@ -15,6 +15,7 @@ REMEDIES = {
     "non-finite": "a kernel returned NaN or infinity; change the guess or the parameters",
     "rank-deficient": "the optimality conditions are singular: a control is free of cost, or a boundary condition is"
     " redundant or out of reach; run codegen check",
+    "saddle point": "the guess is stationary, but no minimum; start from another guess",
     "unbounded": "the cost has no minimum under the constraints; check the sign of the cost",
     "stalled": "no further progress in floating-point arithmetic; loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps",

@@ -61,7 +61,7 @@ def factor_kkt(grid, unknowns, weight, shift, dual_shift, system):
     return bool(np.isfinite(last).all())
 
 
-# What the loop over the intervals calls is inlined: a call costs as much as the arithmetic of a small block.
+# The most frequent calls are inlined: a call costs as much as the arithmetic of a small block.
 @njit(cache=True, error_model="numpy")
 def eliminate(unknowns, steps, h, parameters, weight, shift, dual_shift, lower, upper, exchanges, last, controls):
     """Run the front over all intervals and leave the last node's block; False when a pivot vanishes or is infinite."""

@@ -8,9 +8,10 @@ curvature that replaces the inertia of the KKT matrix.
 import numpy as np
 
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
-from codegen.runtime.norms import measure_step
+from codegen.runtime.descent import measure_step
 from codegen.runtime.point import evaluate
-from codegen.runtime.rounding import rounding_level
+from codegen.runtime.probe import curves_upwards
+from codegen.runtime.rounding import is_rounding, is_solved
 
 SHORTEST_STEP = 1e-10
 
@@ -29,8 +30,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
         log.append((point.cost, point.residual, point.stationarity, shift, length))
         if not point.error < np.inf:
             return "non-finite", point, iteration
-        if point.error <= tolerance or is_rounding(grid, point, log[0]):
-            return "solved", point, iteration
+        if is_solved(grid, point, tolerance):
+            return ("solved" if iteration or is_minimum(grid, point, system) else "saddle point"), point, iteration
         if iteration == max_iterations:
             break
         step, slope, shift = regularised_step(grid, point, last_shift, system)
@@ -39,7 +40,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
         last_shift = shift or last_shift
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
-            if point.error <= 1e3 * rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
+            if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point))
             trial = restore(grid, point, filtered, system)
@@ -50,11 +51,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
     return "iteration limit", point, max_iterations
 
 
-def is_rounding(grid, point, first):
-    """Whether nothing but rounding errors is left; not worth asking while the first error has hardly shrunk."""
-    if point.error > 1e-8 * max(first[1:3]):
-        return False
-    return point.error <= rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters)
+def is_minimum(grid, point, system):
+    """Whether a start that is stationary already is a minimum, as far as slow variations of the unknowns can tell."""
+    return factor_kkt(grid, point.unknowns, 1.0, 0.0, 0.0, system) and curves_upwards(grid, system, 3)
 
 
 def guess_multipliers(grid, unknowns, system):

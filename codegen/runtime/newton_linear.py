@@ -3,9 +3,9 @@
 import numpy as np
 
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
-from codegen.runtime.norms import measure_step
 from codegen.runtime.point import evaluate
-from codegen.runtime.rounding import rounding_level
+from codegen.runtime.probe import curves_upwards
+from codegen.runtime.rounding import is_solved
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, log):
@@ -22,13 +22,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
             return "non-finite", point, iteration
         if not regular:
             return "rank-deficient", point, iteration
-        if point.error <= tolerance:
-            return "solved", point, iteration
-        if iteration > 0 and point.error <= rounding_level(point.unknowns, grid.steps, grid.h, grid.parameters):
+        if iteration == 0 and not curves_upwards(grid, system, 1):
+            return "unbounded", point, iteration
+        if is_solved(grid, point, tolerance):
             return "solved", point, iteration
         step = np.empty_like(unknowns)
         solve_kkt(grid, system, point.gradient, step)
-        if iteration == 0 and not measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)[1]:
-            return "unbounded", point, iteration
         point = evaluate(grid, point.unknowns + step)
     return "stalled", point, 3

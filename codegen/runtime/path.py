@@ -58,6 +58,8 @@ def integrate(grid, every, tolerance, max_iterations):
     """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations)."""
     every = min(checked_count("every", every), grid.steps)
     tolerance, max_iterations = float(tolerance), checked_count("max_iterations", max_iterations)
+    if not 0.0 < tolerance <= 1e-6:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and 1e-6")
     path = np.empty((1 - (-grid.steps // every), STATE))
     before = path if every == 1 else np.empty((path.shape[0] - 1, STATE))
     steps, rows, iterations, outcome = follow(

@@ -1,16 +1,20 @@
-"""The smallest residual that floating-point numbers can be expected to reach."""
+"""How large the terms of the equations are: what a residual has to be compared with."""
 
 import numpy as np
 from numba import njit
 
 from codegen.runtime.example import ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, STRIDE, interval_hessian
 
+UNIT_ROUNDOFF = 2.2e-16
+WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
+
 
 @njit(cache=True, error_model="numpy")
-def rounding_level(unknowns, steps, h, parameters):
-    """Largest error of a residual when every unknown is off by half a unit in the last place: eps max_i |K| |x|.
+def term_sizes(unknowns, steps, h, parameters, is_multiplier):
+    """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
-    Source: Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
+    Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     """
     local, hessian = np.empty(ELEMENT), np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
@@ -22,7 +26,32 @@ def rounding_level(unknowns, steps, h, parameters):
             sums[row] += abs(hessian[j] * unknowns[column])
             if row != column:
                 sums[column] += abs(hessian[j] * unknowns[row])
-    largest = 0.0
+    equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
-        largest = max(largest, sums[i])
-    return 2.2e-16 * largest
+        if is_multiplier[i]:
+            equations = max(equations, sums[i])
+        else:
+            stationarity = max(stationarity, sums[i])
+    return equations, stationarity
+
+
+def is_solved(grid, point, tolerance):
+    """Whether residual and stationarity are within the tolerance, or as small as rounding errors allow.
+
+    The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
+    so that a problem in small units is not called solved too early.
+    """
+    if point.error > max(tolerance, WORTH_MEASURING):
+        return False
+    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    measured = (point.residual, point.stationarity)
+    return all(
+        value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
+        for value, size in zip(measured, sizes, strict=True)
+    )
+
+
+def is_rounding(grid, point):
+    """Whether residual and stationarity are no larger than a thousand rounding errors."""
+    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]
