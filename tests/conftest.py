@@ -6,10 +6,15 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 from interpreted import Interpreted
 
 from codegen.compiler import build
 from codegen.load import GeneratedModule, load
+
+# Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
+settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("shared")
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 

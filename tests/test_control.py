@@ -14,7 +14,7 @@ from codegen.load import load
 from codegen.problem_file import load_problem
 from codegen.schemes import METHODS
 
-EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle (design.md, section 7)
+EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle
 
 DOUBLE_PENDULUM = '''"""Double pendulum whose boundary conditions leave coupled velocities free."""
 from sympy import cos, pi

@@ -1,7 +1,7 @@
 """Controls that cost nothing: a mode of the discrete controls that the discrete cost does not see.
 
 With controls on nodes and averages in the cost, u_k = (-1)^k a leaves the average of every interval unchanged. The
-continuous cost does penalise it, so the discrete optimum may be arbitrarily wrong (design.md 6.1; thesis, Figures
+continuous cost does penalise it, so the discrete optimum may be arbitrarily wrong (thesis, Figures
 3.7-3.9 and A.1-A.5).
 """
 

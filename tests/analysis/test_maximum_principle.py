@@ -24,7 +24,7 @@ from codegen.symbols import canonical_pair, control, coordinate, coordinates, pa
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PENDULUM_COST = 4.530760981081599
-"""Closed form of the linear pendulum, design.md section 7."""
+"""Closed form of the linear pendulum, by the maximum principle."""
 
 
 def gallery(name: str) -> Model:
@@ -164,7 +164,7 @@ def test_orbital_transfer_reaches_its_target_with_the_found_thrust(
 def test_orbital_transfer_is_near_the_discrete_optima(
     orbital_references: dict[int, Reference], revolutions: int, discrete: float, share: float
 ) -> None:
-    # Variational midpoint with 50 and 300 intervals, design.md section 7: errors of the size of h^2.
+    # Variational midpoint with 50 and 300 intervals (independent programs): errors of the size of h^2.
     cost = orbital_references[revolutions].cost
     assert cost == pytest.approx(discrete, rel=share)
     assert cost != pytest.approx(discrete, rel=share / 10)

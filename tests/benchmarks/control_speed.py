@@ -7,7 +7,7 @@ hits all three. A time is that of one warm call: from the straight-line guess to
 and compiled before. `residual` is the largest of all equations, constraints and stationarity, unscaled. opty, if it is
 installed, solves one case with its own collocation; its cost therefore differs (see `peers/opty_control.py`).
 
-Run it after `codegen build` of both problems; without the generated modules only the peers are timed, and it says so.
+It times the committed modules in `generated/`.
 """
 
 import os
