@@ -147,7 +147,7 @@ def load(path: Path | str) -> GeneratedModule:
     text = _text(path)
     digest = hashlib.sha256(f"{path.resolve()}\n{text}".encode()).hexdigest()
     name = f"codegen_generated.{path.stem}_{digest[:16]}"
-    return cast(GeneratedModule, sys.modules.get(name) or _imported(path, name))
+    return cast(GeneratedModule, sys.modules.get(name) or _imported(path, name, text))
 
 
 def is_control(module: GeneratedModule) -> TypeGuard[ControlModule]:
@@ -187,14 +187,15 @@ def _text(path: Path) -> str:
     return text
 
 
-def _imported(path: Path, name: str) -> ModuleType:
+def _imported(path: Path, name: str, text: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path.resolve())
     if spec is None or spec.loader is None:
         raise ModuleError(f"{path} is not a Python file", _REMEDY)
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        # Not through the loader, whose bytecode cache takes an edit within one second, of the same length, for no edit.
+        exec(compile(text, str(path.resolve()), "exec"), vars(module))
         _require_complete(path, module)
     except ModuleError:
         del sys.modules[name]

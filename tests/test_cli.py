@@ -325,6 +325,14 @@ class TestCheckAndShow:
         assert list(folder.iterdir()) == []
 
 
+# A process started in the background of a shell ignores the signal, so it is made deadly again first.
+INTERRUPTED = '''"""Interrupted."""
+import os, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+os.kill(os.getpid(), signal.SIGINT)
+'''
+
+
 class TestProcess:
     """What only a process of its own can show."""
 
@@ -365,7 +373,7 @@ class TestProcess:
         assert done.stderr == "hello\n"
 
     def test_interrupt(self, folder):
-        (folder / "slow.py").write_text('"""S."""\nimport os, signal\nos.kill(os.getpid(), signal.SIGINT)\n')
+        (folder / "slow.py").write_text(INTERRUPTED)
         done = subprocess.run([sys.executable, "-m", "codegen", "solve", "slow.py"], capture_output=True, text=True)
         assert done.returncode == 130
         assert "Traceback" not in done.stderr
