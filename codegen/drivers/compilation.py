@@ -75,6 +75,9 @@ def compile_all_but_the_longest(module: Any) -> None:
     with np.errstate(all="ignore"):
         module.solve_kkt(grid, system, gradient, np.empty_like(unknowns))
         module.unpack(grid, unknowns)
+        module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+        if hasattr(module, "measure_step"):  # a linear-quadratic problem has none
+            module.measure_step(unknowns, gradient, gradient, grid.is_multiplier)
 
 
 def compile_the_longest(module: Any) -> None:
