@@ -10,7 +10,8 @@ __version__ = "0.1.0"
 _HOMES = {
     **dict.fromkeys(["Control", "Simulate"], "codegen.problem"),
     **dict.fromkeys(
-        "coordinate coordinates canonical_pair canonical_pairs control controls parameter parameters time".split(),
+        "body_number canonical_pair canonical_pairs control controls coordinate coordinates free_parameter parameter "
+        "parameters states time".split(),
         "codegen.symbols",
     ),
     **dict.fromkeys(["build"], "codegen.compiler"),
@@ -20,6 +21,7 @@ _HOMES = {
 __all__ = [
     "Control",
     "Simulate",
+    "body_number",
     "build",
     "canonical_pair",
     "canonical_pairs",
@@ -27,9 +29,11 @@ __all__ = [
     "controls",
     "coordinate",
     "coordinates",
+    "free_parameter",
     "load",
     "parameter",
     "parameters",
+    "states",
     "time",
 ]
 
@@ -38,14 +42,17 @@ if TYPE_CHECKING:
     from codegen.load import load
     from codegen.problem import Control, Simulate
     from codegen.symbols import (
+        body_number,
         canonical_pair,
         canonical_pairs,
         control,
         controls,
         coordinate,
         coordinates,
+        free_parameter,
         parameter,
         parameters,
+        states,
         time,
     )
 

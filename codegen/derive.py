@@ -28,15 +28,15 @@ class ElementDerivatives:
 class ControlDerivatives:
     """Everything that the structured Newton method of a control problem needs.
 
-    `condensed` says that the controls' block of the Hessian is constant and regular, so that controls can be
-    eliminated interval by interval; `linear_quadratic` that no Hessian entry depends on an unknown and one Newton step
+    `condensed` is how many of an interval's last unknowns can be eliminated inside it: slacks always, because their
+    barrier terms are positive, and controls when their block of the Hessian is constant and regular; `linear_quadratic` that no Hessian entry depends on an unknown and one Newton step
     suffices (not so with nodal controls, which can make the system singular).
     """
 
     element: ElementDerivatives
     start: ElementDerivatives
     end: ElementDerivatives
-    condensed: bool
+    condensed: int
     linear_quadratic: bool
 
 
@@ -53,18 +53,20 @@ class StepDerivatives:
 
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     """Differentiate the interval's scalar and both end elements twice."""
-    unknowns = (*program.left_symbols, *program.interval_symbols, *program.control_symbols, *program.right_symbols)
+    unknowns = program.element_symbols
     element = _element(program.element, unknowns)
-    start = _end_element(program.start, program.left_symbols)
-    end = _end_element(program.end, program.right_symbols)
+    start = _end_element(program.start, (*program.left_symbols, *program.shared_symbols))
+    end = _end_element(program.end, (*program.right_symbols, *program.shared_symbols))
     variables = set(unknowns) | set(start.unknowns) | set(end.unknowns)
     entries = (*element.hessian, *start.hessian, *end.hessian)
     return ControlDerivatives(
         element=element,
         start=start,
         end=end,
-        condensed=_condensable(program, element, set(unknowns)),
+        condensed=_condensed(program, element, set(unknowns)),
         linear_quadratic=not program.nodal_controls
+        and not program.has_inequalities
+        and not program.couplings
         and not any(value.free_symbols & variables for _, _, value in entries),
     )
 
@@ -113,7 +115,14 @@ def _vanishes(expression: Expr) -> bool:
     return False
 
 
-def _condensable(program: ControlProgram, element: ElementDerivatives, unknowns: set[Symbol]) -> bool:
+def _condensed(program: ControlProgram, element: ElementDerivatives, unknowns: set[Symbol]) -> int:
+    slacks = len(program.slacks)
+    if _constant_and_regular(program, element, unknowns):
+        return slacks + len(program.control_symbols)
+    return slacks
+
+
+def _constant_and_regular(program: ControlProgram, element: ElementDerivatives, unknowns: set[Symbol]) -> bool:
     size = len(program.control_symbols)
     if size == 0:
         return False

@@ -1,7 +1,8 @@
 """Problem x scheme -> the expressions of one time interval.
 
 On the Lagrangian side these are the discrete Lagrangian, the discrete forces and the discrete cost; on the
-Hamiltonian side the equations of one step and the discrete cost. Values at the left and right node carry the
+Hamiltonian side, and for first-order systems, the equations of one step and the discrete cost; on both sides the
+path conditions at the points where the scheme evaluates the dynamics. Values at the left and right node carry the
 suffixes `_k` and `_k1`; h is the length of the interval and t the time at its left end.
 """
 
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.model import Model
+from codegen.model import Condition, Model
 from codegen.schemes import DiscreteLagrangian, OneStep
 
 STEP = Symbol("h", positive=True)
@@ -39,6 +40,15 @@ class Sites:
 
 
 @dataclass(frozen=True)
+class PathValue:
+    """A path condition at one point of an interval, whose place `c` lies in [0, 1]."""
+
+    condition: Condition
+    place: Expr
+    value: Expr
+
+
+@dataclass(frozen=True)
 class VariationalInterval:
     """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval."""
 
@@ -47,6 +57,7 @@ class VariationalInterval:
     force_minus: tuple[Expr, ...]
     force_plus: tuple[Expr, ...]
     cost: Expr
+    path: tuple[PathValue, ...] = ()
 
     @property
     def left_momentum(self) -> tuple[Expr, ...]:
@@ -65,7 +76,8 @@ class VariationalInterval:
 class OneStepInterval:
     """Equations of one step in (q_k, p_k), inner stages and (q_k1, p_k1), each an expression that must vanish.
 
-    The equations for the stages come first, then those of the coordinates, then those of the momenta.
+    The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
+    system has no momenta.
     """
 
     q: Sites
@@ -73,6 +85,7 @@ class OneStepInterval:
     stages: tuple[Symbol, ...]
     equations: tuple[Expr, ...]
     cost: Expr
+    path: tuple[PathValue, ...] = ()
 
 
 def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:
@@ -106,47 +119,90 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
         return at(f, c, places.left_controls)
 
     lagrangian, cost = sympy.S.Zero, sympy.S.Zero
+    path: list[PathValue] = []
     minus, plus = [sympy.S.Zero] * len(model.force), [sympy.S.Zero] * len(model.force)
     for point in scheme.points:
         weight, c = STEP * point.weight, point.place
         mean_controls = [_between(a, b, c) for a, b in zip(places.left_controls, places.right_controls, strict=True)]
         lagrangian += weight * at(model.function, c, mean_controls)
         cost += weight * at(model.cost or sympy.S.Zero, c, mean_controls)
+        path += [PathValue(g, c, at(g.expression, c, mean_controls)) for g in model.path]
         for i, f in enumerate(model.force):
             minus[i] += weight * (1 - c) * force_at(f, c)
             plus[i] += weight * c * force_at(f, c)
-    return VariationalInterval(places, lagrangian, tuple(minus), tuple(plus), cost)
+    return VariationalInterval(places, lagrangian, tuple(minus), tuple(plus), cost, _distinct(path))
 
 
 def one_step_interval(model: Model, scheme: OneStep, nodal_controls: bool = False) -> OneStepInterval:
-    """Write the equations of one step of a composition scheme for forced Hamilton's equations (Model of form H)."""
+    """Write the equations of one step of a composition scheme.
+
+    The model is of Hamiltonian form, with forced Hamilton's equations, or of first-order form x' = f(x, u, t).
+    """
     q_sites = sites(model, model.coordinates, nodal_controls)
     p_sites = sites(model, model.rates, nodal_controls)
-    q_field = [sympy.diff(model.function, p) for p in model.rates]
-    p_field = [f - sympy.diff(model.function, q) for q, f in zip(model.coordinates, model.force, strict=True)]
-
-    ends = [(q_sites.left, p_sites.left)]
+    ends = [(*q_sites.left, *p_sites.left)]
     for index in range(1, len(scheme.substeps)):
-        ends.append((at_nodes(model.coordinates, f"_stage{index}"), at_nodes(model.rates, f"_stage{index}")))
-    ends.append((q_sites.right, p_sites.right))
+        ends.append(at_nodes((*model.coordinates, *model.rates), f"_stage{index}"))
+    ends.append((*q_sites.right, *p_sites.right))
 
+    field = (*_vector_field(model), model.cost or sympy.S.Zero)
+    dimension = len(model.coordinates)
     equations: list[Expr] = []
+    path: list[PathValue] = []
     cost, elapsed = sympy.S.Zero, sympy.S.Zero
-    for substep, (q0, p0), (q1, p1) in zip(scheme.substeps, ends[:-1], ends[1:], strict=True):
+    for substep, x0, x1 in zip(scheme.substeps, ends[:-1], ends[1:], strict=True):
         a, b, fraction = substep.position, substep.momentum, STEP * substep.fraction
-        position = [_between(left, right, a) for left, right in zip(q0, q1, strict=True)]
-        momentum = [_between(left, right, b) for left, right in zip(p0, p1, strict=True)]
+        position = [_between(left, right, a) for left, right in zip(x0[:dimension], x1[:dimension], strict=True)]
+        momentum = [_between(left, right, b) for left, right in zip(x0[dimension:], x1[dimension:], strict=True)]
         c = elapsed + a * substep.fraction
         controls = [_between(u0, u1, c) for u0, u1 in zip(q_sites.left_controls, q_sites.right_controls, strict=True)]
 
-        functions = (*q_field, *p_field, model.cost or sympy.S.Zero)
-        *rates, cost_rate = (_substitute(model, f, position, momentum, controls, c) for f in functions)
-        pairs = zip((*q0, *p0), (*q1, *p1), rates, strict=True)
-        equations += [right - left - fraction * rate for left, right, rate in pairs]
+        *rates, cost_rate = (_substitute(model, f, position, momentum, controls, c) for f in field)
+        equations += [right - left - fraction * rate for left, right, rate in zip(x0, x1, rates, strict=True)]
         cost += fraction * cost_rate
+        path += [PathValue(g, c, _substitute(model, g.expression, position, momentum, controls, c)) for g in model.path]
         elapsed += substep.fraction
-    stages = tuple(symbol for q, p in ends[1:-1] for symbol in (*q, *p))
-    return OneStepInterval(q_sites, p_sites, stages, tuple(equations), cost)
+    stages, kept = _without_idle_stages(ends[1:-1], equations)
+    return OneStepInterval(q_sites, p_sites, stages, kept, cost, _distinct(path))
+
+
+def _vector_field(model: Model) -> tuple[Expr, ...]:
+    """The right-hand sides of Hamilton's equations with forces, or of a first-order system."""
+    if model.form == "first-order":
+        return model.dynamics
+    return (
+        *(sympy.diff(model.function, p) for p in model.rates),
+        *(f - sympy.diff(model.function, q) for q, f in zip(model.coordinates, model.force, strict=True)),
+    )
+
+
+def _without_idle_stages(
+    stages: Sequence[tuple[Symbol, ...]], equations: Sequence[Expr]
+) -> tuple[tuple[Symbol, ...], tuple[Expr, ...]]:
+    """Drop each stage at which no field is evaluated, as in the trapezoidal rule, by adding the steps beside it.
+
+    The sum is free of such a stage because one step ends where the next begins.
+    """
+    size = len(stages[0]) if stages else len(equations)
+    kept, steps = list[Symbol](), [list(equations[i : i + size]) for i in range(0, len(equations), size)]
+    joined = [steps[0]]
+    for stage, step in zip(stages, steps[1:], strict=True):
+        # A step is linear in its ends unless its field is evaluated there.
+        sums = [before + after for before, after in zip(joined[-1], step, strict=True)]
+        if any(total.has(*stage) for total in sums):
+            kept += stage
+            joined.append(step)
+        else:
+            joined[-1] = sums
+    return tuple(kept), tuple(equation for step in joined for equation in step)
+
+
+def _distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
+    """Each condition once, where it has the same value at several points, as a bound on an interval's control has."""
+    first: dict[tuple[str, Expr], PathValue] = {}
+    for value in values:
+        first.setdefault((value.condition.name, value.value), value)
+    return tuple(first.values())
 
 
 def _between(left: Expr, right: Expr, c: Expr) -> Expr:

@@ -16,6 +16,7 @@ import jinja2
 from jinja2 import meta
 
 from codegen.errors import ModuleError
+from codegen.specialise import specialise
 
 if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy
     from codegen.lower.module import Module, Origin
@@ -34,7 +35,7 @@ def render(module: Module, origin: Origin) -> str:
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
     values |= {
-        "runtime": runtime_source(module.runtime),
+        "runtime": runtime_source(module.runtime, module.sizes),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
@@ -49,8 +50,8 @@ def render(module: Module, origin: Origin) -> str:
     return text
 
 
-def runtime_source(names: tuple[str, ...]) -> str:
-    """The runtime files one after the other, without docstrings and imports; repeated names are an error."""
+def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = ()) -> str:
+    """The runtime files one after the other, without docstrings, imports and what concerns only sizes that are zero."""
     parts = []
     for name in names:
         text = resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8")
@@ -59,7 +60,7 @@ def runtime_source(names: tuple[str, ...]) -> str:
         last_import = max(
             (node.end_lineno or 0 for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))), default=0
         )
-        body = "\n".join(text.splitlines()[last_import:]).strip()
+        body = specialise("\n".join(text.splitlines()[last_import:]), dict(sizes)).strip()
         comment = "\n".join(f"# {line}".rstrip() for line in docstring.splitlines())
         parts.append(f"{comment}\n\n\n{body}" if body.startswith(("@", "def", "class")) else f"{comment}\n\n{body}")
     return "\n\n\n".join(parts)

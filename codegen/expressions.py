@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -56,9 +56,22 @@ def tidied(expression: sympy.Expr) -> sympy.Expr:
 
 
 def number_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> float | None:
-    """The value of an expression as a float, or None when it is not a finite real number there."""
+    """The value of an expression to 15 digits as a float, or None when it is not a finite real number there.
+
+    Where terms cancel altogether it is a number like 1e-125 instead of zero.
+    """
+    return _real(lambda: expression.evalf(subs=dict(values)))
+
+
+def rounded_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> float | None:
+    """The value of an expression in floating-point arithmetic, or None when it is not a finite real number there."""
+    floats = {symbol: sympy.Float(value) for symbol, value in values.items()}
+    return _real(lambda: expression.xreplace(floats).evalf())
+
+
+def _real(evaluate: Callable[[], sympy.Expr]) -> float | None:
     try:
-        number = complex(expression.evalf(subs=dict(values)))
+        number = complex(evaluate())
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
     if abs(number.imag) > 0.0 or not abs(number.real) < float("inf"):
@@ -92,11 +105,8 @@ def null_direction(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, 
     """
     direction = None
     for point in points:
-        try:
-            values = np.array(matrix.evalf(subs=point).tolist(), dtype=float)
-        except (TypeError, ValueError):
-            continue
-        if not np.all(np.isfinite(values)):
+        values = _finite_values(matrix, point)
+        if values is None:
             continue
         size = np.sqrt(np.abs(values).max(axis=1, initial=0.0))
         size[size == 0.0] = 1.0
@@ -105,3 +115,33 @@ def null_direction(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, 
             return None
         direction = right[-1]
     return direction
+
+
+def dependent_rows(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, float]]) -> np.ndarray | None:
+    """The weights of a vanishing combination of the rows of a symbolic matrix, if there is one at all given points.
+
+    Rows are scaled to unit length first; a row of zeros is a combination by itself. None where the rows are
+    independent at some point, and where the matrix has no real value at any.
+    """
+    combination = None
+    for point in points:
+        values = _finite_values(matrix, point)
+        if values is None:
+            continue
+        size = np.linalg.norm(values, axis=1)
+        size[size == 0.0] = 1.0
+        left, singular, _ = np.linalg.svd(values / size[:, None])
+        if len(singular) == matrix.rows and singular[-1] > 1e-11:
+            return None
+        combination = left[:, -1]
+    return combination
+
+
+def _finite_values(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.ndarray | None:
+    try:
+        values = np.array(matrix.evalf(subs=point).tolist(), dtype=float).reshape(matrix.shape)
+    except (TypeError, ValueError):
+        return None
+    # What is left by evalf, which works with 100 digits, where terms cancel.
+    values[np.abs(values) < 1e-90] = 0.0
+    return values if np.all(np.isfinite(values)) else None

@@ -27,11 +27,11 @@ Entries: TypeAlias = tuple[Indices, Indices, Vector]
 
 
 class Grid(Protocol):
-    """N intervals of length h, the values of the parameters, and which unknowns are multipliers of equations."""
+    """N intervals of length h, the parameters of each body, and which unknowns are multipliers of equations."""
 
     steps: int
     h: float
-    parameters: Vector
+    parameters: Matrix
     is_multiplier: NDArray[np.bool_]
 
 
@@ -71,6 +71,7 @@ class ControlModule(Protocol):
     solve: Callable[..., ControlSolution]
     make_grid: Callable[..., Grid]
     initial_guess: Callable[[Grid], Vector]
+    with_pinned_values: Callable[[Grid, Vector], Vector]
     primal_unknowns: Callable[[Grid], Indices]
     multiplier_unknowns: Callable[[Grid], Indices]
     cost: Callable[[Grid, Vector], float]
@@ -129,7 +130,7 @@ GeneratedModule: TypeAlias = ControlModule | SimulateModule
 
 _FUNCTIONS = {
     "control": (
-        "solve make_grid initial_guess primal_unknowns multiplier_unknowns cost cost_gradient constraints jacobian "
+        "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient constraints jacobian "
         "hessian stationarity unpack"
     ).split(),
     "simulate": "solve make_grid energy path_residual".split(),

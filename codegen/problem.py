@@ -1,26 +1,31 @@
-"""What an author writes: a Lagrangian or a Hamiltonian, forces, a cost, boundary conditions, and what to do with them.
+"""What an author writes: dynamics, forces, a cost, conditions on the motion, and what to do with them.
 
-A problem file returns one of the classes below. They hold the author's expressions as written; `model.py` checks them
-and brings them into the one form that the rest of the pipeline reads.
+A problem file returns one of the classes below. They hold the author's expressions as written; `codegen.model` checks
+them and brings them into the one form that the rest of the pipeline reads.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar
 
 Expression = Any
 """A sympy expression or a number."""
 
+Relation = Any
+"""A sympy relation (Eq, <=, >=), or an expression that is to vanish."""
+
 
 @dataclass(frozen=True)
 class Problem:
-    """A mechanical system: either a Lagrangian L(q, dq, t) or a Hamiltonian H(q, p, t), and forces.
+    """A system and the time interval [0, T] on which it moves.
 
-    `force` maps a coordinate to the generalised force on it (the covector component of f in the
-    Lagrange-d'Alembert principle). `duration` is the length of the time interval [0, T]; `steps` is the default
-    number N of intervals. `start` maps coordinates and velocities (or momenta) to their values at t = 0.
+    Exactly one of these says how: a Lagrangian L(q, dq, t), a Hamiltonian H(q, p, t), or `dynamics`, which maps each
+    state of a first-order system to its derivative, x' = f(x, u, t). `force` maps a coordinate to the generalised
+    force on it (the covector component of f in the Lagrange-d'Alembert principle). `duration` is T; `steps` is the
+    default number N of intervals. `start` maps coordinates and velocities (or momenta, or states) to their values at
+    t = 0.
     """
 
     task: ClassVar[str] = ""
@@ -28,9 +33,10 @@ class Problem:
     _: KW_ONLY
     lagrangian: Expression = None
     hamiltonian: Expression = None
+    dynamics: Mapping[Any, Expression] | None = None
     force: Mapping[Any, Expression] = field(default_factory=dict)
     duration: Expression
-    start: Mapping[Any, Expression]
+    start: Mapping[Any, Expression] = field(default_factory=dict)
     steps: int = 100
 
 
@@ -43,16 +49,32 @@ class Simulate(Problem):
 
 @dataclass(frozen=True)
 class Control(Problem):
-    """Move the system from `start` to `end` such that the integral of `cost` over [0, T] is least.
+    """Move the system such that `terminal_cost` at T plus the integral of `cost` over [0, T] is least.
 
-    What `start` or `end` leaves out is free. `guess` maps coordinates and controls to expressions of the parameters
-    and of time, from which the solver starts; without it coordinates are interpolated linearly between their end
-    values and controls are zero.
+    What `start` or `end` leaves out is free, up to `start_conditions` and `end_conditions`: relations between
+    coordinates and velocities (or momenta, or states) at that end. `path` relations hold at every time and may have
+    controls in them; `bounds` maps coordinates, velocities, momenta, states, controls and free parameters to pairs
+    (lower, upper), None where there is none. A `constraint` c(q) = 0 is holonomic: a Lagrangian system moves on the
+    manifold where it vanishes. `periodic` lists what has the same value at T as at 0, or maps it to the difference.
+
+    With `bodies=H` there are H of these systems, which start and end each for itself where a value depends on
+    `body_number()`, and which end conditions in `q.of(0)`, `q.of(1)`, ... tie together.
+
+    `guess` maps coordinates, states and controls to expressions of parameters and time, from which the solver starts;
+    without it coordinates are interpolated linearly between their end values and controls are zero.
     """
 
     task: ClassVar[str] = "control"
 
     _: KW_ONLY
-    cost: Expression
-    end: Mapping[Any, Expression]
+    cost: Expression = 0
+    terminal_cost: Expression = 0
+    end: Mapping[Any, Expression] = field(default_factory=dict)
+    start_conditions: Sequence[Relation] = ()
+    end_conditions: Sequence[Relation] = ()
+    bounds: Mapping[Any, tuple[Expression | None, Expression | None]] = field(default_factory=dict)
+    path: Sequence[Relation] = ()
+    constraint: Sequence[Expression] = ()
+    periodic: Mapping[Any, Expression] | Sequence[Any] = ()
+    bodies: int = 1
     guess: Mapping[Any, Expression] = field(default_factory=dict)

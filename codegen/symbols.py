@@ -1,4 +1,4 @@
-"""The symbols that an author declares: coordinates, velocities, momenta, controls, parameters, time.
+"""The symbols that an author declares: coordinates, velocities, momenta, states, controls, parameters, time.
 
 Each is a sympy Symbol of a kind of its own, so that a symbol in an expression tells what it is, and a plain
 `sympy.Symbol` is recognised as never declared. Two declarations are two symbols even when they share a name, which is
@@ -28,7 +28,8 @@ RESERVED = frozenset(
     "np math numba njit sys h steps grid unknowns parameters gradient hessian residual jacobian interval state "
     "duration start end every guess tolerance max_iterations log rows status iterations point boundary prescribed "
     "nodes intervals last views Solution Grid make_grid checked_grid replace_values initial_state initial_guess "
-    "with_pinned_values minimise evaluate describe unpack print_log integrate NODE".split()
+    "with_pinned_values minimise evaluate describe unpack print_log integrate NODE "
+    "bodies shared own common coupling couplings slack slacks lower upper bounds variable_bounds".split()
 )
 """Names that generated modules use for their own purposes."""
 _INNER_STAGE = re.compile(r"_stage\d+$")
@@ -45,10 +46,13 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
         _require_identifier(name)
         if name == "t" and cls is not Time:
             raise SymbolError("'t' is the name of the time", "declare it with time(), or choose another name")
+        if name == "body" and cls is not BodyNumber:
+            raise SymbolError("'body' is the name of a body's number", "declare it with body_number()")
         symbol: Quantity = sympy.Symbol.__xnew__(cls, name, real=True)
         symbol.declared = next(_serial_numbers)
         recorded = _recorder.get()
-        if recorded is not None:
+        # An end value follows from its coordinate, so that nobody has to use it.
+        if recorded is not None and not issubclass(cls, EndValue):
             recorded.append(symbol)
         return symbol
 
@@ -59,11 +63,51 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
         return (*super()._hashable_content(), self.declared)
 
 
-class Coordinate(Quantity):
-    """A generalised coordinate; `velocity` or `momentum` is the symbol that was declared with it."""
+class _Variable(Quantity):
+    """A coordinate or a state, which each of several bodies has; `of` tells them apart."""
+
+    __slots__ = ("end_values",)
+    end_values: dict[int, EndValue]
+
+    def __new__(cls, name: str) -> _Variable:
+        symbol = super().__new__(cls, name)
+        symbol.end_values = {}
+        return symbol
+
+    def of(self, body: int) -> EndValue:
+        """The value for one body (0, 1, ...) at the end of the time interval, to be used in `end_conditions`.
+
+        The same symbol each time, named `<name>_<body>`. Raises SymbolError when `body` is no such number.
+        """
+        if isinstance(body, bool) or not isinstance(body, (int, np.integer)) or body < 0:
+            raise SymbolError(f"{self}.of({body})", "give the number of a body: 0, 1, ...")
+        number = int(body)
+        if number not in self.end_values:
+            symbol = EndValue(f"{self.name}_{number}")
+            symbol.partner, symbol.body = self, number
+            self.end_values[number] = symbol
+        return self.end_values[number]
+
+
+class EndValue(Quantity):
+    """The value of its `partner`, a coordinate or a state, for one body at the end of the time interval."""
+
+    __slots__ = ("body", "partner")
+    partner: Coordinate | State
+    body: int
+
+
+class Coordinate(_Variable):
+    """A generalised coordinate; `partner` is the velocity or the momentum that was declared with it."""
 
     __slots__ = ("partner",)
     partner: Velocity | Momentum
+
+
+class State(_Variable):
+    """A state x of a first-order system x' = f(x, u, t)."""
+
+    __slots__ = ()
 
 
 class Velocity(Quantity):
@@ -91,6 +135,21 @@ class Parameter(Quantity):
 
     __slots__ = ("value",)
     value: float
+
+
+class FreeParameter(Quantity):
+    """A number that is optimised along with the motion: its first guess and its bounds, None where there is none."""
+
+    __slots__ = ("guess", "lower", "upper")
+    guess: Any
+    lower: Any
+    upper: Any
+
+
+class BodyNumber(Quantity):
+    """The number 0, 1, ... of a body among several identical ones."""
+
+    __slots__ = ()
 
 
 class Time(Quantity):
@@ -133,6 +192,14 @@ def canonical_pairs(coordinates: str, momenta: str) -> tuple[tuple[Coordinate, .
     return _pairs(_split(coordinates), _split(momenta), Momentum)
 
 
+def states(names: str) -> tuple[State, ...]:
+    """Declare the states of a first-order system, which `dynamics={x: ..., v: ...}` gives the derivatives of.
+
+    For example `x, v = states("x v")`.
+    """
+    return tuple(State(name) for name in _split(names))
+
+
 def control(name: str) -> ControlInput:
     """Declare one control."""
     return ControlInput(name)
@@ -149,7 +216,6 @@ def controls(names: str) -> tuple[ControlInput, ...]:
 def parameter(name: str, value: float) -> Parameter:
     """Declare one parameter with its default value, a finite real number."""
     symbol = Parameter(name)
-    assert isinstance(symbol, Parameter)
     symbol.value = finite_number(value, f"parameter {name}")
     return symbol
 
@@ -162,11 +228,24 @@ def parameters(**values: float) -> tuple[Parameter, ...]:
     return tuple(parameter(name, value) for name, value in values.items())
 
 
+def free_parameter(name: str, guess: Any, lower: Any = None, upper: Any = None) -> FreeParameter:
+    """Declare a number that is optimised along with the motion, such as a duration.
+
+    The first guess and the bounds are numbers or expressions of parameters; None stands for no bound.
+    """
+    symbol = FreeParameter(name)
+    symbol.guess, symbol.lower, symbol.upper = guess, lower, upper
+    return symbol
+
+
+def body_number() -> BodyNumber:
+    """Declare the number 0, 1, ... of a body, by which boundary values, guesses and bounds of bodies may differ."""
+    return BodyNumber("body")
+
+
 def time(name: str = "t") -> Time:
     """Declare the time, for Lagrangians, forces, costs and guesses that depend on it explicitly."""
-    symbol = Time(name)
-    assert isinstance(symbol, Time)
-    return symbol
+    return Time(name)
 
 
 @contextmanager

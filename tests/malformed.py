@@ -2,73 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from malformed_conditions import MALFORMED_CONDITIONS
+from malformed_templates import Malformed, declaring, file_text, optimal, simulation
 
 from codegen.errors import (
     BoundaryError,
-    CodegenError,
     DegenerateError,
     ExpressionError,
     ProblemFileError,
     SymbolError,
 )
-
-
-@dataclass(frozen=True)
-class Malformed:
-    """A malformed problem file, and the error class and the part of its message that reading it must cause."""
-
-    id: str
-    text: str
-    error: type[CodegenError]
-    fragment: str
-
-
-PRELUDE = '''"""A malformed problem."""
-
-from sympy import *
-
-from codegen import Control, Simulate, canonical_pair, control, coordinate, coordinates, parameter, parameters, time
-
-'''
-"""The sound beginning of a file, which every body below follows."""
-
-
-def file_text(body: str, signature: str = "") -> str:
-    """A problem file whose function `problem` has the given body."""
-    lines = "".join(f"    {line}\n" for line in body.strip().splitlines())
-    return f"{PRELUDE}def problem({signature}):\n{lines}"
-
-
-def simulation(declare: str = "", **changes: str) -> str:
-    """A file with a sound simulation of an oscillator, where some lines and arguments are replaced."""
-    arguments = {"lagrangian": "dq**2/2 - q**2/2", "duration": "1", "start": "{q: 0, dq: 1}", **changes}
-    return _problem("Simulate", 'q, dq = coordinate("q")\n' + declare, arguments)
-
-
-def optimal(declare: str = "", **changes: str) -> str:
-    """A file with a sound control of an oscillator, where some lines and arguments are replaced."""
-    arguments = {
-        "lagrangian": "dq**2/2 - q**2/2",
-        "force": "{q: f}",
-        "cost": "f**2",
-        "duration": "1",
-        "start": "{q: 0, dq: 0}",
-        "end": "{q: 1, dq: 0}",
-        **changes,
-    }
-    return _problem("Control", 'q, dq = coordinate("q")\nf = control("f")\n' + declare, arguments)
-
-
-def declaring(line: str) -> str:
-    """A sound simulation with one more line of declarations in front."""
-    return simulation(line)
-
-
-def _problem(kind: str, declare: str, arguments: dict[str, str]) -> str:
-    written = ", ".join(f"{name}={value}" for name, value in arguments.items() if value)
-    return file_text(f"{declare}\nreturn {kind}({written})")
-
 
 _TWO = '(a, b), (da, db) = coordinates("a b")\n'
 _CANONICAL = 'q, p = canonical_pair("q", "p")\n'
@@ -102,7 +45,7 @@ _FILES = [
     Malformed("returns-dict", file_text("return {}"), ProblemFileError, "dict"),
     Malformed("returns-class", file_text("return Simulate"), ProblemFileError, "type"),
     Malformed("generator", file_text("yield 1"), ProblemFileError, "generator"),
-    Malformed("missing-keyword", optimal(cost=""), ProblemFileError, "'cost'"),
+    Malformed("missing-keyword", optimal(duration=""), ProblemFileError, "'duration'"),
     Malformed("unknown-keyword", simulation(lagrange="q"), ProblemFileError, "'lagrange'"),
     Malformed("unpacking", file_text('(a, b), (da,) = coordinates("a b")'), ProblemFileError, "unpack"),
     Malformed("truth-of-symbol", declaring("if q > 0: pass"), ProblemFileError, "truth value"),
@@ -261,5 +204,12 @@ _STRUCTURE = [
     ),
 ]
 
-MALFORMED: tuple[Malformed, ...] = (*_FILES, *_NAMES, *_NUMBERS, *_EXPRESSIONS, *_STRUCTURE)
+MALFORMED: tuple[Malformed, ...] = (
+    *_FILES,
+    *_NAMES,
+    *_NUMBERS,
+    *_EXPRESSIONS,
+    *_STRUCTURE,
+    *MALFORMED_CONDITIONS,
+)
 """All of them; a file is to be written as `broken.py`, which some fragments name."""

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from malformed import MALFORMED, PRELUDE, Malformed, file_text, optimal, simulation
+from malformed import MALFORMED
+from malformed_templates import PRELUDE, Malformed, file_text, first_order, group, optimal, simulation
 
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError
 from codegen.problem_file import input_digest, load_problem, parse_arguments
@@ -77,7 +78,7 @@ def test_malformed_file_is_refused_in_one_line(case: Malformed, tmp_path: Path) 
 
 
 def test_malformed_table_is_large_and_has_unique_ids() -> None:
-    assert len({case.id for case in MALFORMED}) == len(MALFORMED) >= 40
+    assert len({case.id for case in MALFORMED}) == len(MALFORMED) >= 200
 
 
 @pytest.mark.parametrize("text", [simulation(), optimal()])
@@ -86,6 +87,13 @@ def test_templates_of_malformed_files_are_sound(text: str, tmp_path: Path) -> No
     file.write_text(text)
     model = load_problem(file)
     assert (model.name, model.title, str(model.function)) == ("sound", "A malformed problem.", "dq**2/2 - q**2/2")
+
+
+@pytest.mark.parametrize(("text", "coordinates"), [(first_order(), "x v"), (group(), "x y")])
+def test_templates_of_malformed_conditions_are_sound(text: str, coordinates: str, tmp_path: Path) -> None:
+    file = tmp_path / "sound.py"
+    file.write_text(text)
+    assert " ".join(map(str, load_problem(file).coordinates)) == coordinates
 
 
 @pytest.mark.parametrize(

@@ -70,9 +70,8 @@ def compile_all_but_the_longest(module: Any) -> None:
     unknowns = module.initial_guess(grid)
     gradient = module.evaluate(grid, unknowns).gradient
     system = module.allocate_system(grid)
-    for part in (*system[:-1], *system[-1]):
-        part.fill(0)
     with np.errstate(all="ignore"):
+        module.excess_negative(grid, unknowns, np.zeros_like(unknowns), system)
         module.solve_kkt(grid, system, gradient, np.empty_like(unknowns))
         module.unpack(grid, unknowns)
         module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
@@ -87,7 +86,8 @@ def compile_the_longest(module: Any) -> None:
         path = np.empty((3, grid.start.size))
         module.follow(grid.start, 2, grid.h, grid.parameters, 1, 1e-13, 50, path, path)
         return
-    module.factor_kkt(grid, module.initial_guess(grid), 1.0, 0.0, 0.0, module.allocate_system(grid))
+    unknowns = module.initial_guess(grid)
+    module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), module.allocate_system(grid))
 
 
 def main() -> None:

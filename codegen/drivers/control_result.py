@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from codegen.drivers.result import ControlAttempt, Request, Result, component_names, max_norm
-from codegen.load import ControlModule, Entries, Grid, Matrix, Vector
+from codegen.load import ControlModule, Entries, Grid, Vector
 
 
 def control_result(module: ControlModule, driver: str, request: Request, attempt: ControlAttempt) -> Result:
@@ -49,7 +49,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         names=component_names(metadata),
         summary={
             "duration": float(t[-1] - t[0]),
-            "final_state_miss": _final_state_miss(module, grid, unknowns, q),
+            "final_state_miss": _final_state_miss(module, grid, unknowns),
             "largest_control": max_norm(u),
             "stationarity": stationarity,
         },
@@ -61,7 +61,7 @@ def _pinned_error(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector
     pinned = np.ones(unknowns.size, dtype=bool)
     pinned[module.primal_unknowns(grid)] = False
     pinned[module.multiplier_unknowns(grid)] = False
-    return (unknowns - module.initial_guess(grid))[pinned]
+    return (unknowns - module.with_pinned_values(grid, unknowns))[pinned]
 
 
 def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector) -> float:
@@ -82,12 +82,13 @@ def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector) -> floa
     return float(np.finfo(float).eps) * max(max_norm(equations), max_norm(optimality))
 
 
-def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector, q: Matrix) -> float:
-    """Largest error of the conditions at the end: prescribed positions, and equations of the last node."""
-    boundary = module.metadata["boundary"]
-    values = dict(zip(boundary, grid.parameters[len(grid.parameters) - len(boundary) :], strict=True))
-    coordinates = module.metadata["coordinates"]
-    misses = [q[-1, i] - values[f"end {name}"] for i, name in enumerate(coordinates) if f"end {name}" in values]
-    last_node = unknowns.size - len(module.metadata["node"]) - getattr(module, "END_EXTRA", 0)
-    at_end = module.multiplier_unknowns(grid) >= last_node
-    return max(max_norm(np.array(misses)), max_norm(module.constraints(grid, unknowns)[at_end]))
+def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> float:
+    """Largest error of the conditions at the end: prescribed values, and equations of the last nodes."""
+    metadata = module.metadata
+    bodies, node = metadata["bodies"], len(metadata["node"])
+    chain = grid.steps * (node + len(metadata["interval"])) + node
+    places = np.arange(unknowns.size)
+    at_end = (places >= bodies * chain) | (places % chain >= chain - node)
+    equations = at_end[module.multiplier_unknowns(grid)]
+    pinned = _pinned_error(module, grid, unknowns)
+    return max(max_norm(pinned), max_norm(module.constraints(grid, unknowns)[equations]))

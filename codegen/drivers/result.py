@@ -112,8 +112,13 @@ def max_norm(values: Vector) -> float:
 
 
 def component_names(metadata: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """What the columns of q, p and u are called."""
+    """What the columns of q, p and u are called; those of several bodies carry the body's number."""
     coordinates = tuple(metadata["coordinates"])
-    is_hamiltonian = metadata.get("form") == "hamiltonian"
-    momenta = metadata["rates"] if is_hamiltonian else [f"p_{name}" for name in coordinates]
-    return {"q": coordinates, "p": tuple(momenta), "u": tuple(metadata.get("control_names", ()))}
+    momenta = tuple(metadata["rates"]) if metadata.get("form") == "hamiltonian" else None
+    if momenta is None:
+        momenta = () if metadata.get("form") == "first-order" else tuple(f"p_{name}" for name in coordinates)
+    names = {"q": coordinates, "p": momenta, "u": tuple(metadata.get("control_names", ()))}
+    bodies = metadata.get("bodies", 1)
+    if bodies == 1:
+        return names
+    return {key: tuple(f"{name}_{body}" for body in range(bodies) for name in row) for key, row in names.items()}

@@ -30,7 +30,8 @@ class Origin:
 class Module:
     """A generated module before rendering; `template` names the file that lays it out.
 
-    `constants` are sizes, index arrays and names; `runtime` lists the files of `codegen/runtime` to include.
+    `constants` are sizes, index arrays and names; `runtime` lists the files of `codegen/runtime` to include, and `sizes`
+    are those constants on which it depends what of them is included.
     """
 
     template: str
@@ -42,6 +43,7 @@ class Module:
     constants: tuple[Line, ...]
     kernels: tuple[Kernel, ...]
     runtime: tuple[str, ...]
+    sizes: tuple[tuple[str, int], ...]
     arguments: tuple[Argument, ...]
     steps: int
 
@@ -50,28 +52,41 @@ class Module:
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
-    `duration` and `boundary_values` are code in the arguments; `guess_inputs` and `pin_inputs` read what guesses and
-    pinned values depend on from the vector of parameters, boundary values included. `start_values` and `end_values`
-    give the pinned unknowns of an end (target: local index), `node_guess` and `interval_guess` arrays over time (at
-    nodes; at `interval_times`, if there are any). `positions`, `momenta`, `controls` and `multipliers` are code that
-    reads the solution.
+    `boundary_values` is code in the arguments and in `boundary_inputs`. Guesses are code over arrays of time (at
+    nodes; at `interval_times`, if there are any), pinned values and bounds are assignments to views of the unknowns;
+    their `..._inputs` read what they depend on. The duration is the argument `duration_arguments` with its default, or
+    code of the unknowns where it is free; `grid_duration` is what the grid divides into steps. `bound_lines` has one
+    group where there are inequalities, and `coupling_kinds` one, of kernels, where bodies are coupled. `positions`,
+    `momenta`, `controls` and `multipliers` are code that reads the solution.
     """
 
-    duration: str
     boundary_values: tuple[Line, ...]
+    boundary_inputs: tuple[Line, ...]
+    boundary_example: str
+    duration_arguments: tuple[str, ...]
+    default_durations: tuple[str, ...]
+    grid_duration: str
+    duration_inputs: tuple[Line, ...]
+    duration: str
     guess_inputs: tuple[Line, ...]
-    pin_inputs: tuple[Line, ...]
-    start_values: tuple[Line, ...]
-    end_values: tuple[Line, ...]
     node_guess: tuple[Line, ...]
     interval_guess: tuple[Line, ...]
     interval_times: tuple[str, ...]
+    shared_guess_inputs: tuple[Line, ...]
+    common_guess: tuple[Line, ...]
+    own_guess: tuple[Line, ...]
+    guess_result: str
+    pin_inputs: tuple[Line, ...]
+    pinned_values: tuple[Line, ...]
+    bound_inputs: tuple[Line, ...]
+    bound_views: tuple[Line, ...]
+    bound_lines: tuple[tuple[Line, ...], ...]
+    coupling_kinds: tuple[tuple[str, ...], ...]
     positions: str
     momenta: str
     controls: str
     multipliers: str
     control_place: str
-    boundary_example: str
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         constants=tuple(_constants(program)),
         kernels=kernels,
         runtime=_runtime(program, derivatives),
+        sizes=(),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),

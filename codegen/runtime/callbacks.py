@@ -7,29 +7,36 @@ by a boundary condition appears in neither. Matrices are returned as (rows, colu
 import numpy as np
 from numba import njit
 
+from codegen.runtime.coupling import coupling_entries
+from codegen.runtime.ends_flat import end_entries
 from codegen.runtime.example import (
+    BODIES,
+    COUPLINGS,
     ELEMENT,
     END_PINNED,
     HESSIAN_COLUMNS,
     HESSIAN_ROWS,
     NODE,
     ONLY_AT_ENDS,
+    ROOT,
+    SHARED,
     START_PINNED,
     STRIDE,
     interval_hessian,
 )
-from codegen.runtime.ends_flat import end_entries
-from codegen.runtime.elements import IS_CURVATURE
 from codegen.runtime.point import evaluate
+from codegen.runtime.shared import read_shared, root_place, shared_representatives
 
 
 def free_unknowns(grid):
     """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
     free = np.ones(grid.is_multiplier.size, dtype=bool)
+    chain = grid.steps * STRIDE + NODE
+    bodies = free[: BODIES * chain].reshape(BODIES, chain)
     for i in ONLY_AT_ENDS:
-        free[i + STRIDE : -NODE : STRIDE] = False
-    free[list(START_PINNED)] = False
-    free[[free.size - NODE + i for i in END_PINNED]] = False
+        bodies[:, i + STRIDE : -NODE : STRIDE] = False
+    bodies[:, START_PINNED] = False
+    bodies[:, chain - NODE + END_PINNED] = False
     return free
 
 
@@ -76,28 +83,42 @@ def hessian(grid, unknowns):
 
 def submatrix(grid, unknowns, rows, columns, is_curvature):
     """Entries of the KKT matrix in the given rows and columns, renumbered; duplicates are to be added."""
-    values = np.empty((grid.steps, HESSIAN_ROWS.size))
+    values = np.empty((BODIES * grid.steps, HESSIAN_ROWS.size))
     interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
-    offsets = STRIDE * np.arange(grid.steps)[:, None]
-    row = (offsets + HESSIAN_ROWS)[:, is_curvature == IS_CURVATURE].ravel()
-    column = (offsets + HESSIAN_COLUMNS)[:, is_curvature == IS_CURVATURE].ravel()
-    value = values[:, is_curvature == IS_CURVATURE].ravel()
-    end_row, end_column, end_value = end_entries(grid, unknowns)
-    row, column = np.concatenate([row, end_row]), np.concatenate([column, end_column])
-    value = np.concatenate([value, end_value])
+    chain = grid.steps * STRIDE + NODE
+    offsets = (chain * np.arange(BODIES)[:, None] + STRIDE * np.arange(grid.steps)).reshape(-1, 1)
+    row, column, value = offsets + HESSIAN_ROWS, offsets + HESSIAN_COLUMNS, values
+    if SHARED:
+        shared = unknowns.size - ROOT + np.array([[root_place(b, j) for j in range(SHARED)] for b in range(BODIES)])
+        shared = np.repeat(shared, grid.steps, axis=0)
+        row[:, HESSIAN_ROWS >= ELEMENT] = shared[:, HESSIAN_ROWS[HESSIAN_ROWS >= ELEMENT] - ELEMENT]
+        column[:, HESSIAN_COLUMNS >= ELEMENT] = shared[:, HESSIAN_COLUMNS[HESSIAN_COLUMNS >= ELEMENT] - ELEMENT]
+    entries = [(row.ravel(), column.ravel(), value.ravel()), end_entries(grid, unknowns)]
+    if COUPLINGS:
+        entries.append(coupling_entries(grid, unknowns))
+    row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
+    wanted = (grid.is_multiplier[row] == grid.is_multiplier[column]) == is_curvature
+    row, column, value = row[wanted], column[wanted], value[wanted]
     off_diagonal = row != column
     row, column = np.concatenate([row, column[off_diagonal]]), np.concatenate([column, row[off_diagonal]])
     value = np.concatenate([value, value[off_diagonal]])
     new_row, new_column = np.full(unknowns.size, -1), np.full(unknowns.size, -1)
     new_row[rows], new_column[columns] = np.arange(rows.size), np.arange(columns.size)
+    if SHARED:
+        representative = shared_representatives(grid, unknowns.size)
+        row, column = representative[row], representative[column]
     inside = (new_row[row] >= 0) & (new_column[column] >= 0)
     return new_row[row[inside]], new_column[column[inside]], value[inside]
 
 
 @njit(cache=True, error_model="numpy")
 def interval_hessians(unknowns, steps, h, parameters, values):
-    """Fill row k of `values` with the entries of the Hessian of interval k."""
-    gradient = np.empty(ELEMENT)
-    for k in range(steps):
-        first = k * STRIDE
-        interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters, gradient, values[k])
+    """Fill a row of `values` with the entries of the Hessian of each interval of each body."""
+    gradient = np.empty(ELEMENT + SHARED)
+    for body in range(BODIES):
+        if SHARED:
+            read_shared(unknowns, body, parameters)
+        for k in range(steps):
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            here = unknowns[first : first + ELEMENT]
+            interval_hessian(here, k * h, h, parameters[body], gradient, values[body * steps + k])

@@ -7,44 +7,35 @@ of an interval leaves, in the remaining unknowns of its element, K - B' inverse(
 import numpy as np
 from numba import njit
 
-from codegen.runtime.elements import BLOCK, SIZE
-from codegen.runtime.example import CONTROLS, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, STRIDE, control_hessian
+from codegen.runtime.condensation import (
+    COUPLED,
+    COUPLED_COLUMNS,
+    COUPLED_ROWS,
+    KEPT,
+    KEPT_COLUMNS,
+    KEPT_ROWS,
+    SLOTS,
+    TOUCHED,
+)
+from codegen.runtime.elements import BLOCK
+from codegen.runtime.example import BODIES, CONDENSED, control_hessian
 
 
-def sort_entries():
-    """Sort the entries of an interval's Hessian: those that stay, and those that couple to controls.
-
-    Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are counted among the
-    unknowns that stay, or among the controls.
-    """
-    is_control = (np.arange(ELEMENT) >= BLOCK) & (np.arange(ELEMENT) < STRIDE)
-    place = np.concatenate([np.arange(BLOCK), np.arange(CONTROLS), np.arange(BLOCK, SIZE)])
-    kinds = is_control[HESSIAN_ROWS].astype(int) + is_control[HESSIAN_COLUMNS]
-    swapped = is_control[HESSIAN_COLUMNS] & ~is_control[HESSIAN_ROWS]
-    rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
-    columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
-    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(2))]
-
-
-(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS) = sort_entries()
-TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose entries the elimination of the controls changes
-SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
-
-
-def allocate_controls(grid):
-    """The block C, room for its inverse, and for B of all intervals."""
-    block = np.zeros((CONTROLS, CONTROLS))
-    control_hessian(grid.h, grid.parameters, block)
+def allocate_condensed(grid):
+    """The block C, its inverse, and B of all intervals of all bodies."""
+    block = np.zeros((CONDENSED, CONDENSED))
+    control_hessian(grid.h, grid.parameters[0], block)
     block += np.tril(block, -1).T
-    return block, np.empty_like(block), np.zeros((grid.steps, CONTROLS, TOUCHED.size))
+    couplings = np.zeros((BODIES * grid.steps, CONDENSED, TOUCHED.size))
+    return block, np.empty((1, CONDENSED, CONDENSED)), couplings
 
 
-def prepare_controls(weight, shift, controls):
+def prepare_condensed(grid, weight, diagonal, condensed):
     """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
-    block, inverse, _ = controls
+    block, inverse, _ = condensed
     shifted = weight * block
-    shifted.flat[:: CONTROLS + 1] += shift
-    return invert_positive_definite(shifted.tolist(), inverse)
+    shifted.flat[:: CONDENSED + 1] += diagonal[BLOCK : BLOCK + CONDENSED]
+    return invert_positive_definite(shifted.tolist(), inverse[0])
 
 
 def invert_positive_definite(rows, inverse):
@@ -67,56 +58,20 @@ def invert_positive_definite(rows, inverse):
     return True
 
 
-@njit(error_model="numpy")
-def add_element(hessian, controls, k, element):
-    """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
-    _, inverse, couplings = controls
+@njit(error_model="numpy", inline="always")
+def add_element(hessian, diagonal, condensed, interval, element):
+    """Add K - B' inverse(C) B of an interval to the element matrix, and keep B for the recovery of the controls."""
+    _, inverses, couplings = condensed
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
         if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
             element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
     for j in range(COUPLED.size):
-        couplings[k, COUPLED_ROWS[j], SLOTS[j]] = hessian[COUPLED[j]]
-    for a in range(CONTROLS):
-        for b in range(CONTROLS):
+        couplings[interval, COUPLED_ROWS[j], SLOTS[j]] = hessian[COUPLED[j]]
+    for a in range(CONDENSED):
+        for b in range(CONDENSED):
             for i in range(TOUCHED.size):
-                weighted = couplings[k, a, i] * inverse[a, b]
+                weighted = couplings[interval, a, i] * inverses[0, a, b]
                 for j in range(TOUCHED.size):
-                    element[TOUCHED[i], TOUCHED[j]] -= weighted * couplings[k, b, j]
-
-
-@njit(cache=True, error_model="numpy")
-def condense(gradient, controls, reduced):
-    """Fill `reduced` with the right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay."""
-    _, inverse, couplings = controls
-    steps = couplings.shape[0]
-    for i in range(NODE):
-        reduced[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
-    for k in range(steps - 1, -1, -1):
-        for i in range(BLOCK):
-            reduced[k * BLOCK + i] = -gradient[k * STRIDE + i]
-        for a in range(CONTROLS):
-            for b in range(CONTROLS):
-                weighted = inverse[a, b] * gradient[k * STRIDE + BLOCK + b]
-                for i in range(TOUCHED.size):
-                    reduced[k * BLOCK + TOUCHED[i]] += couplings[k, a, i] * weighted
-
-
-@njit(cache=True, error_model="numpy")
-def expand(gradient, controls, reduced, step):
-    """Fill `step` with what was solved for and the controls' share -inverse(C) (g_u + B d) of every interval."""
-    _, inverse, couplings = controls
-    steps = couplings.shape[0]
-    for i in range(NODE):
-        step[steps * STRIDE + i] = reduced[steps * BLOCK + i]
-    for k in range(steps):
-        for i in range(BLOCK):
-            step[k * STRIDE + i] = reduced[k * BLOCK + i]
-        for a in range(CONTROLS):
-            step[k * STRIDE + BLOCK + a] = 0.0
-        for b in range(CONTROLS):
-            forcing = gradient[k * STRIDE + BLOCK + b]
-            for i in range(TOUCHED.size):
-                forcing += couplings[k, b, i] * reduced[k * BLOCK + TOUCHED[i]]
-            for a in range(CONTROLS):
-                step[k * STRIDE + BLOCK + a] -= inverse[a, b] * forcing
+                    element[TOUCHED[i], TOUCHED[j]] -= weighted * couplings[interval, b, j]
+    return True

@@ -1,36 +1,42 @@
-"""An interval's element matrix, with all its unknowns kept: no control can be eliminated beforehand."""
+"""An interval's element matrix, with all its unknowns kept: none can be eliminated beforehand."""
 
-import numpy as np
 from numba import njit
 
-from codegen.runtime.example import HESSIAN_COLUMNS, HESSIAN_ROWS
+from codegen.runtime.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, STRIDE
 
 
-def allocate_controls(grid):
-    """Storage for eliminated controls: none."""
+def allocate_condensed(grid):
+    """Storage for eliminated unknowns: none."""
     return ()
 
 
-def prepare_controls(weight, shift, controls):
-    """True: there is no block of controls that could be indefinite."""
+def prepare_condensed(grid, weight, diagonal, condensed):
+    """True: there is no block that could be indefinite."""
     return True
 
 
-@njit(error_model="numpy")
-def add_element(hessian, controls, k, element):
-    """Add the Hessian of interval k to the element matrix."""
+@njit(error_model="numpy", inline="always")
+def add_element(hessian, diagonal, condensed, interval, element):
+    """Add the Hessian of an interval to the element matrix."""
     for j in range(hessian.size):
         row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
         element[row, column] += hessian[j]
         if row != column:
             element[column, row] += hessian[j]
+    return True
 
 
-def condense(gradient, controls, reduced):
-    """The right-hand side -gradient."""
-    np.negative(gradient, out=reduced[: gradient.size])
+@njit(cache=True, error_model="numpy")
+def condense(gradient, condensed, steps, reduced, root):
+    """Fill the right-hand sides of every body with -gradient; `root` has been set already."""
+    for body in range(BODIES):
+        for i in range(steps * STRIDE + NODE):
+            reduced[body, i] = -gradient[body * (steps * STRIDE + NODE) + i]
 
 
-def expand(gradient, controls, reduced, step):
-    """The step, which is all there is."""
-    step[:] = reduced[: step.size]
+@njit(cache=True, error_model="numpy")
+def expand(gradient, condensed, steps, reduced, root, step):
+    """Fill `step` with what was solved for, which is all there is."""
+    for body in range(BODIES):
+        for i in range(steps * STRIDE + NODE):
+            step[body * (steps * STRIDE + NODE) + i] = reduced[body, i]

@@ -1,40 +1,55 @@
 """Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
 
-An element's unknowns are those of its left node, of the interval and of its right node, the controls that are
-eliminated inside the interval aside.
+An element's unknowns are those of its left node, of the interval and of its right node, without those that are
+eliminated inside the interval; then the shared unknowns.
 """
 
+import numpy as np
 from numba import njit
 
 from codegen.runtime.example import (
-    CONTROLS,
+    CONDENSED,
     END_PINNED,
+    END_SHARED,
+    END_SHARED_PLACES,
     HESSIAN_COLUMNS,
     HESSIAN_ROWS,
     IS_MULTIPLIER,
     NODE,
+    SHARED,
     START_PINNED,
+    START_SHARED,
+    START_SHARED_PLACES,
     STRIDE,
 )
+from codegen.runtime.shared import release_rows
 
-BLOCK = STRIDE - CONTROLS  # unknowns of a node and its interval
-SIZE = BLOCK + NODE  # unknowns of an element
-IS_CURVATURE = IS_MULTIPLIER[HESSIAN_ROWS % STRIDE] == IS_MULTIPLIER[HESSIAN_COLUMNS % STRIDE]
+BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
+SIZE = BLOCK + NODE  # unknowns of an element, shared ones aside
+LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
+IS_CURVATURE = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] == LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS]
 
 
 @njit(error_model="numpy", inline="always")
-def shift_and_pin(k, steps, shift, dual_shift, element):
-    """Add `shift` to the diagonal of primal unknowns, -`dual_shift` to that of multipliers, and pin what is given.
+def add_diagonal_and_pin(k, steps, diagonal, element):
+    """Add a body's share of `diagonal`, and pin what is given at the ends.
 
-    A node's diagonal is shifted in the element on its right, the last node's in the last element. The row and column
+    A node's diagonal is added in the element on its right, the last node's in the last element. The row and column
     of an unknown that a boundary condition gives are those of the unit matrix.
     """
-    for i in range(BLOCK if k < steps - 1 else SIZE):
-        element[i, i] += -dual_shift if IS_MULTIPLIER[i % BLOCK] else shift
+    for i in range(BLOCK):
+        element[i, i] += diagonal[k * STRIDE + i]
+    if k == steps - 1:
+        for i in range(NODE):
+            element[BLOCK + i, BLOCK + i] += diagonal[(k + 1) * STRIDE + i]
     if k == 0:
+        if SHARED:
+            release_rows(START_SHARED_PLACES, START_SHARED, 0, SIZE, element)
         for i in START_PINNED:
             pin(i, element)
     if k == steps - 1:
+        if SHARED:
+            release_rows(END_SHARED_PLACES, END_SHARED, BLOCK, SIZE, element)
         for i in END_PINNED:
             pin(BLOCK + i, element)
 
@@ -42,7 +57,7 @@ def shift_and_pin(k, steps, shift, dual_shift, element):
 @njit(error_model="numpy")
 def pin(place, element):
     """Make one row and column of an element matrix that of the unit matrix."""
-    for i in range(SIZE):
+    for i in range(element.shape[0]):
         element[place, i] = 0.0
         element[i, place] = 0.0
     element[place, place] = 1.0

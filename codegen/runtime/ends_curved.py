@@ -3,52 +3,67 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.elements import BLOCK, shift_and_pin
+from codegen.runtime.elements import BLOCK, LOCAL_IS_MULTIPLIER, SIZE, add_diagonal_and_pin
 from codegen.runtime.example import (
+    BODIES,
     END_HESSIAN_COLUMNS,
     END_HESSIAN_ROWS,
-    IS_MULTIPLIER,
     NODE,
+    ROOT,
+    SHARED,
     START_HESSIAN_COLUMNS,
     START_HESSIAN_ROWS,
+    STRIDE,
     end_hessian,
     start_hessian,
 )
+from codegen.runtime.shared import root_place
+
+END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
 
 
 @njit(error_model="numpy", inline="always")
-def close_element(unknowns, k, steps, h, parameters, weight, shift, dual_shift, element):
-    """Add the Hessians of the boundary conditions, shift the diagonal of an element matrix and pin what is given."""
+def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
+    """Add the Hessians of the boundary conditions and the diagonal to an element matrix, and pin what is given."""
     if k == 0:
         entries = np.empty(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[:NODE], 0.0, parameters, entries)
-        add_end(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, 0, weight, element)
+        add_end_hessian(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, 0, weight, element)
     if k == steps - 1:
         entries = np.empty(END_HESSIAN_ROWS.size)
-        end_hessian(unknowns[unknowns.size - NODE :], steps * h, parameters, entries)
-        add_end(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, BLOCK, weight, element)
-    shift_and_pin(k, steps, shift, dual_shift, element)
+        end_hessian(unknowns[steps * STRIDE : steps * STRIDE + NODE], steps * h, parameters, entries)
+        add_end_hessian(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, BLOCK, weight, element)
+    add_diagonal_and_pin(k, steps, diagonal, element)
 
 
 @njit(error_model="numpy")
-def add_end(entries, rows, columns, first, weight, element):
-    """Add the lower triangle `entries` of a node's Hessian, and its mirror image, at row and column `first`."""
+def add_end_hessian(entries, rows, columns, first, weight, element):
+    """Add the lower triangle `entries` of an end's Hessian, and its mirror image; its node begins at row `first`."""
     for j in range(entries.size):
-        row, column = rows[j], columns[j]
-        value = weight * entries[j] if IS_MULTIPLIER[row] == IS_MULTIPLIER[column] else entries[j]
-        element[first + row, first + column] += value
+        value = entries[j]
+        if END_IS_MULTIPLIER[rows[j]] == END_IS_MULTIPLIER[columns[j]]:
+            value *= weight
+        row = first + rows[j] if rows[j] < NODE else SIZE + rows[j] - NODE
+        column = first + columns[j] if columns[j] < NODE else SIZE + columns[j] - NODE
+        element[row, column] += value
         if row != column:
-            element[first + column, first + row] += value
+            element[column, row] += value
 
 
 def end_entries(grid, unknowns):
     """Entries (rows, columns, values) that the ends add to the lower triangle of the KKT matrix."""
-    last = unknowns.size - NODE
-    at_start, at_end = np.empty(START_HESSIAN_ROWS.size), np.empty(END_HESSIAN_ROWS.size)
-    start_hessian(unknowns[:NODE], 0.0, grid.parameters, at_start)
-    end_hessian(unknowns[last:], grid.steps * grid.h, grid.parameters, at_end)
-    return (
-        np.concatenate([START_HESSIAN_ROWS, last + END_HESSIAN_ROWS]),
-        np.concatenate([START_HESSIAN_COLUMNS, last + END_HESSIAN_COLUMNS]),
-        np.concatenate([at_start, at_end]),
-    )
+    chain = grid.steps * STRIDE + NODE
+    rows, columns, values = [], [], []
+    for body in range(BODIES):
+        first, last = body * chain, (body + 1) * chain - NODE
+        at_start, at_end = np.empty(START_HESSIAN_ROWS.size), np.empty(END_HESSIAN_ROWS.size)
+        start_hessian(unknowns[first : first + NODE], 0.0, grid.parameters[body], at_start)
+        end_hessian(unknowns[last : last + NODE], grid.steps * grid.h, grid.parameters[body], at_end)
+        from_start, from_end = first + np.arange(NODE), last + np.arange(NODE)
+        if SHARED:
+            root = unknowns.size - ROOT + np.array([root_place(body, j) for j in range(SHARED)])
+            from_start, from_end = np.concatenate([from_start, root]), np.concatenate([from_end, root])
+        rows += [from_start[START_HESSIAN_ROWS], from_end[END_HESSIAN_ROWS]]
+        columns += [from_start[START_HESSIAN_COLUMNS], from_end[END_HESSIAN_COLUMNS]]
+        values += [at_start, at_end]
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)

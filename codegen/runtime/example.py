@@ -7,10 +7,15 @@ v(0), q(T), v(T). Exists so that the files of this folder can be imported and te
 import numpy as np
 from numba import njit
 
-NODE, CONTROLS, STRIDE, ELEMENT = 2, 1, 3, 5
+NODE, CONDENSED, STRIDE, ELEMENT = 2, 1, 3, 5
+BODIES, OWN, SHARED, COUPLINGS, ROOT = 1, 0, 0, 0, 0
 IS_MULTIPLIER = np.array([False, True, False])
-START_PINNED = END_PINNED = (0,)
-ONLY_AT_ENDS = ()
+START_PINNED = END_PINNED = np.array([0])
+ONLY_AT_ENDS = np.zeros(0, np.int64)
+EQUATIONS = np.array([1])
+START_SHARED_PLACES = START_SHARED = END_SHARED_PLACES = END_SHARED = np.zeros(0, np.int64)
+COUPLING_KINDS = COUPLING_COUNTS = COUPLING_ROWS = np.zeros(0, np.int64)
+COUPLING_PLACES = np.zeros((0, 0), np.int64)
 HESSIAN_ROWS = np.array([0, 1, 2, 2, 3, 3, 3, 4, 4, 4])
 HESSIAN_COLUMNS = np.array([0, 0, 1, 2, 0, 1, 3, 0, 2, 3])
 START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLUMNS = np.zeros(0, np.int64)
@@ -56,15 +61,24 @@ def control_hessian(h, parameters, block):
     block[0, 0] = 2 * h
 
 
+@njit(error_model="numpy")
 def start_gradient(x, t, parameters, gradient):
-    """Add the gradient of lambda_0 v(0)."""
+    """Add the gradient of lambda_0 v(0); returns its cost, none."""
     gradient[1] += parameters[1]
+    return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
+def coupling_term(kind, values, parameters, slopes, curvatures):
+    """Nothing is coupled."""
+    return 0.0
+
+
+@njit(error_model="numpy")
 def end_gradient(x, t, parameters, gradient):
-    """Add the gradient of -lambda_N v(T)."""
+    """Add the gradient of -lambda_N v(T); returns its cost, none."""
     gradient[1] -= parameters[3]
+    return 0.0
 
 
 @njit(error_model="numpy")

@@ -3,8 +3,12 @@
 import numpy as np
 
 from codegen.runtime.example import (
+    BODIES,
+    COUPLINGS,
     IS_MULTIPLIER,
     NODE,
+    ROOT,
+    SHARED,
     STRIDE,
     metadata,
 )
@@ -28,14 +32,18 @@ def checked_grid(steps, duration, parameters):
         raise ValueError(f"steps is {steps!r}, expected a positive integer")
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
-    parameters = np.array(parameters, dtype=float)
-    if not np.isfinite(parameters).all():
-        raise ValueError(f"parameters and boundary values must be finite, got {parameters}")
+    table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
+    for i, value in enumerate(parameters):
+        table[:, i] = value
+    if not np.isfinite(table).all():
+        raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
-    is_multiplier = np.empty(steps * STRIDE + NODE, dtype=bool)
-    is_multiplier[: steps * STRIDE].reshape(steps, STRIDE)[:] = IS_MULTIPLIER
-    is_multiplier[steps * STRIDE :] = IS_MULTIPLIER[:NODE]
-    return Grid(steps, float(duration) / steps, parameters, is_multiplier)
+    chain = np.append(np.tile(IS_MULTIPLIER, steps), IS_MULTIPLIER[:NODE])
+    is_multiplier = np.zeros(BODIES * chain.size + ROOT, dtype=bool)
+    is_multiplier[: BODIES * chain.size] = np.tile(chain, BODIES)
+    if COUPLINGS:
+        is_multiplier[is_multiplier.size - COUPLINGS :] = True
+    return Grid(steps, float(duration) / steps, table, is_multiplier)
 
 
 def replace_values(boundary, where, values):
@@ -45,15 +53,21 @@ def replace_values(boundary, where, values):
         if key not in boundary:
             known = ", ".join(name.split()[1] for name in boundary if name.startswith(where)) or "nothing"
             raise ValueError(f"{quantity!r} is not prescribed at the {where}; prescribed: {known}")
-        boundary[key] = float(value)
+        boundary[key] = np.asarray(value, dtype=float)
 
 
 def views(grid, unknowns):
-    """Views of a vector of unknowns: nodes (N + 1, NODE) and what lies on intervals (N, STRIDE - NODE)."""
-    item = unknowns.itemsize
-    nodes = np.ndarray((grid.steps + 1, NODE), float, unknowns, 0, (STRIDE * item, item))
-    intervals = unknowns[: grid.steps * STRIDE].reshape(grid.steps, STRIDE)[:, NODE:]
+    """Views of a vector of unknowns: nodes (bodies, N + 1, NODE), what lies on intervals (bodies, N, STRIDE - NODE)."""
+    item, chain = unknowns.itemsize, grid.steps * STRIDE + NODE
+    nodes = np.ndarray((BODIES, grid.steps + 1, NODE), float, unknowns, 0, (chain * item, STRIDE * item, item))
+    shape = BODIES, grid.steps, STRIDE - NODE
+    intervals = np.ndarray(shape, float, unknowns, NODE * item, (chain * item, STRIDE * item, item))
     return nodes, intervals
+
+
+def side_by_side(values):
+    """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
+    return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
 
 
 def describe(grid, point, status):
@@ -62,10 +76,19 @@ def describe(grid, point, status):
         return f"all equations hold to {point.error:.1e}"
     size = np.abs(point.gradient)
     worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
-    k, place = divmod(worst, STRIDE)
-    names = (*metadata["node"], *metadata["interval"])
-    where = f"by {names[place]} at {'node' if place < NODE else 'interval'} {k}"
+    where = f"by {unknown_name(grid, worst)}"
     return f"{status}: the derivative of the Lagrangian {where} is {point.gradient[worst]:.1e}; {REMEDIES[status]}"
+
+
+def unknown_name(grid, place):
+    """What an unknown is called and where it lives, as in `r at node 3`."""
+    chain = grid.steps * STRIDE + NODE
+    if SHARED and place >= BODIES * chain:
+        return metadata["shared"][place - BODIES * chain]
+    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
+    name = (*metadata["node"], *metadata["interval"])[local]
+    of_body = f" of body {body}" if BODIES > 1 else ""
+    return f"{name} at {'node' if local < NODE else 'interval'} {k}{of_body}"
 
 
 def print_log(rows):

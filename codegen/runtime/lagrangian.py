@@ -1,50 +1,70 @@
-"""Value and gradient of the Lagrangian of the optimisation problem: a sum over intervals and both ends.
+"""Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 
-Unknowns lie in one vector: node 0, interval 0, node 1, interval 1, ..., node N. The gradient by the multipliers is
-the residual of the discrete equations, the gradient by the other unknowns is the stationarity of the optimum.
+Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
+owns. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other unknowns is
+the stationarity of the optimum.
 """
 
 import numpy as np
 from numba import njit
 
+from codegen.runtime.coupling import add_coupling_gradient
 from codegen.runtime.example import (
+    BODIES,
+    COUPLINGS,
     ELEMENT,
     END_PINNED,
     NODE,
+    SHARED,
     START_PINNED,
     STRIDE,
     end_gradient,
     interval_gradient,
     start_gradient,
 )
-
-
-def lagrangian_gradient(unknowns, steps, h, parameters):
-    """Discrete cost, and gradient of the Lagrangian by all unknowns, zero where they are pinned."""
-    gradient, last = np.empty_like(unknowns), unknowns.size - NODE
-    cost = interval_gradients(unknowns, steps, h, parameters, np.empty((1, ELEMENT)), gradient)
-    start_gradient(unknowns[:NODE], 0.0, parameters, gradient[:NODE])
-    end_gradient(unknowns[last:], steps * h, parameters, gradient[last:])
-    for i in START_PINNED:
-        gradient[i] = 0.0
-    for i in END_PINNED:
-        gradient[last + i] = 0.0
-    return cost, gradient
+from codegen.runtime.shared import add_shared, read_shared, release_shared
 
 
 @njit(cache=True, error_model="numpy")
-def interval_gradients(unknowns, steps, h, parameters, parts, gradient):
-    """Fill `gradient` with the sum of the gradients of all intervals and return the discrete cost.
-
-    Row k of `parts` takes the gradient of interval k if there are that many rows; a single row is overwritten.
-    """
+def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
+    """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
+    chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
+    part = np.empty(ELEMENT + SHARED)
+    at_end = np.empty(NODE + SHARED)
     cost = 0.0
-    for k in range(steps):
-        first = k * STRIDE
-        part = parts[min(k, parts.shape[0] - 1)]
-        cost += interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters, part)
-        for i in range(ELEMENT):
-            gradient[first + i] += part[i]
+    for body in range(BODIES):
+        first, last = body * chain, (body + 1) * chain - NODE
+        if SHARED:
+            read_shared(unknowns, body, parameters)
+        for i in range(at_end.size):
+            at_end[i] = 0.0
+        cost += start_gradient(unknowns[first : first + NODE], 0.0, parameters[body], at_end)
+        add_end(at_end, first, NODE, body, gradient)
+        for i in range(at_end.size):
+            at_end[i] = 0.0
+        cost += end_gradient(unknowns[last : last + NODE], steps * h, parameters[body], at_end)
+        add_end(at_end, last, NODE, body, gradient)
+        for k in range(steps):
+            here = first + k * STRIDE
+            cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            add_end(part, here, ELEMENT, body, gradient)
+        if SHARED:
+            release_shared(first, last, body, gradient)
+        for i in START_PINNED:
+            gradient[first + i] = 0.0
+        for i in END_PINNED:
+            gradient[last + i] = 0.0
+    if COUPLINGS:
+        add_coupling_gradient(unknowns, parameters[0], gradient)
     return cost
+
+
+@njit(error_model="numpy", inline="always")
+def add_end(part, first, size, body, gradient):
+    """Add the gradient of one share: `size` unknowns from `first` on, then the shared unknowns of a body."""
+    for i in range(size):
+        gradient[first + i] += part[i]
+    if SHARED:
+        add_shared(part, size, body, gradient)

@@ -10,7 +10,7 @@ import numpy as np
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.descent import measure_step
 from codegen.runtime.point import evaluate
-from codegen.runtime.probe import curves_upwards
+from codegen.runtime.inertia import excess_negative
 from codegen.runtime.rounding import is_rounding, is_solved
 
 SHORTEST_STEP = 1e-10
@@ -53,13 +53,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
 def is_minimum(grid, point, system):
     """Whether a start that is stationary already is a minimum, as far as slow variations of the unknowns can tell."""
-    return factor_kkt(grid, point.unknowns, 1.0, 0.0, 0.0, system) and curves_upwards(grid, system, 3)
+    none = np.zeros(point.unknowns.size)
+    return factor_kkt(grid, point.unknowns, 1.0, none, system) and not excess_negative(grid, point.unknowns, none, system)
 
 
 def guess_multipliers(grid, unknowns, system):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
-    if point.stationarity == 0.0 or not factor_kkt(grid, point.unknowns, 0.0, 1.0, 0.0, system):
+    if point.stationarity == 0.0 or not factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 0.0), system):
         return point.unknowns
     step = np.empty_like(unknowns)
     solve_kkt(grid, system, np.where(grid.is_multiplier, 0.0, point.gradient), step)
@@ -75,11 +76,14 @@ def regularised_step(grid, point, last_shift, system):
     step = np.empty_like(point.unknowns)
     shift, dual_shift = 0.0, 0.0
     while shift < 1e20:
-        if factor_kkt(grid, point.unknowns, 1.0, shift, dual_shift, system):
-            solve_kkt(grid, system, point.gradient, step)
-            slope, descends = measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)
-            if descends:
-                return step, slope, shift
+        diagonal = shifts(grid, shift, dual_shift)
+        if factor_kkt(grid, point.unknowns, 1.0, diagonal, system):
+            excess = excess_negative(grid, point.unknowns, diagonal, system)
+            if not excess:
+                solve_kkt(grid, system, point.gradient, step)
+                slope, descends = measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)
+                if descends or excess == 0:
+                    return step, slope, shift
         elif shift > 0.0:
             dual_shift = 1e-8
         if shift == 0.0:
@@ -87,6 +91,11 @@ def regularised_step(grid, point, last_shift, system):
         else:
             shift *= 100.0 if last_shift == 0.0 else 8.0
     return None, 0.0, shift
+
+
+def shifts(grid, shift, dual_shift):
+    """Diagonal that shifts the Hessian by primal unknowns up, and that by multipliers down."""
+    return np.where(grid.is_multiplier, -dual_shift, shift)
 
 
 def search(grid, point, step, slope, small_violation, filtered, system):
@@ -136,7 +145,7 @@ def restore(grid, point, filtered, system):
     """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced further."""
     step = np.empty_like(point.gradient)
     for _ in range(50):
-        if not factor_kkt(grid, point.unknowns, 0.0, 1.0, 1e-12, system):
+        if not factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system):
             return None
         solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
         step[grid.is_multiplier] = 0.0

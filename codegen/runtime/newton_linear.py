@@ -4,7 +4,7 @@ import numpy as np
 
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.point import evaluate
-from codegen.runtime.probe import curves_upwards
+from codegen.runtime.inertia import excess_negative
 from codegen.runtime.rounding import is_solved
 
 
@@ -14,7 +14,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
     A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
     system = allocate_system(grid)
-    regular = factor_kkt(grid, unknowns, 1.0, 0.0, 0.0, system)
+    none = np.zeros(unknowns.size)
+    regular = factor_kkt(grid, unknowns, 1.0, none, system)
     point = evaluate(grid, unknowns)
     for iteration in range(4):
         log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
@@ -22,7 +23,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
             return "non-finite", point, iteration
         if not regular:
             return "rank-deficient", point, iteration
-        if iteration == 0 and not curves_upwards(grid, system, 1):
+        if iteration == 0 and excess_negative(grid, unknowns, none, system):
             return "unbounded", point, iteration
         if is_solved(grid, point, tolerance):
             return "solved", point, iteration

@@ -9,7 +9,10 @@ from codegen.runtime.norms import measure
 
 
 class Grid(NamedTuple):
-    """N intervals of length h, values of the parameters, and which unknowns are multipliers."""
+    """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
+
+    The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
+    """
 
     steps: int
     h: float
@@ -35,5 +38,6 @@ class Point(NamedTuple):
 
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
-    cost, gradient = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters)
+    gradient = np.empty_like(unknowns)
+    cost = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters, gradient)
     return Point(unknowns, gradient, cost, *measure(gradient, grid.is_multiplier))

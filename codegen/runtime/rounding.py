@@ -3,7 +3,18 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.example import ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, STRIDE, interval_hessian
+from codegen.runtime.example import (
+    BODIES,
+    ELEMENT,
+    HESSIAN_COLUMNS,
+    HESSIAN_ROWS,
+    NODE,
+    ROOT,
+    SHARED,
+    STRIDE,
+    interval_hessian,
+)
+from codegen.runtime.shared import root_place
 
 UNIT_ROUNDOFF = 2.2e-16
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
@@ -16,16 +27,22 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     """
-    local, hessian = np.empty(ELEMENT), np.empty(HESSIAN_ROWS.size)
+    local, hessian = np.empty(ELEMENT + SHARED), np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
-    for k in range(steps):
-        first = k * STRIDE
-        interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters, local, hessian)
-        for j in range(HESSIAN_ROWS.size):
-            row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
-            sums[row] += abs(hessian[j] * unknowns[column])
-            if row != column:
-                sums[column] += abs(hessian[j] * unknowns[row])
+    for body in range(BODIES):
+        for k in range(steps):
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            here = unknowns[first : first + ELEMENT]
+            interval_hessian(here, k * h, h, parameters[body], local, hessian)
+            for j in range(HESSIAN_ROWS.size):
+                row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
+                if SHARED and HESSIAN_ROWS[j] >= ELEMENT:
+                    row = unknowns.size - ROOT + root_place(body, HESSIAN_ROWS[j] - ELEMENT)
+                if SHARED and HESSIAN_COLUMNS[j] >= ELEMENT:
+                    column = unknowns.size - ROOT + root_place(body, HESSIAN_COLUMNS[j] - ELEMENT)
+                sums[row] += abs(hessian[j] * unknowns[column])
+                if row != column:
+                    sums[column] += abs(hessian[j] * unknowns[row])
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if is_multiplier[i]:

@@ -9,15 +9,30 @@ from sympy import Rational
 from codegen.errors import SchemeError
 from codegen.schemes.base import DiscreteLagrangian, OneStep, QuadraturePoint, Scheme, Substep
 from codegen.schemes.discrete_lagrangians import DISCRETE_LAGRANGIANS
-from codegen.schemes.one_step import ONE_STEPS, alpha
+from codegen.schemes.one_step import FIRST_ORDER_SCHEMES, ONE_STEPS, alpha
 
-__all__ = ["ALIASES", "METHODS", "DiscreteLagrangian", "OneStep", "QuadraturePoint", "Scheme", "Substep", "find"]
+__all__ = [
+    "ALIASES",
+    "FIRST_ORDER",
+    "METHODS",
+    "DiscreteLagrangian",
+    "OneStep",
+    "QuadraturePoint",
+    "Scheme",
+    "Substep",
+    "find",
+]
 
 METHODS: dict[str, dict[str, Scheme]] = {
     "variational": {scheme.name: scheme for scheme in DISCRETE_LAGRANGIANS},
     "hamiltonian": {scheme.name: scheme for scheme in ONE_STEPS},
 }
-"""Every scheme by method and name; tests run over this table."""
+"""Every scheme for mechanical systems by method and name; tests run over this table."""
+
+FIRST_ORDER = "one-step"
+"""The method for first-order systems x' = f(x, u, t)."""
+
+_ALL: dict[str, dict[str, Scheme]] = {**METHODS, FIRST_ORDER: {scheme.name: scheme for scheme in FIRST_ORDER_SCHEMES}}
 
 ALIASES = {("variational", "stormer-verlet"): "trapezoidal"}
 """Other names of the same scheme."""
@@ -28,7 +43,7 @@ def find(name: str, method: str) -> Scheme:
 
     `alpha-<a>`, with a a decimal or a fraction in [0, 1], names a member of the alpha family.
     """
-    table = METHODS[method]
+    table = _ALL[method]
     name = ALIASES.get((method, name), name)
     if name in table:
         return table[name]
@@ -41,11 +56,14 @@ def find(name: str, method: str) -> Scheme:
             return alpha(value)
         raise SchemeError(f"scheme {name!r}", "give alpha-<a> with a between 0 and 1, as in alpha-0.25")
     elsewhere = [other for other, schemes in METHODS.items() if name in schemes]
+    if method == FIRST_ORDER and (elsewhere or name.startswith("alpha-")):
+        raise SchemeError(f"scheme {name!r} needs positions and momenta", f"use one of {', '.join(table)}")
     if elsewhere:
         raise SchemeError(
             f"scheme {name!r} does not belong to the {method} method",
             f"use --method {elsewhere[0]}, or one of {', '.join(table)}",
         )
-    close = difflib.get_close_matches(name, [n for names in METHODS.values() for n in names], 1)
+    offered = table if method == FIRST_ORDER else [n for names in METHODS.values() for n in names]
+    close = difflib.get_close_matches(name, offered, 1)
     hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(table)}"
     raise SchemeError(f"there is no scheme {name!r}", hint)

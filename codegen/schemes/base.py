@@ -53,3 +53,8 @@ class OneStep(Scheme):
     """A composition of substeps q1 = q0 + g h H_p(q, p), p1 = p0 - g h H_q(q, p) + g h f(q, p)."""
 
     substeps: tuple[Substep, ...]
+
+    @property
+    def same_point(self) -> bool:
+        """Whether coordinates and momenta are always taken at the same point, as a first-order system needs."""
+        return all(substep.position == substep.momentum for substep in self.substeps)

@@ -1,4 +1,4 @@
-"""One-step methods for Hamilton's equations: the Eulers, the alpha family, midpoint and Störmer-Verlet."""
+"""One-step methods: the Eulers, the alpha family, midpoint, Störmer-Verlet; those for first-order systems."""
 
 from __future__ import annotations
 
@@ -64,6 +64,20 @@ ONE_STEPS = (
         substeps=(Substep(_HALF, _ZERO, _ONE), Substep(_HALF, _ONE, _ZERO)),
     ),
 )
+
+TRAPEZOIDAL = OneStep(
+    name="trapezoidal",
+    order=2,
+    symmetric=True,
+    symplectic=False,
+    source="Hairer, Norsett and Wanner (1993), Solving ordinary differential equations I, II.1 and II.7",
+    summary="mean of the fields at x0 and x1; half a step of explicit-euler, then half a step of implicit-euler",
+    substeps=(Substep(_HALF, _ZERO, _ZERO), Substep(_HALF, _ONE, _ONE)),
+)
+"""Offered for first-order systems; of a mechanical system the midpoint rule is the symplectic one of the two."""
+
+FIRST_ORDER_SCHEMES = (*(scheme for scheme in ONE_STEPS if scheme.same_point), TRAPEZOIDAL)
+"""Schemes for x' = f(x, u, t), which has no momenta that could be taken at another point than the coordinates."""
 
 
 def alpha(value: Rational) -> OneStep:

@@ -6,7 +6,7 @@ from codegen import schemes
 from codegen.errors import ArgumentError
 from codegen.model import Model
 from codegen.schemes import DiscreteLagrangian, OneStep
-from codegen.transcribe import control, simulate
+from codegen.transcribe import one_step, simulate, variational
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 DEFAULT_SCHEME = "midpoint"
@@ -20,23 +20,37 @@ def transcribe(
     Raises ArgumentError for a method that the task does not have, SchemeError for a scheme that does not exist.
     """
     method = method or _default_method(model, scheme)
-    if method not in schemes.METHODS:
-        raise ArgumentError(
-            f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(schemes.METHODS)}"
-        )
+    _require_method(model, method)
     found = schemes.find(scheme or DEFAULT_SCHEME, method)
     if model.task == "simulate":
         if controls != "interval":
             raise ArgumentError("a simulation has no controls", "leave --controls out")
         return simulate.simulate(model, found, method)
     if isinstance(found, DiscreteLagrangian):
-        return control.variational(model, found, controls == "nodal")
+        return variational.variational(model, found, controls == "nodal")
     assert isinstance(found, OneStep)
-    return control.hamiltonian(model, found, controls == "nodal")
+    if method == schemes.FIRST_ORDER:
+        return one_step.first_order(model, found, controls == "nodal")
+    return one_step.hamiltonian(model, found, controls == "nodal")
+
+
+def _require_method(model: Model, method: str) -> None:
+    """Refuse a method that does not exist, or that belongs to the other kind of dynamics."""
+    usable = (schemes.FIRST_ORDER,) if model.form == "first-order" else tuple(schemes.METHODS)
+    if method in usable:
+        return
+    if method in (schemes.FIRST_ORDER, *schemes.METHODS):
+        needs = "a first-order system" if method == schemes.FIRST_ORDER else "a Lagrangian or a Hamiltonian"
+        raise ArgumentError(
+            f"method {method!r} needs {needs}, and the problem gives a {model.form}", f"use {' or '.join(usable)}"
+        )
+    raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
 
 
 def _default_method(model: Model, scheme: str | None) -> str:
-    """Variational for control; for a simulation the side on which it is written, if that has the scheme."""
+    """Variational for control, one-step where there is no other; for a simulation the side on which it is written."""
+    if model.form == "first-order":
+        return schemes.FIRST_ORDER
     on_lagrangian_side = model.task == "control" or model.form == "lagrangian"
     preferred = "variational" if on_lagrangian_side else "hamiltonian"
     if scheme is None or scheme in schemes.METHODS[preferred] or (preferred, scheme) in schemes.ALIASES:

@@ -14,7 +14,8 @@ from codegen.transcribe.program import BoundaryValue
 def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, ...]]:
     """Replace each boundary value by a symbol (`start_r`, `end_dphi`, ...) and list the symbols with their values."""
     values: list[BoundaryValue] = []
-    taken = {symbol.name for symbol in (*model.coordinates, *model.rates, *model.controls, *model.parameters)}
+    declared = (*model.coordinates, *model.rates, *model.controls, *model.parameters)
+    taken = {symbol.name for symbol in (*declared, *(free.symbol for free in model.free_parameters))}
 
     def symbolic(where: str, boundary: Boundary) -> Boundary:
         def named(quantities: tuple[Symbol, ...], given: tuple[Expr | None, ...]) -> tuple[Expr | None, ...]:

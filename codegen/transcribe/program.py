@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sympy import Expr, Symbol
+from sympy import Expr, S, Symbol
 
 from codegen.model import Model
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One unknown of a node or an interval: its name, what it means, and whether it multiplies an equation."""
+    """One unknown: its name, what it means, whether it multiplies an equation, and its bounds (of parameters)."""
 
     name: str
     meaning: str
     multiplier: bool = False
+    lower: Expr | None = None
+    upper: Expr | None = None
 
 
 @dataclass(frozen=True)
@@ -34,19 +36,42 @@ class EndElement:
 
     `pins` fix unknowns of the end node (local index, value); a multiplier whose equation is absent is pinned to zero.
     `element` is the end's own share of the Lagrangian of the optimisation problem, in the symbols of the node (suffix
-    `_k` at the start, `_k1` at the end).
+    `_k` at the start, `_k1` at the end) and of the shared unknowns; `cost` is what the discrete cost gains by it.
+    `shared` fixes unknowns of the end node to shared ones (local index, index of the shared unknown, offset).
+    `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative.
     """
 
     pins: tuple[tuple[int, Expr], ...]
     element: Expr
     conditions: tuple[tuple[str, Expr], ...]
+    cost: Expr = S.Zero
+    shared: tuple[tuple[int, int, Expr], ...] = ()
+    slacks: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A condition between shared unknowns: expression = 0, multiplied by the unknown `multiplier`."""
+
+    multiplier: Unknown
+    expression: Expr
 
 
 @dataclass(frozen=True)
 class ControlProgram:
     """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
 
-    Unknowns are ordered node_k, interval_k, control_k, node_k1; `controls` are those that live on intervals.
+    Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` live on intervals.
+    A slack belongs to the unknown of `interval` at the same place of `slack_multipliers`, and is not negative.
+
+    `shared` unknowns belong to no node: first the `own` ones of each body (its coordinates at the end where bodies
+    are coupled, or at both ends of a periodic motion), named in `shared_symbols` once for any body, then those of the
+    whole problem (static parameters). All `bodies` have the same elements; `body` is the symbol for a body's number,
+    and it may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
+    `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns.
+
+    With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
+    unknowns that is already inside `element`.
     `only_at_ends` are places in a node of unknowns that only the first or last node has; elsewhere they are zero.
     `equations` are the discrete equations for people to read, the guesses are expressions of time, duration and
     parameters, for the primal unknowns of a node, the stages of an interval and the controls.
@@ -73,6 +98,31 @@ class ControlProgram:
     node_guess: tuple[Expr, ...]
     stage_guess: tuple[Expr, ...]
     control_guess: tuple[Expr, ...]
+    slacks: tuple[Unknown, ...] = ()
+    slack_symbols: tuple[Symbol, ...] = ()
+    slack_multipliers: tuple[int, ...] = ()
+    shared: tuple[Unknown, ...] = ()
+    shared_symbols: tuple[Symbol, ...] = ()
+    shared_guess: tuple[Expr, ...] = ()
+    own: int = 0
+    bodies: int = 1
+    body: Symbol | None = None
+    couplings: tuple[Coupling, ...] = ()
+    coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
+    scaled_time: bool = False
+
+    @property
+    def element_symbols(self) -> tuple[Symbol, ...]:
+        """The unknowns of an interval with both its nodes, then the shared ones."""
+        inside = (*self.interval_symbols, *self.control_symbols, *self.slack_symbols)
+        return (*self.left_symbols, *inside, *self.right_symbols, *self.shared_symbols)
+
+    @property
+    def has_inequalities(self) -> bool:
+        """Whether an unknown has bounds or is a slack."""
+        unknowns = (*self.node, *self.interval, *self.controls, *self.shared)
+        bounded = any(u.lower is not None or u.upper is not None for u in unknowns)
+        return bounded or bool(self.slacks or self.start.slacks or self.end.slacks)
 
 
 @dataclass(frozen=True)

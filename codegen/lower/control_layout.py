@@ -1,0 +1,275 @@
+"""The layout of a control problem's unknowns as strings: sizes, tables, guesses, pinned values, bounds, views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.derive import ControlDerivatives
+from codegen.lower.kernels import Line
+from codegen.lower.printer import array_code, scalar_code
+from codegen.transcribe.program import ControlProgram, EndElement, Unknown
+
+
+def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
+    """What stands in the vector of parameters: the author's, boundary values, then the shared unknowns."""
+    return (*program.model.parameters, *(value.symbol for value in program.boundary_values), *program.shared_symbols)
+
+
+def sizes(program: ControlProgram) -> tuple[tuple[str, int], ...]:
+    """The numbers of bodies and of shared unknowns, of each body and in all, and of conditions between them."""
+    own, shared, couplings = program.own, len(program.shared), len(program.couplings)
+    return (
+        ("BODIES", program.bodies),
+        ("OWN", own),
+        ("SHARED", shared),
+        ("COUPLINGS", couplings),
+        ("ROOT", program.bodies * own + shared - own + couplings),
+    )
+
+
+def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
+    """Sizes, index arrays and patterns."""
+    inside = (*program.interval, *program.controls, *program.slacks)
+    stride, condensed = len(program.node) + len(inside), derivatives.condensed
+    eliminated = inside[len(inside) - condensed :]
+    lines = [
+        Line("NODE", str(len(program.node)), f"unknowns of a node: {_names(program.node)}"),
+        Line("CONDENSED", str(condensed), f"eliminated inside their interval: {_names(eliminated)}"),
+        Line("STRIDE", str(stride), "unknowns of a node and the interval after it" + _list(program.interval)),
+        Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
+        *_size_lines(program),
+        Line("IS_MULTIPLIER", f"np.array({[u.multiplier for u in (*program.node, *inside)]})", "of node and interval"),
+        Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are given"),
+        Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are given"),
+        Line("ONLY_AT_ENDS", integers(program.only_at_ends), "unknowns that inner nodes do not have; zero there"),
+        Line("HESSIAN_ROWS", integers([r for r, _, _ in derivatives.element.hessian])),
+        Line("HESSIAN_COLUMNS", integers([c for _, c, _ in derivatives.element.hessian])),
+    ]
+    if program.method == "variational":
+        n = len(program.model.coordinates)
+        lines.append(Line("EQUATIONS", f"np.arange({n}, {2 * n})", "multipliers of the equations of motion in a node"))
+    for name, end in (("START", program.start), ("END", program.end)):
+        if program.shared:
+            lines.append(Line(f"{name}_SHARED_PLACES", integers([i for i, _, _ in end.shared]), "equal to"))
+            lines.append(Line(f"{name}_SHARED", integers([j for _, j, _ in end.shared]), "these shared unknowns"))
+    if is_curved(derivatives):
+        for name, entries in (("START", derivatives.start.hessian), ("END", derivatives.end.hessian)):
+            lines.append(Line(f"{name}_HESSIAN_ROWS", integers([r for r, _, _ in entries])))
+            lines.append(Line(f"{name}_HESSIAN_COLUMNS", integers([c for _, c, _ in entries])))
+    if slack_places(program):
+        slacks, multipliers = zip(*slack_places(program), strict=True)
+        lines.append(Line("SLACKS", integers(slacks), "unknowns of an interval that take up an inequality's distance"))
+        lines.append(Line("SLACK_MULTIPLIERS", integers(multipliers), "of the equations that define them"))
+    return lines
+
+
+def is_curved(derivatives: ControlDerivatives) -> bool:
+    """Whether an end has entries of the KKT matrix of its own; unknowns of its own always have."""
+    return bool(derivatives.start.hessian or derivatives.end.hessian)
+
+
+def slack_places(program: ControlProgram) -> list[tuple[int, int]]:
+    """Places of slacks in an interval's unknowns, with those of their multipliers."""
+    node, first = len(program.node), len(program.node) + len(program.interval) + len(program.controls)
+    return [(first + j, node + place) for j, place in enumerate(program.slack_multipliers)]
+
+
+def guesses(program: ControlProgram) -> dict[str, Any]:
+    """Guesses as code over arrays of time, and what they read."""
+    common = program.shared_guess[program.own :]
+    return {
+        "guess_inputs": _inputs(program, [*program.node_guess, *program.stage_guess, *program.control_guess]),
+        "node_guess": _node_guess(program),
+        "interval_guess": _interval_guess(program),
+        "interval_times": ("duration * (0.5 + np.arange(grid.steps)) / grid.steps",)
+        if _interval_guess(program)
+        else (),
+        "shared_guess_inputs": (*_scalar_inputs(program, common), *_shared_views(program, "own, common", "unknowns")),
+        "common_guess": _common_guess(program, common),
+        "own_guess": _own_guess(program),
+        "guess_result": "with_slacks(grid, with_pinned_values(grid, unknowns))"
+        if slack_places(program) or program.start.slacks or program.end.slacks
+        else "with_pinned_values(grid, unknowns)",
+    }
+
+
+def pins(program: ControlProgram) -> dict[str, Any]:
+    """Given values at both ends as code, and what they read."""
+    values = [v for end in (program.start, program.end) for _, v in end.pins]
+    values += [v for end in (program.start, program.end) for _, _, v in end.shared]
+    lines = []
+    for node, end in (("0", program.start), ("-1", program.end)):
+        for place, value in sorted(end.pins, key=lambda pin: pin[0]):
+            lines.append(Line(f"nodes[:, {node}, {place}]", array_code(value)))
+        for place, j, offset in end.shared:
+            shared = f"own[:, {j}]" if j < program.own else f"common[{j - program.own}]"
+            lines.append(
+                Line(f"nodes[:, {node}, {place}]", shared if offset == 0 else f"{shared} + {array_code(offset)}")
+            )
+    needs_shared = bool(program.start.shared or program.end.shared)
+    views = _shared_views(program, "own, common", "unknowns") if needs_shared else ()
+    return {"pin_inputs": (*_inputs(program, values, column=False), *views), "pinned_values": tuple(lines)}
+
+
+def duration(program: ControlProgram) -> dict[str, Any]:
+    """The duration as code of the arguments, or of the unknowns when it is free."""
+    if not program.scaled_time:
+        return {
+            "duration_arguments": ("duration",),
+            "default_durations": (scalar_code(program.model.duration),),
+            "grid_duration": "duration",
+            "duration_inputs": (),
+            "duration": "grid.steps * grid.h",
+        }
+    first = len(program.shared) - program.own + len(program.couplings)
+    places = {s: f"unknowns[{j - first}]" for j, s in enumerate(program.shared_symbols[program.own :])}
+    places |= {s: f"grid.parameters[0, {i}]" for i, s in enumerate(program.model.parameters)}
+    used = program.model.duration.free_symbols
+    return {
+        "duration_arguments": (),
+        "default_durations": (),
+        "grid_duration": "1.0",
+        "duration_inputs": tuple(Line(s.name, code) for s, code in places.items() if s in used),
+        "duration": scalar_code(program.model.duration),
+    }
+
+
+def bounds(program: ControlProgram) -> dict[str, Any]:
+    """Bounds as code, where there are inequalities; the lines assign to lower or upper bounds of views."""
+    if not program.has_inequalities:
+        return {"bound_inputs": (), "bound_views": (), "bound_lines": ()}
+    groups: list[tuple[str, Sequence[Unknown]]] = [
+        ("nodes", program.node),
+        ("intervals", (*program.interval, *program.controls)),
+        ("own", program.shared[: program.own]),
+        ("common", program.shared[program.own :]),
+    ]
+    lines, values = [], []
+    for group, unknowns in groups:
+        for i, unknown in enumerate(unknowns):
+            for side, value in (("lower", unknown.lower), ("upper", unknown.upper)):
+                if value is not None:
+                    target = f"{side}_{group}[{i}]" if group == "common" else f"{side}_{group}[..., {i}]"
+                    lines.append(Line(target, array_code(value), unknown.name))
+                    values.append(value)
+    first = len(program.interval) + len(program.controls)
+    for j, slack in enumerate(program.slacks):
+        lines.append(Line(f"lower_intervals[..., {first + j}]", "0.0", slack.name))
+    for node, end in (("0", program.start), ("-1", program.end)):
+        lines += [Line(f"lower_nodes[:, {node}, {i}]", "0.0", program.node[i].name) for i, _ in end.slacks]
+    views = (
+        *_shared_views(program, "lower_own, lower_common", "lower"),
+        *_shared_views(program, "upper_own, upper_common", "upper"),
+    )
+    return {"bound_inputs": _inputs(program, values), "bound_views": views, "bound_lines": (tuple(lines),)}
+
+
+def views(program: ControlProgram) -> dict[str, Any]:
+    """Code that reads positions, momenta, controls and multipliers out of the views of nodes and intervals."""
+    n, m, kept = len(program.model.coordinates), len(program.model.controls), len(program.interval)
+    variational, nodal = program.method == "variational", program.nodal_controls
+    rates = 2 * n if program.model.rates else n
+    equations = sum(u.multiplier and u.meaning.startswith("multiplier of the step") for u in program.interval)
+    steps_first = next((i for i, u in enumerate(program.interval) if u.multiplier), kept)
+    last_node = len(program.node)
+    return {
+        "positions": f"nodes[:, :, :{n}]",
+        "momenta": "discrete_momenta(grid, unknowns)" if variational else f"nodes[:, :, {n}:{rates}]",
+        "controls": f"nodes[:, :, {last_node - m}:]" if nodal else f"intervals[:, :, {kept}:{kept + m}]",
+        "multipliers": f"nodes[:, :, {n}:{2 * n}]"
+        if variational
+        else f"intervals[:, :, {steps_first}:{steps_first + equations}]",
+        "control_place": "at nodes" if nodal else "on intervals" if m else "none",
+    }
+
+
+def integers(values: Sequence[int]) -> str:
+    """Code of an index array."""
+    return f"np.array({list(values)}, dtype=np.int64)" if values else "np.zeros(0, np.int64)"
+
+
+def _size_lines(program: ControlProgram) -> list[Line]:
+    number = dict(sizes(program))
+    return [
+        Line("BODIES", str(number["BODIES"]), "bodies, each with a chain of nodes and intervals"),
+        Line("OWN", str(number["OWN"]), f"shared unknowns of a body: {_names(program.shared[: program.own])}"),
+        Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
+        Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
+        Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, of all bodies, with the conditions' multipliers"),
+    ]
+
+
+def _pinned(end: EndElement) -> list[int]:
+    """Local index of every unknown that is given at an end, or equals a shared one."""
+    return sorted([*(i for i, _ in end.pins), *(i for i, _, _ in end.shared)])
+
+
+def _inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True) -> tuple[Line, ...]:
+    """Lines that read what expressions depend on, an entry for every body, as columns beside arrays of time."""
+    used = set().union(*(value.free_symbols for value in values)) if values else set()
+    suffix = ", None" if column else ""
+    count = len(parameters(program)) - len(program.shared_symbols)
+    known = enumerate(parameters(program)[:count])
+    lines = [Line(s.name, f"grid.parameters[:, {i}{suffix}]") for i, s in known if s in used]
+    if program.body in used:
+        lines.append(Line(str(program.body), f"np.arange(BODIES)[:{suffix}]" if column else "np.arange(BODIES)"))
+    return tuple(lines)
+
+
+def _scalar_inputs(program: ControlProgram, values: Sequence[Expr]) -> tuple[Line, ...]:
+    used = set().union(*(value.free_symbols for value in values)) if values else set()
+    known = enumerate(program.model.parameters)
+    return tuple(Line(s.name, f"grid.parameters[0, {i}]") for i, s in known if s in used)
+
+
+def _node_guess(program: ControlProgram) -> tuple[Line, ...]:
+    lines = [Line(str(i), array_code(guess), program.node[i].name) for i, guess in enumerate(program.node_guess)]
+    if program.nodal_controls:
+        first = len(program.node) - len(program.model.controls)
+        controls = zip(program.model.controls, program.control_guess, strict=True)
+        lines += [Line(str(first + i), array_code(guess), u.name) for i, (u, guess) in enumerate(controls)]
+    return tuple(line for line in lines if line.code != "0")
+
+
+def _interval_guess(program: ControlProgram) -> tuple[Line, ...]:
+    """Guesses at the middle of every interval: of stages, and of controls that live there."""
+    guessed = list(enumerate(zip(program.interval_symbols, program.stage_guess, strict=False)))
+    if not program.nodal_controls:
+        controls = zip(program.control_symbols, program.control_guess, strict=True)
+        guessed += enumerate(controls, start=len(program.interval))
+    lines = [Line(str(i), array_code(guess), symbol.name) for i, (symbol, guess) in guessed]
+    return tuple(line for line in lines if line.code != "0")
+
+
+def _common_guess(program: ControlProgram, common: Sequence[Expr]) -> tuple[Line, ...]:
+    names = [unknown.name for unknown in program.shared[program.own :]]
+    return tuple(
+        Line(f"common[{j}]", scalar_code(sympy.sympify(value)), names[j]) for j, value in enumerate(common)
+    )
+
+
+def _own_guess(program: ControlProgram) -> tuple[Line, ...]:
+    """Guesses of a body's shared unknowns: what a node's unknown equals is read there."""
+    lines: dict[int, Line] = {}
+    for node, end in (("0", program.start), ("-1", program.end)):
+        for place, j, _ in end.shared:
+            if j < program.own:
+                lines.setdefault(j, Line(f"own[:, {j}]", f"nodes[:, {node}, {place}]", program.shared[j].name))
+    return tuple(lines.values())
+
+
+def _shared_views(program: ControlProgram, target: str, vector: str) -> tuple[Line, ...]:
+    """The line that makes views of the shared unknowns, where there are any."""
+    return (Line(target, f"shared_views({vector})"),) if program.shared else ()
+
+
+def _names(unknowns: Sequence[Unknown]) -> str:
+    return ", ".join(u.name for u in unknowns) or "none"
+
+
+def _list(unknowns: Sequence[Unknown]) -> str:
+    return f": {_names(unknowns)}" if unknowns else ""

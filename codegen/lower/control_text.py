@@ -1,0 +1,111 @@
+"""What a control module says about itself: description of the discrete equations, what was left out, metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sympy
+
+from codegen.derive import ControlDerivatives
+from codegen.lower.control_layout import is_curved
+from codegen.lower.kernels import Kernel
+from codegen.transcribe.program import ControlProgram
+
+
+def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[str]:
+    """What the module does not hold, and why."""
+    model = program.model
+    out = []
+    if derivatives.linear_quadratic:
+        out.append("globalisation and inertia correction: the problem is linear-quadratic, one Newton step solves it")
+    if derivatives.condensed:
+        kind = "controls" if derivatives.condensed > len(program.slacks) else "slacks"
+        why = "" if program.has_inequalities else "their Hessian block is constant, so "
+        out.append(f"{kind} in the linear system: {why}each interval eliminates its own")
+    if not is_curved(derivatives):
+        out.append("curvature of the boundary conditions: positions that they depend on are given")
+    if not program.has_inequalities:
+        out.append("interior point: there are no inequalities")
+    if not program.shared:
+        out.append("a border of the linear system: no unknown is shared by all intervals")
+    functions = (model.function, *model.force, *model.dynamics)
+    cyclic = [str(q) for q in model.coordinates if not any(f.has(q) for f in functions)]
+    if cyclic:
+        what = model.form if model.form != "first-order" else "dynamics"
+        out.append(f"derivatives of the {what} by {', '.join(cyclic)}: cyclic")
+    idle = [str(q) for q, f in zip(model.coordinates, model.force, strict=False) if f == 0]
+    if idle:
+        out.append(f"forces on {', '.join(idle)}: there are none")
+    if not any(e.has(model.time) for e in (*functions, model.cost or sympy.S.Zero, *(c.expression for c in model.path))):
+        out.append("time in the kernels: nothing depends on it explicitly")
+    size = len(program.element_symbols)
+    zeros = size * (size + 1) // 2 - len(derivatives.element.hessian)
+    if zeros:
+        out.append(f"{zeros} of {size * (size + 1) // 2} entries of the interval's Hessian: identically zero")
+    return out
+
+
+def description(program: ControlProgram, kernels: Sequence[Kernel]) -> list[str]:
+    """The docstring: discrete equations, conditions at the ends and between bodies, operation counts."""
+    lines = ["Discrete equations on the interval from t_k to t_k1 = t_k + h (suffixes _k and _k1 mark its nodes)", ""]
+    if program.scaled_time:
+        lines += ["where t and h are fractions of the duration:", ""]
+    lines += [f"    {name} = {sympy.sstr(value)}" for name, value in program.equations]
+    lines.append("")
+    if program.method == "variational":
+        lines += [
+            "Minimise the sum of Cd over all intervals such that at every inner node the forced discrete",
+            "Euler-Lagrange equations hold,",
+            "",
+            "    D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k = 0,",
+            "",
+            "and at the ends the discrete momenta match those of the prescribed velocities.",
+        ]
+    else:
+        lines += ["Minimise the sum of Cd over all intervals such that every expression above named 0 vanishes on it."]
+    for where, end in (("start", program.start), ("end", program.end)):
+        if end.cost != 0:
+            lines += ["", f"Cost at the {where}: {sympy.sstr(end.cost)}"]
+        if end.conditions:
+            lines += ["", f"At the {where}:", ""]
+            lines += [f"    {name} = {sympy.sstr(value)}" for name, value in end.conditions]
+    if program.couplings:
+        lines += ["", "At the end, between bodies (0 is the first):", ""]
+        lines += [f"    0 = {sympy.sstr(coupling.expression)}" for coupling in program.couplings]
+    lines += ["", "Operations per interval, before and after common subexpressions are shared:", ""]
+    lines += [f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
+    return lines
+
+
+def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[str, str]]:
+    """Entries of the module's metadata, as code."""
+    model = program.model
+    own, common = program.shared[: program.own], program.shared[program.own :]
+    shared = [f"{u.name} of body {body}" if program.bodies > 1 else u.name for body in range(program.bodies) for u in own]
+    shared += [u.name for u in common] + [c.multiplier.name for c in program.couplings]
+    return [
+        ("task", repr("control")),
+        ("method", repr(program.method)),
+        ("scheme", repr(program.scheme)),
+        ("controls", repr("nodal" if program.nodal_controls else "interval")),
+        ("form", repr(model.form)),
+        ("bodies", repr(program.bodies)),
+        ("coordinates", repr(tuple(s.name for s in model.coordinates))),
+        ("rates", repr(tuple(s.name for s in model.rates))),
+        ("control_names", repr(tuple(s.name for s in model.controls))),
+        ("free_parameters", repr(tuple(u.name for u in common))),
+        ("node", repr(tuple(u.name for u in program.node))),
+        ("interval", repr(tuple(u.name for u in (*program.interval, *program.controls, *program.slacks)))),
+        ("shared", repr(tuple(shared))),
+        ("meanings", _meanings(program)),
+        ("inequalities", repr(program.has_inequalities)),
+        ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
+        ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+    ]
+
+
+def _meanings(program: ControlProgram) -> str:
+    """What unknowns mean whose names do not say it: those of conditions that the author wrote."""
+    unknowns = (*program.node, *program.interval, *program.slacks, *program.shared)
+    named = [*unknowns, *(coupling.multiplier for coupling in program.couplings)]
+    return repr({u.name: u.meaning for u in named if u.name.split("_")[-1].isdigit()})

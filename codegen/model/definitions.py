@@ -1,0 +1,108 @@
+"""The canonical form of a problem, as frozen dataclasses of plain sympy symbols and expressions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import sympy
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """Values of the coordinates and of their rates at one end of the time interval; None where an end is free."""
+
+    positions: tuple[sympy.Expr | None, ...]
+    rates: tuple[sympy.Expr | None, ...]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """An expression that must vanish, or (`equality` false) must not be positive; `name` says it as the author did."""
+
+    name: str
+    expression: sympy.Expr
+    equality: bool = True
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Least and greatest value of a coordinate, momentum, state or control at every time; None where there is none."""
+
+    symbol: sympy.Symbol
+    lower: sympy.Expr | None
+    upper: sympy.Expr | None
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A static parameter that is optimised along with the motion: first guess and bounds."""
+
+    symbol: sympy.Symbol
+    guess: sympy.Expr
+    lower: sympy.Expr | None
+    upper: sympy.Expr | None
+
+
+@dataclass(frozen=True)
+class EndValue:
+    """The symbol that stands in a coupling condition for one body's coordinate at the end of the time interval."""
+
+    symbol: sympy.Symbol
+    coordinate: int
+    body: int
+
+
+@dataclass(frozen=True)
+class Model:
+    """A problem in canonical form; `rates` are velocities of a Lagrangian, momenta of a Hamiltonian.
+
+    `form` is lagrangian, hamiltonian or first-order. In first-order form coordinates are the states, there are no
+    rates, `function` is zero and `dynamics` holds the right-hand sides of x' = f(x, u, t); `force` is empty.
+
+    `path` holds at every time and may depend on coordinates, rates, controls, time and parameters; bounds on
+    velocities arrive there as well. `start_conditions` and `end_conditions` are conditions on coordinates and rates of
+    one end, beside the values of `start` and `end`. `terminal_cost` is added to the integral of `cost` and depends on
+    coordinates and rates at the end and on parameters. `holonomic` constraints c(q) = 0 hold at every time.
+    `periodic` gives pairs (coordinate or rate, shift): its value at the end is that at the start plus the shift.
+
+    With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
+    number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
+    of `end_values` and parameters. The duration may depend on free parameters.
+    """
+
+    task: str
+    name: str
+    title: str
+    form: str
+    coordinates: tuple[sympy.Symbol, ...]
+    rates: tuple[sympy.Symbol, ...]
+    controls: tuple[sympy.Symbol, ...]
+    parameters: tuple[sympy.Symbol, ...]
+    defaults: tuple[float, ...]
+    time: sympy.Symbol
+    function: sympy.Expr
+    force: tuple[sympy.Expr, ...]
+    cost: sympy.Expr | None
+    duration: sympy.Expr
+    start: Boundary
+    end: Boundary | None
+    guess: tuple[tuple[sympy.Symbol, sympy.Expr], ...]
+    steps: int
+    dynamics: tuple[sympy.Expr, ...] = ()
+    bounds: tuple[Bounds, ...] = ()
+    path: tuple[Condition, ...] = ()
+    start_conditions: tuple[Condition, ...] = ()
+    end_conditions: tuple[Condition, ...] = ()
+    terminal_cost: sympy.Expr = sympy.S.Zero
+    holonomic: tuple[sympy.Expr, ...] = ()
+    periodic: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
+    free_parameters: tuple[FreeParameter, ...] = ()
+    bodies: int = 1
+    body: sympy.Symbol | None = None
+    end_values: tuple[EndValue, ...] = ()
+    couplings: tuple[Condition, ...] = ()
+
+    @property
+    def default_values(self) -> dict[sympy.Symbol, float]:
+        """The parameters with their default values."""
+        return dict(zip(self.parameters, self.defaults, strict=True))

@@ -1,0 +1,195 @@
+"""From what an author wrote to the canonical form: collect, check what may be where, build, check with numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import sympy
+
+from codegen import expressions
+from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
+from codegen.model import regularity, values
+from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
+from codegen.model.definitions import Boundary, Condition, EndValue, Model
+from codegen.model.relations import text
+from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
+from codegen.model.written import FORMS, Entry, form_of, used_quantities, written_entries
+from codegen.problem import Control, Problem, Simulate
+from codegen.symbols import Quantity
+
+
+def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
+    """Check an author's problem and bring it into canonical form.
+
+    `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of
+    CodegenError that names the symbol or expression and the remedy.
+    """
+    if not isinstance(problem, (Simulate, Control)):
+        raise ProblemFileError(
+            f"problem() returned {type(problem).__name__}", "return codegen.Simulate(...) or codegen.Control(...)"
+        )
+    form = form_of(problem)
+    if form == "dynamics" and isinstance(problem, Simulate):
+        raise ExpressionError("the simulation is given by dynamics", "simulate takes a Lagrangian or a Hamiltonian")
+    entries = written_entries(problem, form)
+    used = used_quantities(entries)
+    _require_unique_names([*used, *declared])
+    _require_all_used(used, declared)
+    kinds = kinds_of(used, form)
+    _require_fitting(problem, form, entries, kinds)
+    require_keys(entries, kinds)
+    require_scope(entries, kinds, form, isinstance(problem, Control))
+    plain = {symbol: sympy.Symbol(symbol.name, real=True) for symbol in used}
+    entries = [_in_plain_symbols(entry, plain) for entry in entries]
+    model = _built(problem, form, entries, kinds, plain, name, title)
+    values.require_values(model, bounds_of(entries, list(plain.values())))
+    regularity.require_regular(model)
+    values.require_agreement(model)
+    return model
+
+
+def _require_unique_names(quantities: Sequence[Quantity]) -> None:
+    seen: dict[str, Quantity] = {}
+    for symbol in quantities:
+        if seen.setdefault(symbol.name, symbol) != symbol:
+            raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
+
+
+def _require_all_used(used: Sequence[Quantity], declared: Sequence[Quantity]) -> None:
+    for symbol in declared:
+        if symbol not in used:
+            raise SymbolError(f"{symbol} is declared but never used", "remove it, or use it")
+
+
+def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
+    """Refuse arguments that contradict each other, whatever the numbers are."""
+    for what, number in [("steps", problem.steps), ("bodies", getattr(problem, "bodies", 1))]:
+        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+            raise ExpressionError(f"{what} is {number!r}", "give a positive integer")
+    if isinstance(problem, Simulate):
+        missing = [str(s) for s in (*kinds.coordinates, *kinds.rates) if s not in problem.start]
+        if missing:
+            raise BoundaryError(f"start lacks {', '.join(missing)}", "a simulation needs the complete initial state")
+    if form == "dynamics":
+        missing = [str(x) for x in kinds.coordinates if x not in (problem.dynamics or {})]
+        if missing:
+            raise ExpressionError(f"dynamics lacks {', '.join(missing)}", "give the derivative of every state")
+        if problem.force:
+            raise ExpressionError("force beside dynamics", "add what acts on the system to its right-hand sides")
+    if isinstance(problem, Control):
+        _require_fitting_control(problem, form, entries, kinds)
+
+
+def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
+    if kinds.controls and not problem.path and sympy.sympify(problem.cost) == sympy.sympify(problem.terminal_cost) == 0:
+        raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
+    for entry in entries:
+        if entry.role == "constraint" and form != "lagrangian":
+            raise ExpressionError(f"{entry.what} beside {form}", "give a Lagrangian, or write the condition in path")
+        if entry.role == "constraint" and not entry.equality:
+            raise ExpressionError(f"{entry.what} is an inequality", "write it in path")
+    for end in ("start", "end"):
+        for entry in entries:
+            if entry.role == "periodic" and entry.key in getattr(problem, end):
+                raise BoundaryError(
+                    f"{end} fixes {entry.key}, which is periodic", f"leave it out of {end}, or out of periodic"
+                )
+    for value in kinds.end_values:
+        coordinate, where = value.partner, f"{value.partner}.of({value.body})"
+        if value.body >= problem.bodies:
+            raise BoundaryError(f"{where} is no body", f"bodies are 0 to {problem.bodies - 1}, or give bodies=")
+        if coordinate in problem.end:
+            raise BoundaryError(f"end fixes {coordinate}, which {where} couples", "leave it out of end")
+
+
+def _built(
+    problem: Simulate | Control,
+    form: str,
+    entries: Sequence[Entry],
+    kinds: Kinds,
+    plain: Mapping[Quantity, sympy.Symbol],
+    name: str,
+    title: str,
+) -> Model:
+    coordinates, rates, controls, parameters, free = (
+        tuple(plain[symbol] for symbol in symbols)
+        for symbols in (kinds.coordinates, kinds.rates, kinds.controls, kinds.parameters, kinds.free)
+    )
+    start, tied_at_start = _boundary(entries, "start", coordinates, rates, free)
+    end, tied_at_end = _boundary(entries, "end", coordinates, rates, free)
+    is_control = isinstance(problem, Control)
+    first_order = form == "dynamics"
+    couplings, end_conditions = couplings_of(
+        entries, [plain[value] for value in kinds.end_values], (*coordinates, *rates)
+    )
+    return Model(
+        task=problem.task,
+        name=name,
+        title=title,
+        form=FORMS[form],
+        coordinates=coordinates,
+        rates=rates,
+        controls=controls,
+        parameters=parameters,
+        defaults=tuple(p.value for p in kinds.parameters),
+        time=plain[kinds.time] if kinds.time is not None else sympy.Symbol("t", real=True),
+        function=_value(entries, form) if not first_order else sympy.S.Zero,
+        force=_each(entries, "force", coordinates) if not first_order else (),
+        cost=_value(entries, "cost") if is_control else None,
+        duration=_value(entries, "duration"),
+        start=start,
+        end=end if is_control else None,
+        guess=_pairs(entries, "guess"),
+        steps=problem.steps,
+        dynamics=_each(entries, "dynamics", coordinates) if first_order else (),
+        bounds=bounds_of(entries, (*coordinates, *(rates if form == "hamiltonian" else ()), *controls)),
+        path=(*velocity_bounds(entries, rates if form == "lagrangian" else ()), *conditions_of(entries, "path")),
+        start_conditions=(*tied_at_start, *conditions_of(entries, "start_conditions")),
+        end_conditions=(*tied_at_end, *end_conditions),
+        terminal_cost=_value(entries, "terminal_cost"),
+        holonomic=tuple(condition.expression for condition in conditions_of(entries, "constraint")),
+        periodic=_pairs(entries, "periodic"),
+        free_parameters=free_parameters_of(entries, free),
+        bodies=getattr(problem, "bodies", 1),
+        body=plain[kinds.body] if kinds.body is not None else None,
+        end_values=tuple(
+            EndValue(plain[value], kinds.coordinates.index(value.partner), value.body) for value in kinds.end_values
+        ),
+        couplings=couplings,
+    )
+
+
+def _in_plain_symbols(entry: Entry, plain: Mapping[Quantity, sympy.Symbol]) -> Entry:
+    expression = expressions.tidied(entry.expression.xreplace(plain))
+    return replace(entry, expression=expression, key=plain[entry.key] if entry.key is not None else None)
+
+
+def _each(entries: Sequence[Entry], role: str, symbols: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, ...]:
+    given = dict(_pairs(entries, role))
+    return tuple(given.get(symbol, sympy.S.Zero) for symbol in symbols)
+
+
+def _value(entries: Sequence[Entry], role: str) -> sympy.Expr:
+    return next((entry.expression for entry in entries if entry.role == role), sympy.S.Zero)
+
+
+def _pairs(entries: Sequence[Entry], role: str) -> tuple[tuple[sympy.Symbol, sympy.Expr], ...]:
+    return tuple((entry.key, entry.expression) for entry in entries if entry.role == role and entry.key is not None)
+
+
+def _boundary(
+    entries: Sequence[Entry],
+    end: str,
+    coordinates: Sequence[sympy.Symbol],
+    rates: Sequence[sympy.Symbol],
+    free: Sequence[sympy.Symbol],
+) -> tuple[Boundary, tuple[Condition, ...]]:
+    """The values at one end, and as conditions those that depend on free parameters, which are no given numbers."""
+    values = dict(_pairs(entries, end))
+    tied = {symbol: value for symbol, value in values.items() if value.free_symbols & set(free)}
+    for symbol in tied:
+        del values[symbol]
+    conditions = tuple(Condition(f"{symbol} = {text(value)}", symbol - value) for symbol, value in tied.items())
+    return Boundary(tuple(map(values.get, coordinates)), tuple(map(values.get, rates))), conditions

@@ -1,0 +1,70 @@
+"""Relations as an author writes them, turned into expressions that vanish or are not positive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import sympy
+from sympy.core import relational
+from sympy.logic import boolalg
+
+from codegen import expressions
+from codegen.errors import ExpressionError
+
+
+@dataclass(frozen=True)
+class Relation:
+    """`expression` vanishes, or (`equality` false) is not positive; `name` is the relation as it was written."""
+
+    name: str
+    expression: sympy.Expr
+    equality: bool
+
+
+def text(expression: sympy.Expr) -> str:
+    """An expression on one line, with decimal numbers no longer than their author wrote them."""
+    return str(sympy.sstr(expression, full_prec=False))
+
+
+def relation(value: Any, what: str) -> Relation:
+    """Read Eq(a, b), a <= b, a >= b, a < b, a > b, or an expression that is to vanish.
+
+    A strict inequality means the same as one that is not strict. ExpressionError names `what` when the value is no
+    single relation, or when it holds always or never.
+    """
+    if isinstance(value, (bool, boolalg.BooleanAtom)):
+        raise _decided(what, bool(value))
+    if isinstance(value, boolalg.And):
+        raise ExpressionError(f"{what} joins relations by And", "give each relation as an entry of its own")
+    if isinstance(value, relational.Unequality):
+        raise ExpressionError(f"{what} is {text(value)}", "write an inequality instead, such as a <= b")
+    if isinstance(value, (boolalg.Or, boolalg.Not, boolalg.Xor)):
+        raise ExpressionError(
+            f"{what} joins relations by {type(value).__name__}", "give relations that all hold, one entry each"
+        )
+    left, right, sign = _sides(value)
+    left, right = (expressions.checked(side, what) for side in (left, right))
+    name = f"{text(left)} {sign} {text(right)}"
+    difference = right - left if sign == ">=" else left - right
+    # Cancellation shows whether anything is left to hold; the expression stays as its author wrote it.
+    remainder = sympy.expand(expressions.tidied(difference))
+    if remainder.is_number:
+        raise _decided(f"{what}, {name},", bool(remainder == 0 or (sign != "=" and remainder.is_negative)))
+    return Relation(name, expressions.checked(difference, what), sign == "=")
+
+
+def _sides(value: Any) -> tuple[Any, Any, str]:
+    if isinstance(value, relational.Equality):
+        return value.lhs, value.rhs, "="
+    if isinstance(value, (relational.LessThan, relational.StrictLessThan)):
+        return value.lhs, value.rhs, "<="
+    if isinstance(value, (relational.GreaterThan, relational.StrictGreaterThan)):
+        return value.lhs, value.rhs, ">="
+    return value, sympy.S.Zero, "="
+
+
+def _decided(what: str, holds: bool) -> ExpressionError:
+    if holds:
+        return ExpressionError(f"{what} always holds", "leave it out")
+    return ExpressionError(f"{what} never holds", "correct it, or leave it out")

@@ -1,0 +1,183 @@
+"""Every expression of a problem with its role and a name for messages, sympified and checked one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sympy
+
+from codegen import expressions
+from codegen.errors import ExpressionError, SymbolError
+from codegen.model.relations import relation
+from codegen.problem import Control, Problem
+from codegen.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
+
+FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
+"""The arguments that may say how a system moves, and the form that each makes of a model."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An expression: its `role` in the problem, `what` messages call it, the symbol that it is the value of, if any.
+
+    Relations have a `name` and are either equalities (the expression vanishes) or not (it is not positive).
+    """
+
+    role: str
+    what: str
+    expression: sympy.Expr
+    key: Quantity | None = None
+    name: str = ""
+    equality: bool = True
+
+
+def form_of(problem: Problem) -> str:
+    """Which argument says how the system moves; ExpressionError unless it is exactly one."""
+    given = [form for form in FORMS if getattr(problem, form) is not None]
+    if len(given) != 1:
+        raise ExpressionError(
+            "a problem needs exactly one of lagrangian, hamiltonian and dynamics",
+            "give one of them" if not given else f"leave out all but one of {', '.join(given)}",
+        )
+    return given[0]
+
+
+def written_entries(problem: Problem, form: str) -> list[Entry]:
+    """All expressions of the problem, those inside the declarations of its free parameters included."""
+    entries = list(_entries(problem, form))
+    free = {symbol for entry in entries for symbol in _symbols(entry) if isinstance(symbol, FreeParameter)}
+    for symbol in sorted(free, key=lambda symbol: symbol.declared):
+        entries += _declared_values(symbol)
+        for role in ("lower bound", "upper bound"):
+            if sum(entry.role == role and entry.key == symbol for entry in entries) > 1:
+                raise ExpressionError(f"{symbol} has two {role}s", "give it in free_parameter(...) or in bounds")
+    return entries
+
+
+def used_quantities(entries: Iterable[Entry], keys: Iterable[Quantity] = ()) -> list[Quantity]:
+    """All declared quantities of the expressions, partners included, in the order of declaration.
+
+    Raises SymbolError for a symbol that was never declared.
+    """
+    found: set[Quantity] = set(keys)
+    for entry in entries:
+        for symbol in _symbols(entry):
+            if not isinstance(symbol, Quantity):
+                raise SymbolError(
+                    f"{symbol} in {entry.what} was never declared",
+                    f'declare it, for example {symbol} = parameter("{symbol}", 1.0)',
+                )
+            found.add(symbol)
+    found |= {symbol.partner for symbol in found if isinstance(symbol, EndValue)}
+    found |= {symbol.partner for symbol in found if isinstance(symbol, (Coordinate, Velocity, Momentum))}
+    return sorted(found, key=lambda symbol: symbol.declared)
+
+
+def _symbols(entry: Entry) -> list[sympy.Symbol]:
+    keys = [] if entry.key is None else [entry.key]
+    return [*keys, *sorted(entry.expression.free_symbols, key=str)]
+
+
+def _entries(problem: Problem, form: str) -> Iterator[Entry]:
+    if form != "dynamics":
+        yield _entry(form, form, getattr(problem, form))
+    yield _entry("duration", "duration", problem.duration)
+    control = problem if isinstance(problem, Control) else None
+    if control is not None:
+        yield _entry("cost", "cost", control.cost)
+        yield _entry("terminal_cost", "terminal_cost", control.terminal_cost)
+    if form == "dynamics":
+        yield from _values("dynamics", problem.dynamics)
+    yield from _values("force", problem.force)
+    yield from _values("start", problem.start)
+    if control is None:
+        return
+    yield from _values("end", control.end)
+    yield from _values("guess", control.guess)
+    yield from _bounds(control.bounds)
+    yield from _shifts(control.periodic)
+    yield from _relations("path", control.path)
+    yield from _relations("start_conditions", control.start_conditions)
+    yield from _relations("end_conditions", control.end_conditions)
+    yield from _relations("constraint", control.constraint)
+
+
+def _entry(role: str, what: str, value: Any, key: Quantity | None = None) -> Entry:
+    return Entry(role, what, expressions.checked(value, what), key)
+
+
+def _mapping(what: str, mapping: Any, entry: str) -> Mapping[Quantity, Any]:
+    if not isinstance(mapping, Mapping):
+        raise ExpressionError(f"{what} is a {type(mapping).__name__}", f"write {what} as {{{entry}, ...}}")
+    for key in mapping:
+        _require_declared(what, "has the key", key)
+    return mapping
+
+
+def _require_declared(what: str, has: str, symbol: Any) -> None:
+    if not isinstance(symbol, Quantity):
+        raise SymbolError(
+            f"{what} {has} {symbol!r}, which was never declared",
+            "use the symbols that coordinates(...) or control(...) returned",
+        )
+
+
+def _sequence(what: str, values: Any, entry: str) -> Sequence[Any]:
+    if not isinstance(values, (list, tuple)):
+        raise ExpressionError(f"{what} is a {type(values).__name__}", f"write {what} as [{entry}, ...]")
+    return values
+
+
+def _values(what: str, mapping: Any) -> Iterator[Entry]:
+    for key, value in _mapping(what, mapping, "symbol: value").items():
+        yield _entry(what, f"{what} of {key}", value, key)
+
+
+def _bounds(mapping: Any) -> Iterator[Entry]:
+    for key, pair in _mapping("bounds", mapping, "symbol: (lower, upper)").items():
+        if not isinstance(pair, (list, tuple)) or len(pair) != 2:
+            raise ExpressionError(
+                f"bounds of {key} is {pair!r}", f"write {key}: (lower, upper), with None where there is no bound"
+            )
+        if pair[0] is None and pair[1] is None:
+            raise ExpressionError(f"bounds of {key} has neither a lower nor an upper bound", f"leave {key} out")
+        yield from _pair(key, *pair)
+
+
+def _pair(key: Quantity, lower: Any, upper: Any) -> Iterator[Entry]:
+    for role, value in (("lower bound", lower), ("upper bound", upper)):
+        if value is None:
+            continue
+        if isinstance(value, (float, sympy.Basic)) and value in (float("inf"), -float("inf"), sympy.oo, -sympy.oo):
+            raise ExpressionError(f"{role} of {key} is infinite", "write None where there is no bound")
+        yield _entry(role, f"{role} of {key}", value, key)
+
+
+def _declared_values(symbol: FreeParameter) -> Iterator[Entry]:
+    """The first guess and the bounds with which a free parameter was declared."""
+    yield _entry("first guess", f"guess of {symbol}", symbol.guess, symbol)
+    yield from _pair(symbol, symbol.lower, symbol.upper)
+
+
+def _shifts(periodic: Any) -> Iterator[Entry]:
+    if isinstance(periodic, Mapping):
+        shifts = list(_mapping("periodic", periodic, "symbol: shift").items())
+    else:
+        shifts = [(symbol, 0) for symbol in _sequence("periodic", periodic, "symbol")]
+    for place, (symbol, shift) in enumerate(shifts):
+        _require_declared("periodic", "lists", symbol)
+        if symbol in [other for other, _ in shifts[:place]]:
+            raise ExpressionError(f"periodic lists {symbol} twice", "list it once")
+        yield _entry("periodic", f"shift of {symbol}", shift, symbol)
+
+
+def _relations(what: str, values: Any) -> Iterator[Entry]:
+    seen: set[sympy.Expr] = set()
+    for place, value in enumerate(_sequence(what, values, "relation")):
+        found = relation(value, f"{what}[{place}]")
+        if found.expression in seen:
+            raise ExpressionError(f"{what} lists {found.name} twice", "list it once")
+        seen.add(found.expression)
+        yield Entry(what, f"{what} {found.name}", found.expression, None, found.name, found.equality)

@@ -1,0 +1,95 @@
+"""What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.elements import BLOCK, SIZE
+from codegen.runtime.example import (
+    BODIES,
+    CONDENSED,
+    ELEMENT,
+    HESSIAN_COLUMNS,
+    HESSIAN_ROWS,
+    NODE,
+    SHARED,
+    STRIDE,
+)
+from codegen.runtime.shared import root_place
+
+
+def sort_entries():
+    """Sort the entries of an interval's Hessian by how many of their two unknowns are eliminated: none, one or both.
+
+    Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are counted among the
+    unknowns that stay, or among those that are eliminated.
+    """
+    eliminated = (np.arange(ELEMENT + SHARED) >= BLOCK) & (np.arange(ELEMENT + SHARED) < STRIDE)
+    place = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE + SHARED)])
+    kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
+    swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
+    rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
+    columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
+    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
+
+
+(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS), (INSIDE, INSIDE_ROWS, INSIDE_COLUMNS) = (
+    sort_entries()
+)
+TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose entries the elimination changes
+SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
+
+
+@njit(cache=True, error_model="numpy")
+def condense(gradient, condensed, steps, reduced, root):
+    """Fill the right-hand sides -(g - B' inverse(C) g_u) of the unknowns that stay; `root` holds -g already."""
+    _, inverses, couplings = condensed
+    chain = steps * STRIDE + NODE
+    for body in range(BODIES):
+        here = gradient[body * chain : (body + 1) * chain]
+        right = reduced[body]
+        for i in range(NODE):
+            right[steps * BLOCK + i] = -here[steps * STRIDE + i]
+        for k in range(steps - 1, -1, -1):
+            interval = body * steps + k
+            inverse = inverses[min(interval, inverses.shape[0] - 1)]
+            for i in range(BLOCK):
+                right[k * BLOCK + i] = -here[k * STRIDE + i]
+            for a in range(CONDENSED):
+                weighted = 0.0
+                for b in range(CONDENSED):
+                    weighted += inverse[a, b] * here[k * STRIDE + BLOCK + b]
+                for i in range(TOUCHED.size):
+                    change = couplings[interval, a, i] * weighted
+                    if SHARED and TOUCHED[i] >= SIZE:
+                        root[root_place(body, TOUCHED[i] - SIZE)] += change
+                    else:
+                        right[k * BLOCK + TOUCHED[i]] += change
+
+
+@njit(cache=True, error_model="numpy")
+def expand(gradient, condensed, steps, reduced, root, step):
+    """Fill `step` with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
+    _, inverses, couplings = condensed
+    chain = steps * STRIDE + NODE
+    forcing = np.empty(CONDENSED)
+    for body in range(BODIES):
+        first, solved = body * chain, reduced[body]
+        for i in range(NODE):
+            step[first + steps * STRIDE + i] = solved[steps * BLOCK + i]
+        for k in range(steps):
+            interval, here = body * steps + k, first + k * STRIDE
+            inverse = inverses[min(interval, inverses.shape[0] - 1)]
+            for i in range(BLOCK):
+                step[here + i] = solved[k * BLOCK + i]
+            for b in range(CONDENSED):
+                forcing[b] = gradient[here + BLOCK + b]
+                for i in range(TOUCHED.size):
+                    if SHARED and TOUCHED[i] >= SIZE:
+                        forcing[b] += couplings[interval, b, i] * root[root_place(body, TOUCHED[i] - SIZE)]
+                    else:
+                        forcing[b] += couplings[interval, b, i] * solved[k * BLOCK + TOUCHED[i]]
+            for a in range(CONDENSED):
+                value = 0.0
+                for b in range(CONDENSED):
+                    value -= inverse[a, b] * forcing[b]
+                step[here + BLOCK + a] = value

@@ -1,0 +1,93 @@
+"""An interval's element matrix, with controls and slacks of the interval eliminated.
+
+Barrier terms make the block C of these unknowns different on every interval. Eliminating them leaves, in the remaining
+unknowns of the element, K - B' inverse(C) B, with B the coupling block.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.condensation import (
+    COUPLED,
+    COUPLED_COLUMNS,
+    COUPLED_ROWS,
+    INSIDE,
+    INSIDE_COLUMNS,
+    INSIDE_ROWS,
+    KEPT,
+    KEPT_COLUMNS,
+    KEPT_ROWS,
+    SLOTS,
+    TOUCHED,
+)
+from codegen.runtime.elements import BLOCK
+from codegen.runtime.example import BODIES, CONDENSED
+
+
+def allocate_condensed(grid):
+    """Room for one block C, and for the inverse of C and B of all intervals of all bodies."""
+    intervals = BODIES * grid.steps
+    return (
+        np.zeros((CONDENSED, CONDENSED)),
+        np.empty((intervals, CONDENSED, CONDENSED)),
+        np.zeros((intervals, CONDENSED, TOUCHED.size)),
+    )
+
+
+def prepare_condensed(grid, weight, diagonal, condensed):
+    """True: blocks are inverted interval by interval."""
+    return True
+
+
+@njit(error_model="numpy", inline="always")
+def add_element(hessian, diagonal, condensed, interval, element):
+    """Add K - B' inverse(C) B of an interval to the element matrix; False when C is not positive definite.
+
+    `diagonal` is that of the interval's node and interval unknowns; inverse(C) and B are kept for the recovery.
+    """
+    block, inverses, couplings = condensed
+    for j in range(KEPT.size):
+        element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
+        if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
+            element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
+    for j in range(COUPLED.size):
+        couplings[interval, COUPLED_ROWS[j], SLOTS[j]] = hessian[COUPLED[j]]
+    for a in range(CONDENSED):
+        for b in range(CONDENSED):
+            block[a, b] = 0.0
+        block[a, a] = diagonal[BLOCK + a]
+    for j in range(INSIDE.size):
+        block[INSIDE_ROWS[j], INSIDE_COLUMNS[j]] += hessian[INSIDE[j]]
+        if INSIDE_ROWS[j] != INSIDE_COLUMNS[j]:
+            block[INSIDE_COLUMNS[j], INSIDE_ROWS[j]] += hessian[INSIDE[j]]
+    if not invert_positive_definite(block, inverses[interval]):
+        return False
+    for a in range(CONDENSED):
+        for b in range(CONDENSED):
+            for i in range(TOUCHED.size):
+                weighted = couplings[interval, a, i] * inverses[interval, a, b]
+                for j in range(TOUCHED.size):
+                    element[TOUCHED[i], TOUCHED[j]] -= weighted * couplings[interval, b, j]
+    return True
+
+
+@njit(error_model="numpy")
+def invert_positive_definite(block, inverse):
+    """Invert a small symmetric matrix by Gauss-Jordan elimination in place; False when it is not positive definite."""
+    for k in range(CONDENSED):
+        pivot = block[k, k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        block[k, k] = 1.0
+        for j in range(CONDENSED):
+            block[k, j] /= pivot
+        for i in range(CONDENSED):
+            if i != k:
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(CONDENSED):
+                    block[i, j] -= factor * block[k, j]
+    for a in range(CONDENSED):
+        for b in range(CONDENSED):
+            inverse[a, b] = block[a, b]
+    return True

@@ -1,0 +1,149 @@
+"""The two ends of the time interval: pins, conditions and unknowns that only an end has.
+
+An unknown of an end is an unknown of every node, for the sake of one layout; x^2/2 in every interval's share makes it
+vanish wherever it has no meaning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+from sympy import Expr, S, Symbol
+
+from codegen.errors import BoundaryError
+from codegen.model import Condition
+from codegen.transcribe.names import Names, symbols
+from codegen.transcribe.program import EndElement, Unknown
+
+
+@dataclass(frozen=True)
+class End:
+    """One end: pinned unknowns, own unknowns, own share of the Lagrangian, conditions to read, and terminal cost.
+
+    `aliases` equate an unknown of the node to a shared unknown plus an offset; `slacks` pair a slack with its
+    multiplier. All unknowns go by their names.
+    """
+
+    pins: tuple[tuple[str, Expr], ...] = ()
+    extra: tuple[Unknown, ...] = ()
+    element: Expr = S.Zero
+    conditions: tuple[tuple[str, Expr], ...] = ()
+    cost: Expr = S.Zero
+    aliases: tuple[tuple[str, str, Expr], ...] = ()
+    slacks: tuple[tuple[str, str], ...] = ()
+
+    def __add__(self, other: End) -> End:
+        """Both together."""
+        return End(
+            pins=(*self.pins, *other.pins),
+            extra=(*self.extra, *other.extra),
+            element=self.element + other.element,
+            conditions=(*self.conditions, *other.conditions),
+            cost=self.cost + other.cost,
+            aliases=(*self.aliases, *other.aliases),
+            slacks=(*self.slacks, *other.slacks),
+        )
+
+
+def joined(*ends: End) -> End:
+    """All contributions to one end together."""
+    return reduce(End.__add__, ends, End())
+
+
+def pinned_at_zero(names: Sequence[str]) -> End:
+    """An end at which some unknowns of the node have no meaning."""
+    return End(pins=tuple((name, S.Zero) for name in names))
+
+
+def conditioned_end(
+    conditions: Sequence[Condition],
+    cost: Expr,
+    place: Mapping[Symbol, Expr],
+    suffix: str,
+    unknowns: set[Symbol],
+    names: Names,
+) -> End:
+    """Impose g = 0 by nu g, and g <= 0 by nu (g + s) with a slack s >= 0; add the terminal cost.
+
+    `place` puts the quantities of this end into a condition, `unknowns` are the symbols that are not given there.
+    Raises BoundaryError for a condition on what is given.
+    """
+    out = End(element=cost.subs(place, simultaneous=True), cost=cost.subs(place, simultaneous=True))
+    for condition in conditions:
+        value = condition.expression.subs(place, simultaneous=True)
+        if not value.free_symbols & unknowns:
+            raise BoundaryError(
+                f"the condition {condition.name} at the {_where(suffix)} is on values that are given there",
+                "leave it out, or leave a value free",
+            )
+        nu = names.numbered("nu")
+        extra = [Unknown(nu, f"multiplier of {condition.name} at the {_where(suffix)}", True)]
+        slacks, left_side = list[tuple[str, str]](), "0"
+        (multiplier,) = symbols([nu], suffix)
+        term = value
+        if not condition.equality:
+            slack = names.numbered("s")
+            extra.append(Unknown(slack, f"slack of {condition.name} at the {_where(suffix)}"))
+            slacks, left_side = [(slack, nu)], f"-{slack}"
+            term = value + symbols([slack], suffix)[0]
+        out += End(
+            extra=tuple(extra),
+            element=multiplier * term,
+            conditions=((f"{left_side} ({condition.name})", value),),
+            slacks=tuple(slacks),
+        )
+    return out
+
+
+def _where(suffix: str) -> str:
+    return "start" if suffix == "_k" else "end"
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Both ends, whose own unknowns become unknowns of every node, with value zero wherever they have no meaning."""
+
+    start: End
+    end: End
+
+    @property
+    def extra(self) -> tuple[Unknown, ...]:
+        """The own unknowns of both ends, each name once."""
+        named = {unknown.name: unknown for unknown in (*self.start.extra, *self.end.extra)}
+        return tuple(named.values())
+
+    def symbols(self, suffix: str) -> tuple[Symbol, ...]:
+        """Their symbols at a node."""
+        return symbols([unknown.name for unknown in self.extra], suffix)
+
+    def filling(self) -> Expr:
+        """A share of every interval's l that makes the end's unknowns vanish at its left node."""
+        return sum((symbol**2 / 2 for symbol in self.symbols("_k")), S.Zero)
+
+    def start_element(self, node: Sequence[Unknown], shared: Sequence[Unknown]) -> EndElement:
+        """The start's share, with the filling of its own unknowns taken back; those of the end are pinned."""
+        own = {unknown.name for unknown in self.start.extra}
+        filling = sum((symbol**2 / 2 for symbol in symbols(sorted(own), "_k")), S.Zero)
+        foreign = [unknown.name for unknown in self.extra if unknown.name not in own]
+        return _element(self.start + pinned_at_zero(foreign) + End(element=-filling), node, shared)
+
+    def end_element(self, node: Sequence[Unknown], shared: Sequence[Unknown], idle: Sequence[str]) -> EndElement:
+        """The end's share; unknowns of the start and `idle` ones, which nothing depends on, are pinned."""
+        own = {unknown.name for unknown in self.end.extra}
+        foreign = [unknown.name for unknown in self.extra if unknown.name not in own]
+        return _element(self.end + pinned_at_zero([*foreign, *idle]), node, shared)
+
+
+def _element(end: End, node: Sequence[Unknown], shared: Sequence[Unknown]) -> EndElement:
+    place = {unknown.name: i for i, unknown in enumerate(node)}
+    shared_place = {unknown.name: i for i, unknown in enumerate(shared)}
+    return EndElement(
+        pins=tuple((place[name], value) for name, value in end.pins),
+        element=end.element,
+        conditions=end.conditions,
+        cost=end.cost,
+        shared=tuple((place[name], shared_place[other], offset) for name, other, offset in end.aliases),
+        slacks=tuple((place[slack], place[multiplier]) for slack, multiplier in end.slacks),
+    )

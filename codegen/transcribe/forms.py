@@ -1,0 +1,110 @@
+"""A model in the quantities in which it is transcribed: velocities, momenta or states, and nothing else.
+
+The Legendre transforms rewrite dynamics, force, cost and boundary values. Here path, end conditions and terminal cost
+follow, and what no longer is a number for one unknown becomes a condition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sympy import Expr, Symbol
+
+from codegen import legendre
+from codegen.errors import ExpressionError
+from codegen.model import Boundary, Bounds, Condition, Model
+
+
+def in_velocities(model: Model) -> Model:
+    """The model in Lagrangian form, its conditions too; raises what the Legendre transform raises.
+
+    Bounds on momenta, which are no unknowns there, become path conditions.
+    """
+    model = _momentum_bounds_as_conditions(model)
+    return _rates_as_conditions(rewritten(model, legendre.lagrangian_form(model)))
+
+
+def in_momenta(model: Model) -> Model:
+    """The model in Hamiltonian form without its boundary values, which may be velocities; its conditions too."""
+    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
+    return rewritten(model, legendre.hamiltonian_form(replace(model, start=free, end=free)))
+
+
+def rewritten(original: Model, transformed: Model) -> Model:
+    """Write path, end conditions and terminal cost of the original in the rates of the transformed model."""
+    if original.form == transformed.form:
+        return transformed
+    conditions = (*original.path, *original.start_conditions, *original.end_conditions)
+    expressions = (*(condition.expression for condition in conditions), original.terminal_cost)
+    if not any(expression.has(*original.rates) for expression in expressions):
+        return transformed
+    rates = legendre.velocity_of_momentum if original.form == "lagrangian" else legendre.momentum_of_velocity
+    values = dict(zip(original.rates, rates(original), strict=True))
+
+    def written(old: Sequence[Condition]) -> tuple[Condition, ...]:
+        return tuple(replace(condition, expression=condition.expression.xreplace(values)) for condition in old)
+
+    return replace(
+        transformed,
+        path=written(original.path),
+        start_conditions=written(original.start_conditions),
+        end_conditions=written(original.end_conditions),
+        terminal_cost=original.terminal_cost.xreplace(values),
+    )
+
+
+def _rates_as_conditions(model: Model) -> Model:
+    """Turn velocities at the ends that depend on free parameters, as p/m does, into end conditions."""
+    free = {parameter.symbol for parameter in model.free_parameters}
+    if not free or model.end is None:
+        return model
+
+    def split(boundary: Boundary) -> tuple[Boundary, tuple[Condition, ...]]:
+        pairs = list(zip(model.rates, boundary.rates, strict=True))
+        moved = [(v, value) for v, value in pairs if value is not None and value.free_symbols & free]
+        kept = tuple(None if (v, value) in moved else value for v, value in pairs)
+        conditions = tuple(Condition(f"{v} = {value}", v - value) for v, value in moved)
+        return replace(boundary, rates=kept), conditions
+
+    (start, at_start), (end, at_end) = split(model.start), split(model.end)
+    return replace(
+        model,
+        start=start,
+        end=end,
+        start_conditions=(*model.start_conditions, *at_start),
+        end_conditions=(*model.end_conditions, *at_end),
+    )
+
+
+def _momentum_bounds_as_conditions(model: Model) -> Model:
+    """Turn bounds on rates into path conditions; ExpressionError when they differ from body to body."""
+    kept, conditions = list[Bounds](), list[Condition]()
+    for bounds in model.bounds:
+        if bounds.symbol not in model.rates:
+            kept.append(bounds)
+            continue
+        for sign, relation, limit in ((-1, ">=", bounds.lower), (1, "<=", bounds.upper)):
+            if limit is None:
+                continue
+            if model.body is not None and limit.has(model.body):
+                raise ExpressionError(
+                    f"a bound on {bounds.symbol} depends on the body's number, and no unknown of the variational "
+                    "method has it",
+                    "give every body the same bound, or use --method hamiltonian",
+                )
+            name = f"{bounds.symbol} {relation} {limit}"
+            conditions.append(Condition(name, sign * (bounds.symbol - limit), equality=False))
+    return replace(model, bounds=tuple(kept), path=(*model.path, *conditions)) if conditions else model
+
+
+def occurring(quantities: Sequence[Symbol], *expressions: Expr) -> set[int]:
+    """The places of those quantities that occur in any of the expressions."""
+    present = set[Symbol]().union(*(expression.free_symbols for expression in expressions), set())
+    return {i for i, quantity in enumerate(quantities) if quantity in present}
+
+
+def same_after(expression: Expr, shifts: dict[Symbol, Expr]) -> bool:
+    """Whether an expression keeps its value when quantities are shifted, as an angle by 2 pi."""
+    moved = expression.subs({q: q + shift for q, shift in shifts.items() if shift != 0}, simultaneous=True)
+    return bool(moved == expression) or legendre.vanishes(moved - expression)

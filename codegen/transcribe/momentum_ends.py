@@ -1,0 +1,99 @@
+"""Momentum boundary conditions of the variational method.
+
++lambda_0 . D2 L(q(0), v(0)) at the start and -lambda_N . D2 L(q(T), v(T)) at the end make the discrete momenta of the
+ends match those of the velocities there (thesis (3.1.3)). A velocity that is free, but on which a matched momentum, a
+condition or the terminal cost depends, is an unknown of its end, and its momentum is matched too, so that each fixed
+velocity and each condition counts once. The multiplier of a momentum that is not matched is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, S, Symbol
+
+from codegen.errors import BoundaryError
+from codegen.model import Boundary, Condition, Model
+from codegen.transcribe.ends import End, conditioned_end, pinned_at_zero
+from codegen.transcribe.forms import occurring
+from codegen.transcribe.holonomic import Constraints
+from codegen.transcribe.names import Names, symbols
+from codegen.transcribe.program import Unknown
+
+
+@dataclass(frozen=True)
+class EndConditions:
+    """What holds at one end of a variational problem: values, conditions, terminal cost, momenta given by unknowns."""
+
+    suffix: str
+    sign: int
+    boundary: Boundary
+    conditions: tuple[Condition, ...]
+    cost: Expr
+    momenta: Mapping[int, Expr]
+
+
+def matched_places(model: Model, end: EndConditions, constraints: Constraints) -> set[int]:
+    """The places of the momenta that match those of velocities at an end.
+
+    They are those of fixed velocities, and of all on which a condition, the terminal cost, a matched momentum or a
+    constraint with a matched velocity depends.
+    """
+    momentum = [sympy.diff(model.function, v) for v in model.rates]
+    matched = {i for i, value in enumerate(end.boundary.rates) if value is not None}
+    matched |= occurring(model.rates, end.cost, *(condition.expression for condition in end.conditions))
+    while True:
+        further = occurring(model.rates, *(momentum[i] for i in matched))
+        further |= {i for touched in constraints.touched if touched & matched for i in touched}
+        if further <= matched:
+            return matched
+        matched |= further
+
+
+def momentum_end(
+    model: Model,
+    end: EndConditions,
+    constraints: Constraints,
+    literal: Mapping[Symbol, Expr],
+    shared: set[Symbol],
+    names: Names,
+) -> End:
+    """Fix positions, match momenta, impose conditions; `shared` are the unknowns that are common to all nodes."""
+    dimension = len(model.coordinates)
+    matched = matched_places(model, end, constraints)
+    extra = sorted(i for i in matched if end.boundary.rates[i] is None)
+    here = symbols([q.name for q in model.coordinates], end.suffix)
+    multiplier_names = [f"lambda_{q.name}" for q in model.coordinates]
+    multipliers = symbols(multiplier_names, end.suffix)
+    extra_symbols = symbols([model.rates[j].name for j in extra], end.suffix)
+    place: dict[Symbol, Expr] = dict(zip(model.coordinates, here, strict=True))
+    place |= {v: value for v, value in zip(model.rates, end.boundary.rates, strict=True) if value is not None}
+    place |= dict(zip((model.rates[j] for j in extra), extra_symbols, strict=True))
+    momentum = [sympy.diff(model.function, v) for v in model.rates]
+    momenta = [(i, momentum[i].subs(place, simultaneous=True)) for i in sorted(matched)]
+    _require_disjoint(model, matched, end.momenta)
+    momenta += sorted(end.momenta.items())
+    unmatched = [multiplier_names[i] for i in range(dimension) if i not in dict(momenta)]
+    own = End(
+        pins=tuple(
+            (q.name, v) for q, v in zip(model.coordinates, end.boundary.positions, strict=True) if v is not None
+        ),
+        extra=tuple(Unknown(model.rates[j].name, f"velocity {model.rates[j].name} at an end") for j in extra),
+        element=sum((end.sign * multipliers[i] * p for i, p in momenta), S.Zero),
+        conditions=tuple((f"p_{model.coordinates[i].name}", p) for i, p in momenta),
+    )
+    free = {symbol for symbol, value in zip(here, end.boundary.positions, strict=True) if value is None}
+    conditions: Sequence[Condition] = (*end.conditions, *constraints.tangency(end.boundary, matched, literal))
+    unknowns = free | set(extra_symbols) | shared
+    return own + pinned_at_zero(unmatched) + conditioned_end(conditions, end.cost, place, end.suffix, unknowns, names)
+
+
+def _require_disjoint(model: Model, matched: set[int], momenta: Mapping[int, Expr]) -> None:
+    both = sorted(matched & set(momenta))
+    if both:
+        listed = " ".join(model.rates[i].name for i in both)
+        raise BoundaryError(
+            f"{listed} is periodic, and other conditions of an end depend on it", "use --method hamiltonian"
+        )

@@ -1,0 +1,181 @@
+"""Control task by a one-step method -> ControlProgram: Hamilton's equations, or a first-order system x' = f(x, u, t).
+
+l = Cd + mu_k . r_k with the equations r_k of one step, whose unknowns are the states at both nodes, inner stages and
+the controls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import sympy
+from sympy import Expr, S, Symbol
+
+from codegen.discretise import one_step_interval
+from codegen.model import Boundary, Model
+from codegen.schemes import FIRST_ORDER, OneStep
+from codegen.transcribe import holonomic, path_conditions
+from codegen.transcribe.assembly import Motion, assemble
+from codegen.transcribe.boundary import with_symbolic_boundaries
+from codegen.transcribe.ends import End, conditioned_end
+from codegen.transcribe.forms import in_momenta
+from codegen.transcribe.guesses import coordinate_guess, momentum_guess
+from codegen.transcribe.names import Names, symbols
+from codegen.transcribe.periodic import (
+    Periodic,
+    periodic_unknowns,
+    periodic_velocities_in_momenta,
+)
+from codegen.transcribe.program import BoundaryValue, ControlProgram, Unknown
+from codegen.transcribe.shared import Shared, shared_unknowns
+
+
+def hamiltonian(model: Model, scheme: OneStep, nodal_controls: bool) -> ControlProgram:
+    """Transcribe with unknowns q and p on nodes, stages, mu and u on intervals (or u on nodes).
+
+    Raises what the Legendre transform raises, BoundaryError for conditions that do not fit together, and
+    ArgumentError for holonomic constraints.
+    """
+    holonomic.refuse(model, "hamiltonian")
+    model, boundary_values = with_symbolic_boundaries(model)
+    return _transcribed(model, in_momenta(model), scheme, "hamiltonian", nodal_controls, boundary_values)
+
+
+def first_order(model: Model, scheme: OneStep, nodal_controls: bool) -> ControlProgram:
+    """Transcribe x' = f(x, u, t) with unknowns x on nodes, stages, mu and u on intervals (or u on nodes).
+
+    Raises BoundaryError for conditions that do not fit together, and ArgumentError for holonomic constraints.
+    """
+    holonomic.refuse(model, FIRST_ORDER)
+    model, boundary_values = with_symbolic_boundaries(model)
+    return _transcribed(model, model, scheme, FIRST_ORDER, nodal_controls, boundary_values)
+
+
+def _transcribed(
+    model: Model,
+    phase: Model,
+    scheme: OneStep,
+    method: str,
+    nodal_controls: bool,
+    boundary_values: tuple[BoundaryValue, ...],
+) -> ControlProgram:
+    """Boundary values are those of `model`; dynamics, conditions and terminal cost those of `phase`."""
+    names = Names(phase)
+    guesses = (*coordinate_guess(model), *momentum_guess(model))
+    states = (*phase.coordinates, *phase.rates)
+    periodic = periodic_unknowns(model, states, guesses, names)
+    if model.form == "lagrangian":
+        periodic += periodic_velocities_in_momenta(model, phase, names)
+    shared = shared_unknowns(model, periodic, guesses, names)
+    placed = _with_positions(model, phase)
+    start, end = _ends(model, placed, periodic, shared, boundary_values, names)
+    equalities = path_conditions.nodal_conditions(phase, equality=True)
+    return assemble(
+        phase,
+        _motion(phase, scheme, method, nodal_controls, guesses),
+        boundary_values,
+        (path_conditions.nodal_equalities(placed, equalities, "y", names),),
+        start + End(aliases=periodic.start_aliases),
+        end + End(aliases=(*periodic.end_aliases, *shared.end_aliases)),
+        shared,
+        names,
+    )
+
+
+def _with_positions(model: Model, phase: Model) -> Model:
+    """The phase model with the positions that are given at the ends; its rates there may be velocities' momenta."""
+    assert model.end is not None, "a control problem has an end"
+    free = (None,) * len(phase.rates)
+    return replace(phase, start=Boundary(model.start.positions, free), end=Boundary(model.end.positions, free))
+
+
+def _ends(
+    model: Model,
+    phase: Model,
+    periodic: Periodic,
+    shared: Shared,
+    boundary_values: tuple[BoundaryValue, ...],
+    names: Names,
+) -> tuple[End, End]:
+    """Given values, conditions and the terminal cost at both ends."""
+    assert model.end is not None, "a control problem has an end"
+    known = {*model.parameters, *(value.symbol for value in boundary_values)}
+    start_conditions = (
+        *phase.start_conditions, *path_conditions.start_inequalities(phase), *periodic.start_conditions
+    )  # fmt: skip
+    end_conditions = (*phase.end_conditions, *periodic.end_conditions)
+    states = (*phase.coordinates, *phase.rates)
+    ends = []
+    for boundary, suffix, conditions, cost in (
+        (model.start, "_k", start_conditions, S.Zero),
+        (model.end, "_k1", end_conditions, phase.terminal_cost),
+    ):
+        values = _given_values(model, phase, boundary, suffix, known)
+        here = symbols([x.name for x in states], suffix)
+        pinned = {name for name, _ in values.pins}
+        unknowns = {symbol for x, symbol in zip(states, here, strict=True) if x.name not in pinned}
+        unknowns |= {own.symbol for own in shared.all}
+        place = dict(zip(states, here, strict=True))
+        ends.append(values + conditioned_end(conditions, cost, place, suffix, unknowns, names))
+    return ends[0], ends[1]
+
+
+def _motion(phase: Model, scheme: OneStep, method: str, nodal_controls: bool, guesses: tuple[Expr, ...]) -> Motion:
+    """The equations of one step times their multipliers."""
+    interval = one_step_interval(path_conditions.with_inner_path(phase), scheme, nodal_controls)
+    names = [s.name for s in (*phase.coordinates, *phase.rates)]
+    stage_names = [s.name for s in interval.stages]
+    equation_names = [*stage_names, *names]
+    multipliers = [f"mu_{name}" for name in equation_names]
+    mu = symbols(multipliers, "_k")
+    coordinate = "state" if phase.form == "first-order" else "coordinate"
+    kinds = [coordinate] * len(phase.coordinates) + ["momentum"] * len(phase.rates)
+    pairs = zip(multipliers, equation_names, strict=True)
+    return Motion(
+        method=method,
+        scheme=scheme.name,
+        node=tuple(Unknown(n, f"{kind} {n}") for n, kind in zip(names, kinds, strict=True)),
+        interval=(
+            *(Unknown(n, f"stage value {n}") for n in stage_names),
+            *(Unknown(m, f"multiplier of the step of {n}", True) for m, n in pairs),
+        ),
+        interval_symbols=(*interval.stages, *mu),
+        controls=interval.q,
+        element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
+        cost=interval.cost,
+        path=interval.path,
+        equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
+        node_guess=guesses,
+        stage_guess=guesses * (len(interval.stages) // len(names)),
+    )
+
+
+def _given_values(model: Model, phase: Model, boundary: Boundary, suffix: str, known: set[Symbol]) -> End:
+    """Fix positions and momenta; velocities that do not fix a momentum by themselves become equations."""
+    pins = [(q.name, v) for q, v in zip(model.coordinates, boundary.positions, strict=True) if v is not None]
+    fixed = {q: v for q, v in zip(model.coordinates, boundary.positions, strict=True) if v is not None}
+    fixed |= {v: x for v, x in zip(model.rates, boundary.rates, strict=True) if x is not None}
+    quantities = (*phase.coordinates, *phase.rates)
+    node = dict(zip(quantities, symbols([s.name for s in quantities], suffix), strict=True))
+    names, terms, conditions = list[str](), list[Expr](), list[tuple[str, Expr]]()
+    for i, value in enumerate(boundary.rates):
+        if value is None:
+            continue
+        momentum = value
+        if model.form == "lagrangian":
+            momentum = sympy.diff(model.function, model.rates[i]).subs(fixed, simultaneous=True)
+        if momentum.free_symbols <= known:
+            pins.append((phase.rates[i].name, momentum))
+            conditions.append((phase.rates[i].name, momentum))
+            continue
+        velocity = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
+        names.append(f"nu_{model.rates[i].name}")
+        terms.append(velocity - value)
+        conditions.append((model.rates[i].name, velocity))
+    multipliers = symbols(names, suffix)
+    return End(
+        pins=tuple(pins),
+        extra=tuple(Unknown(n, f"multiplier of the condition on {n.removeprefix('nu_')}", True) for n in names),
+        element=sum((nu * term for nu, term in zip(multipliers, terms, strict=True)), S.Zero),
+        conditions=tuple(conditions),
+    )

@@ -1,0 +1,182 @@
+"""Motions that end as they began: x(T) = x(0) + shift for coordinates, velocities, momenta and states.
+
+An unknown of the node is the same shared unknown at both ends, up to the shift. A velocity is no unknown of a node;
+where equal velocities mean equal momenta, the discrete momenta of both ends match a shared unknown pi: the end
+elements gain +lambda_0 pi and -lambda_N pi. Everything else becomes a condition at each end with a shared unknown w:
+x - w = 0 at the start, and x - w - shift = 0 at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, S, Symbol
+
+from codegen.errors import BoundaryError
+from codegen.model import Condition, Model
+from codegen.transcribe.forms import occurring, same_after
+from codegen.transcribe.guesses import at_start, coordinate_guess, momentum_guess
+from codegen.transcribe.names import Names
+from codegen.transcribe.program import Unknown
+
+Alias = tuple[str, str, Expr]
+"""An unknown of the node, the shared unknown that it equals, and the offset."""
+
+
+@dataclass(frozen=True)
+class Own:
+    """A shared unknown that every body has for itself: what it is, its symbol, and where it starts."""
+
+    unknown: Unknown
+    symbol: Symbol
+    guess: Expr
+
+
+@dataclass(frozen=True)
+class Periodic:
+    """Shared unknowns and what they do at both ends.
+
+    `momenta` gives for a coordinate's place the momentum at the start and at the end that the discrete ones match.
+    """
+
+    own: tuple[Own, ...] = ()
+    start_aliases: tuple[Alias, ...] = ()
+    end_aliases: tuple[Alias, ...] = ()
+    start_conditions: tuple[Condition, ...] = ()
+    end_conditions: tuple[Condition, ...] = ()
+    momenta: tuple[tuple[int, Expr, Expr], ...] = ()
+
+    def __add__(self, other: Periodic) -> Periodic:
+        """Both together."""
+        return Periodic(
+            own=(*self.own, *other.own),
+            start_aliases=(*self.start_aliases, *other.start_aliases),
+            end_aliases=(*self.end_aliases, *other.end_aliases),
+            start_conditions=(*self.start_conditions, *other.start_conditions),
+            end_conditions=(*self.end_conditions, *other.end_conditions),
+            momenta=(*self.momenta, *other.momenta),
+        )
+
+
+def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequence[Expr], names: Names) -> Periodic:
+    """Periodicity of the quantities that are unknowns of the node."""
+    out = Periodic()
+    for quantity, shift in model.periodic:
+        if quantity in quantities:
+            guess = at_start(model, guesses[list(quantities).index(quantity)])
+            out += _tied(model, quantity, quantity, shift, guess, names)
+    return out
+
+
+def periodic_velocities(model: Model, names: Names) -> Periodic:
+    """Periodicity of the velocities of a model in Lagrangian form, by momenta where that says the same."""
+    shifts = dict(model.periodic)
+    chosen = [i for i, v in enumerate(model.rates) if v in shifts]
+    by_momentum = set(equivalent_momenta(model, chosen))
+    out = Periodic()
+    for i in chosen:
+        guess = at_start(model, momentum_guess(model)[i])
+        if i in by_momentum:
+            out += _matched(model, i, S.Zero, guess, names)
+        else:
+            velocity = model.rates[i]
+            speed = at_start(model, sympy.diff(coordinate_guess(model)[i], model.time))
+            out += _by_conditions(velocity, velocity, shifts[velocity], speed, names)
+    return out
+
+
+def periodic_momenta(original: Model, model: Model, names: Names) -> Periodic:
+    """Periodicity of the momenta of a Hamiltonian that is transcribed in Lagrangian form, by discrete momenta."""
+    shifts = dict(original.periodic)
+    out = Periodic()
+    for i, p in enumerate(original.rates):
+        if p not in shifts:
+            continue
+        out += _matched(model, i, shifts[p], at_start(model, momentum_guess(model)[i]), names)
+    return out
+
+
+def periodic_velocities_in_momenta(model: Model, phase: Model, names: Names) -> Periodic:
+    """Periodicity of the velocities of a Lagrangian that is transcribed in Hamiltonian form."""
+    shifts = dict(model.periodic)
+    chosen = [i for i, v in enumerate(model.rates) if v in shifts]
+    by_momentum = set(equivalent_momenta(model, chosen))
+    out = Periodic()
+    for i in chosen:
+        p, guess = phase.rates[i], at_start(model, momentum_guess(model)[i])
+        if i in by_momentum:
+            out += _tied(model, p, p, S.Zero, guess, names)
+        else:
+            velocity = sympy.diff(phase.function, p)
+            speed = at_start(model, sympy.diff(coordinate_guess(model)[i], model.time))
+            out += _by_conditions(model.rates[i], velocity, shifts[model.rates[i]], speed, names)
+    return out
+
+
+def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
+    """Those of the chosen places at which equal velocities at both ends mean equal momenta dL/dv.
+
+    The momenta must depend on periodic velocities and coordinates only and must not change under the coordinates'
+    shifts; with a holonomic constraint all of its coordinates are needed.
+    """
+    shifts = dict(model.periodic)
+    same = {i for i in chosen if shifts[model.rates[i]] == 0}
+    momenta = [sympy.diff(model.function, v) for v in model.rates]
+    while True:
+        failing = {i for i in same if not _returns(model, momenta[i], same)}
+        for constraint in model.holonomic:
+            touched = occurring(model.coordinates, constraint)
+            failing |= same & touched if not touched <= same else set()
+        if not failing:
+            return tuple(sorted(same))
+        same -= failing
+
+
+def _returns(model: Model, momentum: Expr, same: set[int]) -> bool:
+    shifts = dict(model.periodic)
+    present = [model.coordinates[i] for i in occurring(model.coordinates, momentum)]
+    if momentum.has(model.time) or not occurring(model.rates, momentum) <= same:
+        return False
+    return all(q in shifts for q in present) and same_after(momentum, {q: shifts[q] for q in present})
+
+
+def _tied(model: Model, quantity: Symbol, unknown: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
+    """An unknown of the node, by aliases."""
+    own = _own(names.named("periodic", quantity), f"{quantity} at the start", guess)
+    name = own.unknown.name
+    return Periodic((own,), ((unknown.name, name, S.Zero),), ((unknown.name, name, shift),))
+
+
+def _matched(model: Model, place: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
+    q = model.coordinates[place]
+    own = _own(names.named("pi", q), f"momentum of {q} at the start", guess)
+    return Periodic(own=(own,), momenta=((place, own.symbol, own.symbol + shift),))
+
+
+def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, names: Names) -> Periodic:
+    own = _own(names.named("periodic", quantity), f"{quantity} at the start", guess)
+    name = f"{quantity} is periodic"
+    first = Condition(name, value - own.symbol)
+    return Periodic(
+        own=(own,), start_conditions=(first,), end_conditions=(Condition(name, value - own.symbol - shift),)
+    )
+
+
+def _own(name: str, meaning: str, guess: Expr) -> Own:
+    return Own(Unknown(name, meaning), Symbol(name, real=True), guess)
+
+
+def require_constraints_return(model: Model, periodic: Periodic) -> None:
+    """Refuse velocities that are periodic while others of the same holonomic constraint are not, or are shifted."""
+    conditions = (*periodic.start_conditions, *periodic.end_conditions)
+    places = occurring(model.rates, *(condition.expression for condition in conditions))
+    for constraint in model.holonomic:
+        touched = occurring(model.coordinates, constraint)
+        if places & touched:
+            listed = " ".join(model.rates[i].name for i in sorted(touched))
+            raise BoundaryError(
+                f"velocities of the constraint {constraint} are periodic, but not all of them alike",
+                f"make {listed} and their coordinates periodic without a shift of the velocities",
+            )

@@ -1,0 +1,77 @@
+"""Unknowns that belong to no node: static parameters of the problem, and each body's coordinates that are coupled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sympy import Expr, S, Symbol
+
+from codegen.errors import BoundaryError
+from codegen.model import Condition, Model
+from codegen.redundancy import independent_couplings
+from codegen.transcribe.guesses import at_end
+from codegen.transcribe.names import Names
+from codegen.transcribe.periodic import Alias, Own, Periodic
+from codegen.transcribe.program import Coupling, Unknown
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Shared unknowns, first each body's own ones, then the common ones; and what couples bodies."""
+
+    own: tuple[Own, ...]
+    common: tuple[Own, ...]
+    end_aliases: tuple[Alias, ...]
+    couplings: tuple[Coupling, ...]
+    coupling_symbols: tuple[tuple[Symbol, int, int], ...]
+
+    @property
+    def all(self) -> tuple[Own, ...]:
+        """All of them in order."""
+        return (*self.own, *self.common)
+
+
+def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], names: Names) -> Shared:
+    """Collect static parameters, what periodicity shares, and the coupled coordinates at the end.
+
+    `guesses` are those of the coordinates. Raises BoundaryError when a coupled coordinate is given at the end.
+    """
+    common = tuple(
+        Own(Unknown(p.symbol.name, f"free parameter {p.symbol.name}", lower=p.lower, upper=p.upper), p.symbol, p.guess)
+        for p in model.free_parameters
+    )
+    own, aliases = list(periodic.own), list[Alias]()
+    index: dict[int, int] = {}
+    offset: dict[int, Expr] = {}
+    tied = {name: (other, shift) for name, other, shift in periodic.end_aliases}
+    for i in sorted({value.coordinate for value in model.end_values}):
+        q = model.coordinates[i]
+        assert model.end is not None, "a control problem has an end"
+        if model.end.positions[i] is not None:
+            raise BoundaryError(f"{q} is given at the end, and couplings depend on it", "give it, or couple it")
+        if q.name in tied:
+            name, offset[i] = tied[q.name]
+            index[i] = next(j for j, o in enumerate(own) if o.unknown.name == name)
+            continue
+        name = names.named("coupled", q)
+        index[i], offset[i] = len(own), S.Zero
+        own.append(Own(Unknown(name, f"{q} at the end"), Symbol(name, real=True), at_end(model, guesses[i])))
+        aliases.append((q.name, name, S.Zero))
+    values = model.end_values
+    shifted = {v.symbol: v.symbol + offset[v.coordinate] for v in values if offset[v.coordinate] != 0}
+    return Shared(
+        own=tuple(own),
+        common=common,
+        end_aliases=tuple(aliases),
+        couplings=tuple(
+            Coupling(Unknown(names.numbered("nu"), c.name, True), c.expression.xreplace(shifted))
+            for c in _independent(model)
+        ),
+        coupling_symbols=tuple((v.symbol, v.body, index[v.coordinate]) for v in values),
+    )
+
+
+def _independent(model: Model) -> tuple[Condition, ...]:
+    """The couplings without those that follow from the others, which would make the KKT matrix singular."""
+    return tuple(model.couplings[i] for i in independent_couplings(model).kept)

@@ -1,0 +1,121 @@
+"""Control task by the variational method -> ControlProgram.
+
+l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+). Summed over intervals the multipliers of a node meet both
+halves of its forced discrete Euler-Lagrange equation; the momentum boundary conditions arise at the two end nodes
+(`momentum_ends`). Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control.
+"""
+
+from __future__ import annotations
+
+from sympy import Expr, S
+
+from codegen.discretise import VariationalInterval, variational_interval
+from codegen.model import Model
+from codegen.schemes import DiscreteLagrangian
+from codegen.transcribe import path_conditions
+from codegen.transcribe.assembly import Motion, assemble
+from codegen.transcribe.boundary import with_symbolic_boundaries
+from codegen.transcribe.ends import End
+from codegen.transcribe.forms import in_velocities
+from codegen.transcribe.guesses import coordinate_guess
+from codegen.transcribe.holonomic import Constraints
+from codegen.transcribe.momentum_ends import EndConditions, matched_places, momentum_end
+from codegen.transcribe.names import Names, symbols
+from codegen.transcribe.periodic import (
+    Periodic,
+    periodic_momenta,
+    periodic_unknowns,
+    periodic_velocities,
+    require_constraints_return,
+)
+from codegen.transcribe.program import ControlProgram, Unknown
+from codegen.transcribe.shared import shared_unknowns
+
+
+def variational(original: Model, scheme: DiscreteLagrangian, nodal_controls: bool) -> ControlProgram:
+    """Transcribe with unknowns q and lambda on nodes and u on intervals (or nodes).
+
+    Holonomic constraints add kappa and eta to the nodes. Raises what the Legendre transform raises, and BoundaryError
+    for conditions that do not fit together.
+    """
+    model, boundary_values = with_symbolic_boundaries(in_velocities(original))
+    names = Names(model)
+    constraints = Constraints(model, names)
+    equalities = path_conditions.nodal_equalities(
+        model, path_conditions.nodal_conditions(model, equality=True), "y", names
+    )
+    periodic = _periodic(original, model, names)
+    shared = shared_unknowns(model, periodic, coordinate_guess(model), names)
+    ends = _end_conditions(model, periodic)
+    literal = {value.symbol: value.value for value in boundary_values}
+    optimised = {own.symbol for own in shared.all}
+    start, end = (momentum_end(model, e, constraints, literal, optimised, names) for e in ends)
+    start_places, end_places = (matched_places(model, e, constraints) for e in ends)
+    by_momentum = {place for place, _, _ in periodic.momenta}
+    return assemble(
+        model,
+        _motion(model, scheme, nodal_controls, constraints),
+        boundary_values,
+        (constraints.nodal_terms((start_places, end_places), by_momentum), equalities),
+        start + End(aliases=periodic.start_aliases),
+        end + End(aliases=(*periodic.end_aliases, *shared.end_aliases)),
+        shared,
+        names,
+    )
+
+
+def _periodic(original: Model, model: Model, names: Names) -> Periodic:
+    out = periodic_unknowns(model, model.coordinates, coordinate_guess(model), names)
+    if original.form == "hamiltonian":
+        return out + periodic_momenta(original, model, names)
+    out += periodic_velocities(model, names)
+    require_constraints_return(model, out)
+    return out
+
+
+def _end_conditions(model: Model, periodic: Periodic) -> tuple[EndConditions, EndConditions]:
+    assert model.end is not None, "a control problem has an end"
+    inequalities = path_conditions.start_inequalities(model)
+    start = (*model.start_conditions, *inequalities, *periodic.start_conditions)
+    end = (*model.end_conditions, *periodic.end_conditions)
+    return (
+        EndConditions("_k", 1, model.start, start, S.Zero, {i: first for i, first, _ in periodic.momenta}),
+        EndConditions("_k1", -1, model.end, end, model.terminal_cost, {i: last for i, _, last in periodic.momenta}),
+    )
+
+
+def _motion(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool, constraints: Constraints) -> Motion:
+    """The forced discrete Euler-Lagrange equations, with the forces of the constraints, times their multipliers."""
+    interval = variational_interval(path_conditions.with_inner_path(model), scheme, nodal_controls)
+    names = [q.name for q in model.coordinates]
+    multipliers = [f"lambda_{name}" for name in names]
+    pairs = list(zip(multipliers, names, strict=True))
+    halves = (
+        *zip(symbols(multipliers, "_k"), (-p for p in interval.left_momentum), constraints.force("_k"), strict=True),
+        *zip(symbols(multipliers, "_k1"), interval.right_momentum, constraints.force("_k1"), strict=True),
+    )
+    return Motion(
+        method="variational",
+        scheme=scheme.name,
+        node=(
+            *(Unknown(name, f"coordinate {name}") for name in names),
+            *(Unknown(m, f"multiplier of the equation of motion of {name}", True) for m, name in pairs),
+        ),
+        interval=(),
+        interval_symbols=(),
+        controls=interval.q,
+        element=interval.cost + sum(m * (half + force) for m, half, force in halves),
+        cost=interval.cost,
+        path=interval.path,
+        equations=_equations(names, interval),
+        node_guess=coordinate_guess(model),
+    )
+
+
+def _equations(names: list[str], interval: VariationalInterval) -> tuple[tuple[str, Expr], ...]:
+    return (
+        ("Ld", interval.lagrangian),
+        *((f"f-_{n}", f) for n, f in zip(names, interval.force_minus, strict=True) if f != 0),
+        *((f"f+_{n}", f) for n, f in zip(names, interval.force_plus, strict=True) if f != 0),
+        ("Cd", interval.cost),
+    )

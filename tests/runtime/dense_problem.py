@@ -1,0 +1,250 @@
+"""Small optimisation problems with dense linear algebra, behind the functions that a generated module has.
+
+A problem is a `Dense` grid; `evaluate`, `factor_kkt`, ... take it where a generated module takes its grid. Unknowns
+are variables and multipliers of equations, interleaved. An inequality g <= 0 is y (g + s) with a slack s >= 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import sympy
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dgetrf, dgetrs
+
+Vector = NDArray[np.float64]
+INFINITY = float("inf")
+
+
+class Dense(NamedTuple):
+    """A problem; `lagrangian` gives cost and gradient of the Lagrangian, `hessian` its full second derivative."""
+
+    is_multiplier: NDArray[np.bool_]
+    free: NDArray[np.bool_]
+    lower: Vector
+    upper: Vector
+    guess: Vector
+    lagrangian: Callable[[Vector], tuple[float, Vector]]
+    hessian: Callable[[Vector], Vector]
+
+
+class Point(NamedTuple):
+    """As in point.py of the runtime."""
+
+    unknowns: Vector
+    gradient: Vector
+    cost: float
+    residual: float
+    violation: float
+    stationarity: float
+
+    @property
+    def error(self) -> float:
+        return max(self.residual, self.stationarity)
+
+
+def evaluate(grid: Dense, unknowns: Vector) -> Point:
+    with np.errstate(all="ignore"):
+        cost, gradient = grid.lagrangian(unknowns)
+    gradient = np.where(grid.free, gradient, 0.0)
+    if not (np.isfinite(gradient).all() and np.isfinite(cost)):
+        return Point(unknowns, gradient, cost, np.inf, np.inf, np.inf)
+    size = np.abs(gradient)
+    residuals = size[grid.is_multiplier]
+    return Point(
+        unknowns,
+        gradient,
+        cost,
+        float(residuals.max(initial=0.0)),
+        float(residuals.sum()),
+        float(size[~grid.is_multiplier].max(initial=0.0)),
+    )
+
+
+def kkt_matrix(grid: Dense, unknowns: Vector) -> Vector:
+    """The KKT matrix, with rows and columns of pinned unknowns set to zero."""
+    with np.errstate(all="ignore"):
+        return np.where(np.outer(grid.free, grid.free), grid.hessian(unknowns), 0.0)
+
+
+def allocate_system(grid: Dense) -> list[Any]:
+    return [None, None]
+
+
+def factor_kkt(grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any]) -> bool:
+    matrix = kkt_matrix(grid, unknowns)
+    primal = ~grid.is_multiplier
+    matrix[np.ix_(primal, primal)] *= weight
+    matrix[np.diag_indices_from(matrix)] += np.where(grid.free, diagonal, 1.0)
+    if not np.isfinite(matrix).all():
+        return False
+    system[0], system[1], place = dgetrf(matrix)
+    return place == 0
+
+
+def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:
+    step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
+
+
+def variable_bounds(grid: Dense) -> tuple[Vector, Vector]:
+    return grid.lower, grid.upper
+
+
+def free_unknowns(grid: Dense) -> NDArray[np.bool_]:
+    return grid.free
+
+
+def term_sizes(grid: Dense, unknowns: Vector) -> tuple[float, float]:
+    sums = np.abs(kkt_matrix(grid, unknowns)) @ np.abs(unknowns)
+    return float(sums[grid.is_multiplier].max(initial=0.0)), float(sums[~grid.is_multiplier].max(initial=0.0))
+
+
+def is_solved(grid: Dense, point: Point, tolerance: float) -> bool:
+    sizes = term_sizes(grid, point.unknowns)
+    measured = point.residual, point.stationarity
+    return all(v <= max(tolerance * min(1.0, s), 2.2e-16 * s) for v, s in zip(measured, sizes, strict=True))
+
+
+def is_rounding(grid: Dense, point: Point) -> bool:
+    sizes = term_sizes(grid, point.unknowns)
+    measured = point.residual, point.stationarity
+    return all(v <= 2.2e-13 * s for v, s in zip(measured, sizes, strict=True))
+
+
+def program(
+    guess: dict[sympy.Symbol, float],
+    cost: Any,
+    equations: list[Any] = (),  # type: ignore[assignment]
+    inequalities: list[Any] = (),  # type: ignore[assignment]
+    bounds: dict[sympy.Symbol, tuple[float, float]] | None = None,
+) -> Dense:
+    """A problem in symbols: equations are 0, inequalities <= 0; a slack's guess is what satisfies its equation."""
+    bounds, guess = dict(bounds or {}), dict(guess)
+    residuals = list(map(sympy.sympify, equations))
+    for i, inequality in enumerate(inequalities):
+        slack = sympy.Symbol(f"slack{i}")
+        start = float(sympy.sympify(inequality).subs(guess))
+        residuals.append(inequality + slack)
+        bounds[slack], guess[slack] = (0.0, INFINITY), max(0.0, -start)
+    multipliers = sympy.symbols(f"multiplier:{len(residuals)}")
+    unknowns: list[sympy.Symbol] = []
+    for i in range(max(len(guess), len(multipliers))):  # interleaved, as in a generated module
+        unknowns += [*list(guess)[i : i + 1], *multipliers[i : i + 1]]
+    cost = sympy.sympify(cost)
+    lagrangian = cost + sum(y * r for y, r in zip(multipliers, residuals, strict=True))
+    gradient = [lagrangian.diff(x) for x in unknowns]
+    first = sympy.lambdify([unknowns], [cost, gradient], cse=True)
+    second = sympy.lambdify([unknowns], sympy.Matrix(gradient).jacobian(unknowns).tolist(), cse=True)
+
+    def values(x: Vector) -> tuple[float, Vector]:
+        value, slope = first(x)
+        return float(value), np.array(slope, dtype=float)
+
+    return Dense(
+        np.array([x in multipliers for x in unknowns]),
+        np.ones(len(unknowns), dtype=bool),
+        np.array([bounds.get(x, (-INFINITY, INFINITY))[0] for x in unknowns]),
+        np.array([bounds.get(x, (-INFINITY, INFINITY))[1] for x in unknowns]),
+        np.array([float(guess.get(x, 0.0)) for x in unknowns]),
+        values,
+        lambda x: np.array(second(x), dtype=float),
+    )
+
+
+class Motion(NamedTuple):
+    """x' = rates on [0, duration], discretised by the implicit midpoint rule with one control an interval.
+
+    `duration` is a number or a symbol, which is then an unknown with a guess and bounds. `running` is integrated,
+    `path` <= 0 holds at midpoints. `guess` gives each symbol a number, or (start, end) to go between.
+    """
+
+    states: list[sympy.Symbol]
+    controls: list[sympy.Symbol]
+    rates: list[Any]
+    duration: Any
+    running: Any
+    start: dict[sympy.Symbol, float]
+    end: dict[sympy.Symbol, float]
+    guess: dict[sympy.Symbol, Any]
+    bounds: dict[sympy.Symbol, tuple[float, float]]
+    path: list[Any] = []  # noqa: RUF012
+    terminal: Any = 0
+
+
+def transcribe(motion: Motion, steps: int) -> Dense:
+    """Interleaved unknowns: state 0, (multipliers, controls, slacks) 0, state 1, ..., state N, and the duration."""
+    states, controls, slacks = motion.states, motion.controls, sympy.symbols(f"slack:{len(motion.path)}")
+    right = [sympy.Symbol(f"{x}_next") for x in states]
+    multipliers = sympy.symbols(f"multiplier:{len(states) + len(slacks)}")
+    shared = [motion.duration] if isinstance(motion.duration, sympy.Symbol) else []
+    h = motion.duration / sympy.Integer(steps)
+    middle = {x: (x + y) / 2 for x, y in zip(states, right, strict=True)}
+    residuals = [y - x - h * sympy.sympify(f).subs(middle, simultaneous=True)
+                 for x, y, f in zip(states, right, motion.rates, strict=True)]  # fmt: skip
+    residuals += [sympy.sympify(g).subs(middle, simultaneous=True) + s
+                  for g, s in zip(motion.path, slacks, strict=True)]  # fmt: skip
+    cost = h * sympy.sympify(motion.running).subs(middle, simultaneous=True)
+    local = [*states, *multipliers, *controls, *slacks, *right, *shared]
+    stride, node = len(local) - len(right) - len(shared), len(states)
+    size = stride * steps + node + len(shared)
+    places = np.arange(steps)[:, None] * stride + np.arange(len(local))
+    if shared:
+        places[:, -1] = size - 1
+    element = cost + sum(y * r for y, r in zip(multipliers, residuals, strict=True))
+    ends = [*range(size - len(shared) - node, size - len(shared)), *range(size - len(shared), size)]
+    first, second = _derivatives(element, cost, local)
+    end_first, end_second = _derivatives(motion.terminal, motion.terminal, [*states, *shared])
+
+    def lagrangian(x: Vector) -> tuple[float, Vector]:
+        values, gradient = first(x[places]), np.zeros(size)
+        np.add.at(gradient, places, values[:, 1:])
+        last = end_first(x[None, ends])[0]
+        gradient[ends] += last[1:]
+        return float(values[:, 0].sum() + last[0]), gradient
+
+    def hessian(x: Vector) -> Vector:
+        matrix = np.zeros((size, size))
+        np.add.at(matrix, (places[:, :, None], places[:, None, :]), second(x[places]))
+        matrix[np.ix_(ends, ends)] += end_second(x[None, ends])[0]
+        return matrix
+
+    names = [*([*states, *multipliers, *controls, *slacks] * steps), *states, *shared]
+    guess = np.zeros(size)
+    for i, name in enumerate(names):
+        value = motion.guess.get(name, 0.0)
+        guess[i] = np.interp(i / (stride * steps), [0.0, 1.0], value) if isinstance(value, tuple) else value
+    free = np.ones(size, dtype=bool)
+    for offset, values in ((0, motion.start), (stride * steps, motion.end)):
+        for symbol, value in values.items():
+            free[offset + states.index(symbol)] = False
+            guess[offset + states.index(symbol)] = value
+    bounds = {**motion.bounds, **dict.fromkeys(slacks, (0.0, INFINITY))}
+    limits = np.array([bounds.get(x, (-INFINITY, INFINITY)) for x in names]).T
+    limits[0, ~free], limits[1, ~free] = -INFINITY, INFINITY
+    is_multiplier = np.array([x in multipliers for x in names])
+    grid = Dense(is_multiplier, free, limits[0].copy(), limits[1].copy(), guess, lagrangian, hessian)
+    residual = evaluate(grid, guess).gradient
+    for j in range(len(slacks)):
+        at = np.arange(steps) * stride + node
+        guess[at + len(multipliers) + len(controls) + j] = np.maximum(0.0, -residual[at + len(states) + j])
+    return grid
+
+
+def _derivatives(element: Any, cost: Any, local: list[sympy.Symbol]) -> tuple[Any, Any]:
+    """Functions of rows of local unknowns: (cost, gradient), and the Hessian, of every row."""
+    element = sympy.sympify(element)
+    gradient = [element.diff(x) for x in local]
+    hessian = [entry for row in sympy.Matrix(gradient).jacobian(local).tolist() for entry in row]
+
+    def rows(expressions: list[Any]) -> Callable[[Vector], Vector]:
+        function = sympy.lambdify([local], expressions, cse=True)
+
+        def evaluate_rows(values: Vector) -> Vector:
+            return np.stack([np.broadcast_to(v, values.shape[0]) for v in function(values.T)], axis=-1).astype(float)
+
+        return evaluate_rows
+
+    second = rows(hessian)
+    return rows([sympy.sympify(cost), *gradient]), lambda x: second(x).reshape(-1, len(local), len(local))

@@ -1,0 +1,374 @@
+"""Normal forms: what `normalise` makes of everything that an author can write."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import sympy
+from hypothesis import given
+from hypothesis import strategies as st
+from sympy import Eq, Ge, Gt, Le, Lt, S, Symbol, sqrt
+
+from codegen import (
+    Control,
+    Simulate,
+    body_number,
+    canonical_pair,
+    control,
+    controls,
+    coordinate,
+    coordinates,
+    free_parameter,
+    parameter,
+    parameters,
+    states,
+    time,
+)
+from codegen.errors import CodegenError, SymbolError
+from codegen.model import Boundary, Bounds, Condition, EndValue, FreeParameter, normalise
+from codegen.model.relations import relation
+from codegen.symbols import recorded_declarations
+
+
+def plain(names: str) -> Any:
+    """The symbols that a model has for declared names."""
+    symbols = sympy.symbols(names, real=True)
+    return symbols
+
+
+def oscillator(**changes: Any) -> Control:
+    """A driven oscillator whose arguments may be given as functions of q, dq and u."""
+    q, dq = coordinate("q")
+    u = control("u")
+    given = {name: value(q, dq, u) if callable(value) else value for name, value in changes.items()}
+    arguments = {
+        "lagrangian": dq**2 / 2 - q**2 / 2,
+        "force": {q: u},
+        "cost": u**2,
+        "duration": 1,
+        "start": {q: 0, dq: 0},
+        **given,
+    }
+    return Control(**arguments)
+
+
+def runners(bodies: int = 2, **changes: Any) -> Control:
+    """Several points in the plane whose arguments may be given as functions of (x, y) and (dx, dy)."""
+    (x, y), (dx, dy) = coordinates("x y")
+    f, g = controls("f g")
+    given = {name: value((x, y), (dx, dy)) if callable(value) else value for name, value in changes.items()}
+    arguments = {
+        "lagrangian": (dx**2 + dy**2) / 2,
+        "force": {x: f, y: g},
+        "cost": f**2 + g**2,
+        "duration": 1,
+        "start": {x: 0, y: 0, dx: 0, dy: 0},
+        "bodies": bodies,
+        **given,
+    }
+    return Control(**arguments)
+
+
+def names(conditions: tuple[Condition, ...]) -> list[str]:
+    return [condition.name for condition in conditions]
+
+
+def test_what_is_left_out_is_empty() -> None:
+    model = normalise(oscillator())
+    assert (model.form, model.dynamics, model.bounds, model.path, model.holonomic) == ("lagrangian", (), (), (), ())
+    assert (model.start_conditions, model.end_conditions, model.periodic, model.couplings) == ((), (), (), ())
+    assert (model.free_parameters, model.bodies, model.body, model.end_values) == ((), 1, None, ())
+    assert model.terminal_cost == 0
+    assert model.end == Boundary((None,), (None,))
+
+
+def test_first_order_form() -> None:
+    x, v = states("x v")
+    u = control("u")
+    t = time()
+    model = normalise(
+        Control(
+            dynamics={v: u - x * t, x: v},
+            terminal_cost=x**2,
+            duration=2,
+            start={x: 1},
+            end={v: 0},
+            guess={x: t, u: 1},
+            bounds={v: (None, 3), u: (-1, 1)},
+        )
+    )
+    X, V, U, T = plain("x v u t")
+    assert (model.form, model.function, model.force, model.cost) == ("first-order", 0, (), 0)
+    assert (model.coordinates, model.rates, model.controls) == ((X, V), (), (U,))
+    assert model.dynamics == (V, U - X * T)
+    assert (model.start, model.end) == (Boundary((S.One, None), ()), Boundary((None, S.Zero), ()))
+    assert model.bounds == (Bounds(V, None, S(3)), Bounds(U, S(-1), S.One))
+    assert model.path == ()
+    assert model.terminal_cost == X**2
+    assert model.guess == ((X, T), (U, S.One))
+
+
+def test_free_parameters_keep_guess_and_bounds() -> None:
+    longest = parameter("longest", 8)
+    T = free_parameter("T", guess=longest / 2, lower=1)
+    a = free_parameter("a", 0)
+    model = normalise(
+        oscillator(duration=2 * T, terminal_cost=T + a, bounds={T: (None, longest), a: (-1, 1)}, cost=S.Zero)
+    )
+    L, T_, a_ = plain("longest T a")
+    assert model.free_parameters == (FreeParameter(T_, L / 2, S.One, L), FreeParameter(a_, S.Zero, S(-1), S.One))
+    assert (model.duration, model.terminal_cost) == (2 * T_, T_ + a_)
+    assert (model.parameters, model.defaults, model.bounds) == ((L,), (8.0,), ())
+
+
+def test_values_that_depend_on_a_free_parameter_are_conditions() -> None:
+    A = free_parameter("A", 1)
+    model = normalise(oscillator(start=lambda q, v, u: {q: A**2, v: 0}, end=lambda q, v, u: {v: -A}))
+    q, dq, A_ = plain("q dq A")
+    assert model.start == Boundary((None,), (S.Zero,))
+    assert model.start_conditions == (Condition("q = A**2", q - A_**2),)
+    assert model.end == Boundary((None,), (None,))
+    assert model.end_conditions == (Condition("dq = -A", dq + A_),)
+
+
+def test_bounds_of_velocities_are_path_conditions_in_lagrangian_form() -> None:
+    fast = parameter("fast", 2)
+    model = normalise(oscillator(bounds=lambda q, v, u: {v: (-fast, fast), q: (-1, None), u: (0, 0.1)}))
+    q, dq, u, limit = plain("q dq u fast")
+    assert model.bounds == (Bounds(q, S(-1), None), Bounds(u, S.Zero, S.One / 10))
+    assert model.path == (Condition("dq >= -fast", -limit - dq, False), Condition("dq <= fast", dq - limit, False))
+
+
+def test_bounds_and_conditions_of_momenta_in_hamiltonian_form() -> None:
+    q, p = canonical_pair("q", "p")
+    u = control("u")
+    model = normalise(
+        Control(
+            hamiltonian=p**2 / 2 + q**2,
+            force={q: u},
+            cost=u**2,
+            duration=1,
+            start={q: 0, p: 0},
+            bounds={p: (-1, 1)},
+            end_conditions=[p <= q],
+        )
+    )
+    Q, P = plain("q p")
+    assert model.bounds == (Bounds(P, S(-1), S.One),)
+    assert (model.path, model.end_conditions) == ((), (Condition("p <= q", P - Q, False),))
+
+
+Q, U, R = sympy.symbols("q u R", real=True)
+RELATIONS = [
+    (Q**2 + U**2 <= R**2, "q**2 + u**2 <= R**2", Q**2 + U**2 - R**2, False),
+    (Ge(Q, R), "q >= R", R - Q, False),
+    (Lt(Q, R), "q <= R", Q - R, False),
+    (Gt(Q, R), "q >= R", R - Q, False),
+    (Le(1, Q, evaluate=False), "1 <= q", 1 - Q, False),
+    (Eq(Q, sqrt(R)), "q = sqrt(R)", Q - sqrt(R), True),
+    (Q - U, "q - u = 0", Q - U, True),
+    (Le(0.1 * Q, 2.5), "0.1*q <= 2.5", 0.1 * Q - 2.5, False),
+]
+
+
+@pytest.mark.parametrize(("written", "name", "expression", "equality"), RELATIONS, ids=[row[1] for row in RELATIONS])
+def test_relations(written: Any, name: str, expression: sympy.Expr, equality: bool) -> None:
+    found = relation(written, "path[0]")
+    assert (found.name, found.equality) == (name, equality)
+    assert sympy.expand(found.expression - expression) == 0
+
+
+numbers = st.integers(-9, 9)
+
+
+@given(st.lists(numbers, min_size=6, max_size=6), numbers, numbers, st.sampled_from([Le, Ge, Lt, Gt, Eq]))
+def test_a_normal_form_holds_where_the_relation_does(weights: list[int], q: int, u: int, kind: Any) -> None:
+    left, right = (a * Q**2 + b * U + c for a, b, c in (weights[:3], weights[3:]))
+    gap = (left - right).subs({Q: q, U: u})
+    holds = {Le: gap <= 0, Lt: gap <= 0, Ge: gap >= 0, Gt: gap >= 0, Eq: gap == 0}[kind]
+    found, refusal = None, ""
+    try:
+        found = relation(kind(left, right), "path[0]")
+    except CodegenError as error:
+        refusal = str(error)
+    if found is not None:
+        value = found.expression.subs({Q: q, U: u})
+        assert bool(holds) == bool(value == 0 if found.equality else value <= 0)
+        assert found.equality == (kind is Eq)
+    elif "always holds" in refusal:
+        assert holds
+    else:
+        assert "never holds" in refusal
+        assert not holds or gap == 0
+
+
+def test_decimal_numbers_become_rational() -> None:
+    model = normalise(oscillator(path=lambda q, v, u: [0.1 * u <= 0.25, Eq(u, 0.5 * q)]))
+    assert names(model.path) == ["0.1*u <= 0.25", "u = 0.5*q"]
+    u, q = plain("u q")
+    assert [condition.expression for condition in model.path] == [u / 10 - S.One / 4, u - q / 2]
+
+
+def test_path_and_conditions_keep_their_order() -> None:
+    radius = parameter("radius", 3)
+    model = normalise(
+        runners(
+            bodies=1,
+            bounds=lambda x, v: {v[0]: (None, 4)},
+            path=lambda x, v: [x[0] ** 2 + x[1] ** 2 <= radius**2, v[1] >= -9],
+            end_conditions=lambda x, v: [Eq(x[0] ** 2 + x[1] ** 2, 1), x[0] * v[0] + x[1] * v[1], v[0] <= 3],
+        )
+    )
+    assert names(model.path) == ["dx <= 4", "x**2 + y**2 <= radius**2", "dy >= -9"]
+    assert names(model.end_conditions) == ["x**2 + y**2 = 1", "x*dx + y*dy = 0", "dx <= 3"]
+    assert [condition.equality for condition in model.end_conditions] == [True, True, False]
+
+
+def test_a_control_may_act_in_the_path_alone() -> None:
+    q, dq = coordinate("q")
+    s = control("s")
+    model = normalise(
+        Control(lagrangian=dq**2 / 2, cost=s**2, duration=1, start={q: 0, dq: 1}, path=[Eq(s, q), s <= 2])
+    )
+    assert (model.controls, model.force) == ((Symbol("s", real=True),), (S.Zero,))
+
+
+def test_holonomic_constraints() -> None:
+    length = parameter("length", 2)
+    model = normalise(
+        runners(
+            bodies=1,
+            constraint=lambda x, v: [x[0] ** 2 + x[1] ** 2 - length**2],
+            start=lambda x, v: {x[0]: length, x[1]: 0, v[0]: 0, v[1]: 1},
+        )
+    )
+    x, y, length_ = plain("x y length")
+    assert model.holonomic == (x**2 + y**2 - length_**2,)
+    equation = normalise(runners(bodies=1, start={}, constraint=lambda x, v: [Eq(x[0], x[1] ** 2)]))
+    assert equation.holonomic == (x - y**2,)
+
+
+@pytest.mark.parametrize("as_mapping", [False, True])
+def test_periodic(as_mapping: bool) -> None:
+    period = parameter("period", 6.28)
+
+    def periodic(q: Any, v: Any, u: Any) -> Any:
+        return {q: period, v: 0} if as_mapping else [v, q]
+
+    model = normalise(oscillator(start={}, cost=lambda q, v, u: u**2 + q * period, periodic=periodic))
+    q, dq, shift = plain("q dq period")
+    assert model.periodic == (((q, shift), (dq, S.Zero)) if as_mapping else ((dq, S.Zero), (q, S.Zero)))
+
+
+def test_couplings_and_conditions_of_each_body() -> None:
+    model = normalise(
+        runners(
+            bodies=3,
+            end=lambda x, v: {v[0]: 0},
+            end_conditions=lambda x, v: [
+                x[1].of(2) - x[0].of(1),
+                Eq(v[1], 1),
+                Eq(x[0].of(0) + x[0].of(1) + x[0].of(2), 3),
+            ],
+        )
+    )
+    x0, x1, x2, y2 = plain("x_0 x_1 x_2 y_2")
+    assert model.end_values == (EndValue(x0, 0, 0), EndValue(x1, 0, 1), EndValue(x2, 0, 2), EndValue(y2, 1, 2))
+    assert model.couplings == (Condition("-x_1 + y_2 = 0", y2 - x1), Condition("x_0 + x_1 + x_2 = 3", x0 + x1 + x2 - 3))
+    assert names(model.end_conditions) == ["dy = 1"]
+    assert model.bodies == 3
+
+
+def test_couplings_of_states_and_free_parameters() -> None:
+    x, v = states("x v")
+    u = control("u")
+    place = free_parameter("place", 1)
+    model = normalise(
+        Control(
+            dynamics={x: v, v: u},
+            cost=u**2,
+            duration=1,
+            start={x: 0, v: 0},
+            end={v: 0},
+            bodies=2,
+            end_conditions=[x.of(0) - place, x.of(1) - place - 1],
+        )
+    )
+    assert [value.coordinate for value in model.end_values] == [0, 0]
+    assert model.couplings[1].expression == Symbol("x_1", real=True) - Symbol("place", real=True) - 1
+
+
+def test_boundary_values_bounds_and_guesses_may_differ_from_body_to_body() -> None:
+    i, t = body_number(), time()
+    model = normalise(
+        runners(
+            bodies=4,
+            start=lambda x, v: {x[0]: 1 + i, x[1]: 0},
+            end=lambda x, v: {x[1]: sqrt(i)},
+            bounds=lambda x, v: {x[0]: (None, i + 2)},
+            guess=lambda x, v: {x[0]: i + t},
+        )
+    )
+    body = Symbol("body", real=True)
+    assert model.body == body
+    assert model.start.positions == (1 + body, S.Zero)
+    assert model.end is not None
+    assert model.end.positions == (None, sqrt(body))
+    assert model.bounds == (Bounds(Symbol("x", real=True), None, body + 2),)
+
+
+def test_end_values_are_the_same_symbol_each_time() -> None:
+    (x, y), _ = coordinates("x y")
+    assert x.of(1) is x.of(1)
+    assert len({x.of(0), x.of(1), y.of(1)}) == 3
+    assert (str(x.of(1)), x.of(1).partner, x.of(1).body) == ("x_1", x, 1)
+
+
+def test_end_values_need_not_be_used() -> None:
+    with recorded_declarations() as declared:
+        problem = runners(lagrangian=lambda x, v: (v[0] ** 2 + v[1] ** 2) / 2 + 0 * x[0].of(1))
+    assert normalise(problem, declared).end_values == ()
+
+
+def test_states_cannot_be_simulated_yet() -> None:
+    (x,) = states("x")
+    with pytest.raises(CodegenError, match="simulate takes a Lagrangian or a Hamiltonian"):
+        normalise(Simulate(dynamics={x: -x}, duration=1, start={x: 1}))
+
+
+@pytest.mark.parametrize("name", ["body", "slacks", "lower", "variable_bounds", "bodies", "shared"])
+def test_names_of_generated_modules_are_reserved(name: str) -> None:
+    with pytest.raises(SymbolError):
+        parameters(**{name: 1.0})
+
+
+def test_models_are_equal_when_their_problems_read_alike() -> None:
+    assert normalise(runners(end={})) == normalise(runners(end={}))
+    assert replace(normalise(runners(bodies=3)), bodies=2) == normalise(runners(bodies=2))
+
+
+@given(st.integers(1, 5), st.integers(0, 5))
+def test_a_body_is_one_of_the_bodies(bodies: int, number: int) -> None:
+    model, refusal = None, ""
+    try:
+        model = normalise(runners(bodies=bodies, end_conditions=lambda x, v: [x[0].of(number) - 1]))
+    except CodegenError as error:
+        refusal = str(error)
+    assert (model is not None) == (number < bodies)
+    assert (f"x.of({number}) is no body" in refusal) == (number >= bodies)
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-5, 5))
+def test_a_value_is_within_its_bounds_or_refused(lower: float, upper: float, value: float) -> None:
+    refused = False
+    try:
+        normalise(oscillator(start=lambda q, v, u: {q: value, v: 0}, bounds=lambda q, v, u: {q: (lower, upper)}))
+    except CodegenError:
+        refused = True
+    slack = 1e-9 * max(abs(value), abs(lower), abs(upper))
+    if lower < upper and lower + slack <= value <= upper - slack:
+        assert not refused
+    if lower >= upper or value < lower - slack or value > upper + slack:
+        assert refused
