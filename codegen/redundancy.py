@@ -6,15 +6,15 @@ of a regular polygon with H corners, 2 H + 3 equations, only 2 H are independent
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
 
 from codegen import expressions
 from codegen.model import Model
-from codegen.model.values import values_at_guess
+from codegen.model.values import prescribed, values_at_guess
 
 _DEPENDENT = 1e-7
 """Part of a gradient outside the span of earlier gradients, relative to its length, that counts as rounding."""
@@ -45,17 +45,32 @@ class IndependentCouplings:
     violated: str = ""
 
 
+@dataclass(frozen=True)
+class _Equations:
+    """Equations between end values: names, expressions of the unknowns, and values of the unknowns to start from.
+
+    The first ones are the end conditions of each body by itself, the last ones the couplings.
+    """
+
+    names: tuple[str, ...]
+    expressions: tuple[sympy.Expr, ...]
+    unknowns: tuple[sympy.Symbol, ...]
+    guess: Array
+
+
 def independent_couplings(model: Model) -> IndependentCouplings:
     """Sort the couplings of a model into independent ones and ones that follow from those written before them.
 
+    A coupling may also follow from equations that hold at the end of each body by itself; those are always kept.
     Judged to first order at the default parameters, at a configuration that lies near the guess and fulfils all
-    couplings, if there is one (Levenberg-Marquardt steps, from the guess and from points beside it).
+    equations, if there is one (Levenberg-Marquardt steps, from the guess and from points beside it).
     """
     if not model.couplings:
         return IndependentCouplings((), ())
-    system, guess = _system(model), _guessed_configuration(model)
+    equations = _equations(model)
+    system = _system(equations)
     tried = []
-    for number, start in enumerate(_starts(guess)):
+    for number, start in enumerate(_starts(equations.guess)):
         tried.append(_projected(system, start))
         # The guess may be special, such as bodies in one line, and so may the configuration that is found from it.
         if number > 0 and any(distance <= _HOLDS for _, distance in tried):
@@ -63,26 +78,74 @@ def independent_couplings(model: Model) -> IndependentCouplings:
     nearest, least = min(tried, key=lambda projection: projection[1])
     typical = np.linalg.norm(system(start)[1], axis=1)
     points = [point for point, distance in tried if distance <= _HOLDS] or [nearest]
-    sorted_rows = [_sorted_rows(model, _without_vanishing(system(point)[1], typical)) for point in points]
+    sorted_rows = [_sorted_rows(equations.names, _without_vanishing(system(point)[1], typical)) for point in points]
     kept, dropped = max(sorted_rows, key=lambda rows: len(rows[0]))
+    first = len(equations.names) - len(model.couplings)
+    found = IndependentCouplings(
+        tuple(place - first for place in kept if place >= first),
+        tuple((place - first, names) for place, names in dropped if place >= first),
+    )
     if least <= _HOLDS:
-        return IndependentCouplings(kept, dropped)
+        return found
     worst = int(np.argmax(np.abs(_scaled(*system(nearest))[0])))
-    return IndependentCouplings(kept, dropped, False, model.couplings[worst].name)
+    return replace(found, consistent=False, violated=equations.names[worst])
 
 
-def _unknowns(model: Model) -> list[sympy.Symbol]:
-    """End values, then the free parameters that occur in couplings."""
-    inside = {symbol for condition in model.couplings for symbol in condition.expression.free_symbols}
-    return [value.symbol for value in model.end_values] + [
-        free.symbol for free in model.free_parameters if free.symbol in inside
+def _equations(model: Model) -> _Equations:
+    own = {(value.body, value.coordinate): value.symbol for value in model.end_values}
+    moving = (*model.coordinates, *model.rates)
+    fixed = prescribed(model, "end")
+    equations, guess = [], dict[sympy.Symbol, float]()
+    conditions = [condition for condition in model.end_conditions if condition.equality]
+    for body in range(model.bodies):
+        values = _values_of(model, body)
+        places: dict[sympy.Symbol, sympy.Expr] = {}
+        for index, symbol in enumerate(moving):
+            number = expressions.rounded_at(fixed[symbol], values) if symbol in fixed else None
+            places[symbol] = own.get((body, index), sympy.Symbol(f"{symbol}_{body}", real=True))
+            if number is None:
+                guess[places[symbol]] = _guessed_end(model, index, values)
+            else:
+                places[symbol] = sympy.Float(number)
+        equations += [
+            (f"{condition.name} of body {body}", condition.expression.xreplace(places)) for condition in conditions
+        ]
+    equations += [(condition.name, condition.expression) for condition in model.couplings]
+    guess |= {parameter.symbol: values[parameter.symbol] for parameter in model.free_parameters}
+    inside = {symbol for _, expression in equations for symbol in expression.free_symbols}
+    unknowns = tuple(symbol for symbol in guess if symbol in inside)
+    numbers = {symbol: sympy.Float(number) for symbol, number in model.default_values.items()}
+    return _Equations(
+        names=tuple(name for name, _ in equations),
+        expressions=tuple(expression.xreplace(numbers) for _, expression in equations),
+        unknowns=unknowns,
+        guess=np.array([guess[symbol] for symbol in unknowns]),
+    )
+
+
+def _values_of(model: Model, body: int) -> dict[sympy.Symbol, float]:
+    """What guesses and boundary values depend on, at the end of a body's motion."""
+    values = values_at_guess(model)
+    duration = expressions.rounded_at(model.duration, values)
+    assert duration is not None, "checked when the model was made"
+    return values | {model.time: duration} | ({model.body: float(body)} if model.body is not None else {})
+
+
+def _guessed_end(model: Model, index: int, values: Mapping[sympy.Symbol, float]) -> float:
+    """The end of the motion from which the solver starts, or zero where it has no value."""
+    motions = [
+        dict(model.guess).get(q, start) for q, start in zip(model.coordinates, model.start.positions, strict=True)
     ]
+    count = len(model.coordinates)
+    motion = motions[index] if index < count else motions[index - count]
+    if motion is None or (index >= count and model.form != "lagrangian"):
+        return 0.0
+    value = motion if index < count else sympy.diff(motion, model.time)
+    return expressions.rounded_at(value, values) or 0.0
 
 
-def _system(model: Model) -> System:
-    unknowns = _unknowns(model)
-    values = {s: v for s, v in values_at_guess(model).items() if s not in unknowns}
-    residuals = [condition.expression.xreplace(values) for condition in model.couplings]
+def _system(equations: _Equations) -> System:
+    residuals, unknowns = equations.expressions, equations.unknowns
     places = [(i, j) for i, e in enumerate(residuals) for j, s in enumerate(unknowns) if s in e.free_symbols]
     entries = [sympy.diff(residuals[i], unknowns[j]) for i, j in places]
     function = sympy.lambdify(unknowns, [*residuals, *entries], "numpy", cse=True)
@@ -96,21 +159,6 @@ def _system(model: Model) -> System:
         return numbers[: len(residuals)], jacobian
 
     return system
-
-
-def _guessed_configuration(model: Model) -> Array:
-    """The end of the motion from which the solver starts, as far as it has values."""
-    values = values_at_guess(model)
-    duration = expressions.rounded_at(model.duration, values)
-    assert duration is not None, "checked when the model was made"
-    guess = dict(model.guess)
-    place = []
-    for end in model.end_values:
-        motion = guess.get(model.coordinates[end.coordinate], model.start.positions[end.coordinate])
-        at_end = values | {model.time: duration} | ({model.body: float(end.body)} if model.body is not None else {})
-        number = expressions.rounded_at(motion, at_end) if motion is not None else None
-        place.append(0.0 if number is None else number)
-    return np.array([*place, *(values[symbol] for symbol in _unknowns(model)[len(place) :])])
 
 
 def _starts(guess: Array) -> Iterator[Array]:
@@ -170,7 +218,9 @@ def _improved(
     return None
 
 
-def _sorted_rows(model: Model, jacobian: Array) -> tuple[tuple[int, ...], tuple[tuple[int, tuple[str, ...]], ...]]:
+def _sorted_rows(
+    titles: Sequence[str], jacobian: Array
+) -> tuple[tuple[int, ...], tuple[tuple[int, tuple[str, ...]], ...]]:
     """Gram-Schmidt in the order of the rows: those that point out of the span of earlier ones, and the others.
 
     Each row is orthogonalised twice, which keeps the basis orthogonal to rounding.
@@ -187,13 +237,11 @@ def _sorted_rows(model: Model, jacobian: Array) -> tuple[tuple[int, ...], tuple[
             basis = np.vstack([basis, rest / length])
             kept.append(place)
         else:
-            dropped.append((place, _names(model, kept, rows[kept], row)))
+            dropped.append((place, _sources(titles, kept, rows[kept], row)))
     return tuple(kept), tuple(dropped)
 
 
-def _names(model: Model, kept: Sequence[int], rows: Array, row: Array) -> tuple[str, ...]:
-    """The kept couplings whose gradients combine to the given row."""
+def _sources(titles: Sequence[str], kept: Sequence[int], rows: Array, row: Array) -> tuple[str, ...]:
+    """The kept equations whose gradients combine to the given row."""
     weights = np.linalg.lstsq(rows.T, row, rcond=None)[0]
-    return tuple(
-        model.couplings[place].name for place, weight in zip(kept, weights, strict=True) if abs(weight) > _NAMED
-    )
+    return tuple(titles[place] for place, weight in zip(kept, weights, strict=True) if abs(weight) > _NAMED)

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 import sympy
+from dense_layout import DenseLayout
 from scipy.optimize import OptimizeResult, minimize
 
 from codegen.discretise import STEP
-from codegen.transcribe.guesses import DURATION
-from codegen.transcribe.program import ControlProgram, EndElement
+from codegen.transcribe.program import ControlProgram
 
 
 class Scalar:
@@ -53,67 +53,17 @@ class Share:
     others: list[float]
 
 
-class DenseProblem:
-    """The optimisation problem of a program with `steps` intervals and the model's parameters, or those given by name.
-
-    `x` is the flat vector of all unknowns, `z` that of the free ones; `x = expand @ z + fixed`.
-    """
+class DenseProblem(DenseLayout):
+    """The optimisation problem of a program with `steps` intervals; `z` are its free unknowns (see DenseLayout)."""
 
     def __init__(self, program: ControlProgram, steps: int, parameters: Mapping[str, float] | None = None) -> None:
-        self.program, self.steps = program, steps
-        self.values = dict(program.model.default_values)
-        self.values |= {p: parameters[p.name] for p in program.model.parameters if parameters and p.name in parameters}
-        self.node, self.shared = len(program.node), len(program.shared)
-        self.inside = len(program.interval) + len(program.controls) + len(program.slacks)
-        self.stride = self.node + self.inside
-        self.body_size = steps * self.stride + self.node
-        self.own_start = program.bodies * self.body_size
-        self.common_start = self.own_start + program.bodies * program.own
-        self.coupling_start = self.common_start + self.shared - program.own
-        self.size = self.coupling_start + len(program.couplings)
-        at_guess = {p.symbol: self.number(p.guess) for p in program.model.free_parameters}
-        self.duration = self.number(program.model.duration, at_guess)
-        self.h = (1.0 if program.scaled_time else self.duration) / steps
+        super().__init__(program, steps, parameters)
         self.others = [program.model.time, STEP, *self.values, *(v.symbol for v in program.boundary_values)]
-        self.is_multiplier = self._multipliers()
         self.shares = self._shares()
-        self.expand, self.fixed = self._affine_map()
-        self.free_multiplier = self.is_multiplier[np.argmax(self.expand, axis=0)]
-
-    # ---- layout -------------------------------------------------------------------------------------------------
-
-    def number(self, expression: Any, more: Mapping[sympy.Symbol, float] | None = None, body: int = 0) -> float:
-        """An expression of parameters, of the body's number and of further symbols."""
-        values = {**self.values, **(more or {})}
-        if self.program.body is not None:
-            values[self.program.body] = body
-        return float(sympy.sympify(expression).subs(values))
-
-    def node_places(self, body: int, k: int) -> np.ndarray:
-        return body * self.body_size + k * self.stride + np.arange(self.node)
-
-    def shared_places(self, body: int) -> np.ndarray:
-        own = self.own_start + body * self.program.own + np.arange(self.program.own)
-        return np.concatenate([own, self.common_start + np.arange(self.shared - self.program.own)]).astype(int)
-
-    def element_places(self, body: int, k: int) -> np.ndarray:
-        local = body * self.body_size + k * self.stride + np.arange(self.stride + self.node)
-        return np.concatenate([local, self.shared_places(body)])
-
-    def _multipliers(self) -> np.ndarray:
-        program = self.program
-        node = [u.multiplier for u in program.node]
-        inside = [u.multiplier for u in (*program.interval, *program.controls, *program.slacks)]
-        body = [*((node + inside) * self.steps), *node]
-        shared = [False] * (self.coupling_start - self.own_start)
-        return np.array([*(body * program.bodies), *shared, *([True] * len(program.couplings))])
 
     def _others(self, body: int, t: float) -> list[float]:
         boundary = [self.number(v.value, body=body) for v in self.program.boundary_values]
         return [t, self.h, *self.values.values(), *boundary]
-
-    def _boundary(self, body: int) -> dict[sympy.Symbol, float]:
-        return {v.symbol: self.number(v.value, body=body) for v in self.program.boundary_values}
 
     def _shares(self) -> list[Share]:
         program = self.program
@@ -136,31 +86,6 @@ class DenseProblem:
             places = [*own_places, *range(self.common_start, self.coupling_start), self.coupling_start + i]
             out.append(Share(scalar, np.array(places), self._others(0, 0.0)))
         return out
-
-    def _affine_map(self) -> tuple[np.ndarray, np.ndarray]:
-        program = self.program
-        full, fixed, bound = np.eye(self.size), np.zeros(self.size), set[int]()
-
-        def bind(place: int, value: float) -> None:
-            assert place not in bound, f"unknown {place} is bound twice"
-            bound.add(place)
-            full[place], fixed[place] = 0.0, value
-
-        for body in range(program.bodies):
-            for end, k in ((program.start, 0), (program.end, self.steps)):
-                places, known = self.node_places(body, k), self._boundary(body)
-                for i, value in end.pins:
-                    bind(places[i], self.number(value, known, body))
-                for i, j, offset in end.shared:
-                    bind(places[i], self.number(offset, known, body))
-                    full[places[i], self.shared_places(body)[j]] = 1.0
-        return full[:, [i for i in range(self.size) if i not in bound]], fixed
-
-    # ---- functions of the free unknowns ---------------------------------------------------------------------------
-
-    def full(self, z: np.ndarray) -> np.ndarray:
-        """All unknowns."""
-        return self.expand @ z + self.fixed
 
     def lagrangian(self, z: np.ndarray) -> float:
         """The Lagrangian of the optimisation problem."""
@@ -204,81 +129,6 @@ class DenseProblem:
                 places = np.concatenate([self.node_places(body, k), self.shared_places(body)])
                 total += float(end_cost(x[places], self._others(body, k * self.h)))
         return total
-
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest values of the free unknowns; slacks are not negative."""
-        program = self.program
-        lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
-
-        def put(place: int, unknown: Any, body: int) -> None:
-            if unknown.lower is not None:
-                lower[place] = self.number(unknown.lower, body=body)
-            if unknown.upper is not None:
-                upper[place] = self.number(unknown.upper, body=body)
-
-        for body in range(program.bodies):
-            for k in range(self.steps):
-                for place, unknown in zip(self.element_places(body, k), self._inside(), strict=False):
-                    put(place, unknown, body)
-                first = self.node_places(body, k)[0] + self.stride - len(program.slacks)
-                lower[first : first + len(program.slacks)] = 0.0
-            for place, unknown in zip(self.node_places(body, self.steps), program.node, strict=True):
-                put(place, unknown, body)
-            for place, unknown in zip(self.shared_places(body), program.shared, strict=True):
-                put(place, unknown, body)
-            for end, k in ((program.start, 0), (program.end, self.steps)):
-                for slack, _ in end.slacks:
-                    lower[self.node_places(body, k)[slack]] = 0.0
-        chosen = np.argmax(self.expand, axis=0)
-        own_rows = self.expand[chosen, np.arange(self.expand.shape[1])] == 1.0
-        assert own_rows.all()
-        return lower[self._owner()], upper[self._owner()]
-
-    def _inside(self) -> tuple[Any, ...]:
-        program = self.program
-        return (*program.node, *program.interval, *program.controls, *program.slacks)
-
-    def _owner(self) -> np.ndarray:
-        """For each free unknown its own place in the flat vector (not that of an alias)."""
-        bound = {i for i in range(self.size) if self.expand[i].sum() == 0.0} | self._aliased()
-        return np.array([i for i in range(self.size) if i not in bound])
-
-    def _aliased(self) -> set[int]:
-        program = self.program
-        ends = ((program.start, 0), (program.end, self.steps))
-        return {
-            int(self.node_places(body, k)[i])
-            for body in range(program.bodies)
-            for end, k in ends
-            for i, _, _ in end.shared
-        }
-
-    # ---- start and solution -----------------------------------------------------------------------------------------
-
-    def initial(self) -> np.ndarray:
-        """The program's own guesses; multipliers and slacks are zero."""
-        program, x = self.program, np.zeros(self.size)
-        for body in range(program.bodies):
-            known = {**self._boundary(body), DURATION: self.duration}
-            for k in range(self.steps + 1):
-                at_node = {**known, program.model.time: k * self.duration / self.steps}
-                places = self.node_places(body, k)
-                for i, guess in enumerate(program.node_guess):
-                    x[places[i]] = self.number(guess, at_node, body)
-                if program.nodal_controls:
-                    for place, guess in zip(places[-len(program.model.controls) :], program.control_guess, strict=True):
-                        x[place] = self.number(guess, at_node, body)
-            for k in range(self.steps):
-                at_middle = {**known, program.model.time: (k + 0.5) * self.duration / self.steps}
-                first = self.node_places(body, k)[0] + self.node
-                for i, guess in enumerate(program.stage_guess):
-                    x[first + i] = self.number(guess, at_middle, body)
-                if not program.nodal_controls:
-                    for i, guess in enumerate(program.control_guess):
-                        x[first + len(program.interval) + i] = self.number(guess, at_middle, body)
-            for place, guess in zip(self.shared_places(body), program.shared_guess, strict=True):
-                x[place] = self.number(guess, known, body)
-        return x[self._owner()]
 
     def with_multipliers(self, z: np.ndarray) -> np.ndarray:
         """The same primal unknowns with the least-squares multipliers."""
@@ -342,25 +192,3 @@ class DenseProblem:
         )
         result.z = lifted(result.x)
         return result
-
-    # ---- reading --------------------------------------------------------------------------------------------------
-
-    def at_nodes(self, z: np.ndarray, name: str, body: int = 0) -> np.ndarray:
-        """An unknown of the nodes at all nodes."""
-        place = [u.name for u in self.program.node].index(name)
-        return self.full(z)[[self.node_places(body, k)[place] for k in range(self.steps + 1)]]
-
-    def on_intervals(self, z: np.ndarray, name: str, body: int = 0) -> np.ndarray:
-        """An unknown of the intervals on all intervals: stage, multiplier, control or slack."""
-        place = [u.name for u in self._inside()].index(name)
-        return self.full(z)[[self.node_places(body, k)[0] + place for k in range(self.steps)]]
-
-    def shared_value(self, z: np.ndarray, name: str, body: int = 0) -> float:
-        """A shared unknown."""
-        place = [u.name for u in self.program.shared].index(name)
-        return float(self.full(z)[self.shared_places(body)[place]])
-
-
-def pinned_names(program: ControlProgram, end: EndElement) -> set[str]:
-    """The names of the unknowns that are pinned at an end."""
-    return {program.node[i].name for i, _ in end.pins}

@@ -221,14 +221,14 @@ REFERENCES = (
     ),
     Reference(
         "hovercraft",
-        {20: 1053.518828, 50: 1037.45971744},
+        {20: 1053.5188277, 50: 1037.45971744},
         value=1034.4,
         error=3.2,
         source="extrapolation by an independent program",
     ),
     Reference(
         "hovercraft",
-        {20: 1821.353364, 50: 1792.46045226, 200: 1787.31173442},
+        {20: 1821.35336406, 50: 1792.46045226, 200: 1787.31173442},
         value=1787.0,
         error=0.35,
         source="extrapolation by an independent program",

@@ -10,8 +10,8 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "codegen"
 
 # From author to renderer, then from the file on disk to its users; a part may import what stands before it.
-SYMBOLIC = ["errors", "symbols", "problem", "expressions", "model", "redundancy", "legendre", "schemes", "discretise", "transcribe",
-            "derive", "lower", "emit", "problem_file", "compiler"]  # fmt: skip
+SYMBOLIC = ["errors", "symbols", "problem", "expressions", "model", "redundancy", "legendre", "schemes",
+            "discretise", "transcribe", "derive", "lower", "emit", "problem_file", "compiler"]  # fmt: skip
 NUMERIC = ["errors", "load", "drivers"]
 
 

@@ -123,6 +123,16 @@ def test_free_parameters_count_as_unknowns() -> None:
     assert found.dropped == ((2, ("x_0 - T = 0", "x_1 - T = 0")),)
 
 
+def test_a_coupling_may_follow_from_what_holds_for_each_body() -> None:
+    def conditions(x: Any, y: Any) -> list[Expr]:
+        return [x**2 + y**2 - 25, y.of(0) - 3, y.of(1) - 4, x.of(0) - 4, x.of(1) - y.of(0)]
+
+    found = independent_couplings(couplings_of(2, conditions, guess=(4.1, 2.9)))
+    assert (found.kept, found.consistent) == ((0, 1), True)
+    circle = "x**2 + y**2 - 25 = 0 of body"
+    assert found.dropped == ((2, (f"{circle} 0", "y_0 - 3 = 0")), (3, (f"{circle} 1", "y_0 - 3 = 0", "y_1 - 4 = 0")))
+
+
 def test_bodies_that_are_guessed_at_one_place() -> None:
     def conditions(x: Any, y: Any) -> list[Expr]:
         return [sqrt((x.of(0) - x.of(1)) ** 2 + (y.of(0) - y.of(1)) ** 2) - 1, x.of(0) + x.of(1)]

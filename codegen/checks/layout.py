@@ -75,7 +75,7 @@ def _control_run(module: Any, program: ControlProgram) -> str:
     t, h, size = point[program.model.time], point[STEP], len(unknowns)
     entries = _indices(module, "HESSIAN_ROWS").size
     problem = _run(module, "interval_gradient", (x, t, h, given), gradient=(size,))
-    problem = problem or _run(module, "interval_hessian", (x, t, h, given), gradient=(size,), hessian=(entries,))
+    problem = problem or _run(module, "interval_hessian", (x, t, h, given), hessian=(entries,))
     node = len(program.node)
     for end, local in (("start", x[:node]), ("end", x[size - node :])):
         problem = problem or _run(module, f"{end}_gradient", (local, t, given), adds=True, gradient=(node,))

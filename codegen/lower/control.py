@@ -95,8 +95,8 @@ def _interval_kernels(program: ControlProgram, element: ElementDerivatives) -> t
         ),
         kernel(
             "interval_hessian",
-            "Gradient and Hessian (lower triangle, nonzeros) of an interval's share l; returns the discrete cost.",
-            (*arguments, "hessian"), places, [*gradient, *hessian], program.cost, decorators=INNER,
+            "Hessian (lower triangle, structural nonzeros) of an interval's share l of the Lagrangian.",
+            (*arguments[:-1], "hessian"), places, hessian, decorators=INNER,
         ),
     )  # fmt: skip
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.example import variable_bounds
+from codegen.runtime.frame import variable_bounds
 
 
 class Bounds(NamedTuple):
@@ -38,8 +38,8 @@ def push_inside(grid, unknowns, push):
     with np.errstate(invalid="ignore"):
         least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
         greatest = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), width)
-    return np.minimum(np.maximum(unknowns, np.where(lower > -np.inf, least, -np.inf)),
-                      np.where(upper < np.inf, greatest, np.inf))
+    least, greatest = np.where(lower > -np.inf, least, -np.inf), np.where(upper < np.inf, greatest, np.inf)
+    return np.minimum(np.maximum(unknowns, least), greatest)
 
 
 @njit(cache=True, error_model="numpy")
@@ -63,21 +63,17 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, side, distance, duals, stationary):
-    """Fill `stationary` with the gradient less bound duals; return norms.
+def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu=0.0):
+    """Max-norm of the stationarity, largest complementarity z d beyond rounding, largest |z d - mu|, and sizes.
 
-    Max-norm of the stationarity; smallest, mean and greatest complementarity z d; the same greatest with entries as small as rounding left out;
-    sums of all |multipliers| and duals.
+    The sizes are the sums of all |multipliers| and of all duals, and the number of duals.
     """
-    for i in range(gradient.size):
-        stationary[i] = gradient[i]
-    total, least, greatest, excess, size = 0.0, np.inf, 0.0, 0.0, 0.0
+    stationary = gradient.copy()
+    excess, off_centre, size = 0.0, 0.0, 0.0
     for j in range(place.size):
         stationary[place[j]] -= side[j] * duals[j]
         product = duals[j] * distance[j]
-        total += product
-        least = min(least, product)
-        greatest = max(greatest, product)
+        off_centre = max(off_centre, abs(product - mu))
         if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
             excess = max(excess, product)
         size += duals[j]
@@ -87,11 +83,11 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, side, distance,
             multipliers += abs(unknowns[i])
         else:
             stationarity = max(stationarity, abs(stationary[i]))
-    return stationarity, least, total / max(place.size, 1), greatest, excess, multipliers, size
+    return stationarity, excess, off_centre, multipliers, size, place.size
 
 
 @njit(cache=True, error_model="numpy")
-def fill_diagonal(is_multiplier, place, distance, duals, shift, dual_shift, diagonal):
+def barrier_diagonal(is_multiplier, place, distance, duals, shift, dual_shift, diagonal):
     """Fill `diagonal` with the shifts and the barrier's z / d."""
     for i in range(diagonal.size):
         diagonal[i] = -dual_shift if is_multiplier[i] else shift
@@ -128,23 +124,3 @@ def move_duals(duals, dual_step, length, distance, mu, result):
     for j in range(duals.size):
         centre = mu / distance[j]
         result[j] = max(min(duals[j] + length * dual_step[j], 1e10 * centre), 1e-10 * centre)
-
-
-@njit(cache=True, error_model="numpy")
-def quality(affine, centring, place, side, distance, duals, mu, tau, residual, stationarity):
-    """Sum of squares of what the linear model leaves of all optimality conditions after a step aimed at mu."""
-    primal, dual = 1.0, 1.0
-    for j in range(place.size):
-        change = side[j] * (affine[place[j]] + mu * centring[place[j]])
-        other = (mu - duals[j] * change) / distance[j] - duals[j]
-        if -change * primal > tau * distance[j]:
-            primal = -tau * distance[j] / change
-        if -other * dual > tau * duals[j]:
-            dual = -tau * duals[j] / other
-    total = 0.0
-    for j in range(place.size):
-        change = side[j] * (affine[place[j]] + mu * centring[place[j]])
-        other = (mu - duals[j] * change) / distance[j] - duals[j]
-        product = (distance[j] + primal * change) * (duals[j] + dual * other)
-        total += product * product
-    return total / place.size + (1.0 - primal) ** 2 * residual + (1.0 - dual) ** 2 * stationarity

@@ -114,11 +114,10 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
 @njit(cache=True, error_model="numpy")
 def interval_hessians(unknowns, steps, h, parameters, values):
     """Fill a row of `values` with the entries of the Hessian of each interval of each body."""
-    gradient = np.empty(ELEMENT + SHARED)
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], gradient, values[body * steps + k])
+            interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])

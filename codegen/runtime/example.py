@@ -37,8 +37,8 @@ def interval_gradient(x, t, h, parameters, gradient):
 
 
 @njit(error_model="numpy")
-def interval_hessian(x, t, h, parameters, gradient, hessian):
-    """Fill the gradient and the lower triangle of the Hessian; returns the cost."""
+def interval_hessian(x, t, h, parameters, hessian):
+    """Fill the lower triangle of the Hessian."""
     middle = (x[0] + x[3]) / 2
     second = h / 8 * np.sin(middle) * (x[1] + x[4])
     mixed = -h / 4 * np.cos(middle)
@@ -52,7 +52,6 @@ def interval_hessian(x, t, h, parameters, gradient, hessian):
     hessian[7] = mixed - 1 / h
     hessian[8] = h / 2
     hessian[9] = mixed + 1 / h
-    return interval_gradient(x, t, h, parameters, gradient)
 
 
 @njit(cache=True, error_model="numpy")

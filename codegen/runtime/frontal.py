@@ -80,7 +80,7 @@ def eliminate(unknowns, steps, h, parameters, weight, diagonal, lower, upper, ex
     """
     chain = steps * STRIDE + NODE
     front, element = np.empty((SIZE + SHARED, WIDTH + SHARED)), np.empty((SIZE + SHARED, SIZE + SHARED))
-    gradient, hessian = np.empty(ELEMENT + SHARED), np.empty(HESSIAN_ROWS.size)
+    hessian = np.empty(HESSIAN_ROWS.size)
     for i in range(ROOT):
         for j in range(ROOT):
             root[i, j] = 0.0
@@ -97,9 +97,7 @@ def eliminate(unknowns, steps, h, parameters, weight, diagonal, lower, upper, ex
                 load_rows(element, front)
             if k < steps - 1:
                 interval = body * steps + k + 1
-                if not fill_element(
-                    own, k + 1, steps, h, data, weight, added, gradient, hessian, condensed, interval, element
-                ):
+                if not fill_element(own, k + 1, steps, h, data, weight, added, hessian, condensed, interval, element):
                     return False
                 add_node(element, front)
             if k >= 0 and not eliminate_block(front, lower[body, k], upper[body, k], exchanges[body, k]):
@@ -116,9 +114,9 @@ def eliminate(unknowns, steps, h, parameters, weight, diagonal, lower, upper, ex
 
 
 @njit(error_model="numpy", inline="always")
-def fill_element(own, k, steps, h, parameters, weight, added, gradient, hessian, condensed, interval, element):
+def fill_element(own, k, steps, h, parameters, weight, added, hessian, condensed, interval, element):
     """Fill the element matrix of interval k of a body; False when what is condensed is not positive definite."""
-    interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, gradient, hessian)
+    interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
     if weight != 1.0:
         for j in range(hessian.size):
             if IS_CURVATURE[j]:

@@ -15,7 +15,7 @@ from numba import njit
 from codegen.runtime.callbacks import multiplier_unknowns
 from codegen.runtime.coupling import add_coupling_matrix
 from codegen.runtime.elements import BLOCK, SIZE
-from codegen.runtime.example import BODIES, COUPLINGS, ELEMENT, HESSIAN_ROWS, NODE, ROOT, SHARED, STRIDE
+from codegen.runtime.example import BODIES, COUPLINGS, HESSIAN_ROWS, NODE, ROOT, SHARED, STRIDE
 from codegen.runtime.frontal import fill_element
 from codegen.runtime.shared import read_shared, root_place
 
@@ -37,7 +37,7 @@ def excess_negative(grid, unknowns, diagonal, system):
 def count_negative(unknowns, steps, h, parameters, diagonal, condensed, root):
     """Number of negative eigenvalues, or -1 when a pivot vanishes."""
     front, element = np.empty((BORDERED, BORDERED)), np.empty((SIZE + SHARED, SIZE + SHARED))
-    gradient, hessian = np.empty(ELEMENT + SHARED), np.empty(HESSIAN_ROWS.size)
+    hessian = np.empty(HESSIAN_ROWS.size)
     places = np.empty(SIZE + SHARED, np.int64)
     chain, negative = steps * STRIDE + NODE, 0
     for body in range(BODIES):
@@ -49,9 +49,7 @@ def count_negative(unknowns, steps, h, parameters, diagonal, condensed, root):
                 front[i, j] = 0.0
         for k in range(steps):
             interval = body * steps + k
-            fill_element(
-                own, k, steps, h, parameters[body], 1.0, added, gradient, hessian, condensed, interval, element
-            )
+            fill_element(own, k, steps, h, parameters[body], 1.0, added, hessian, condensed, interval, element)
             for i in range(SIZE + SHARED):
                 places[i] = i if i < SIZE else i + BLOCK
                 if k == 0:

@@ -27,13 +27,13 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     """
-    local, hessian = np.empty(ELEMENT + SHARED), np.empty(HESSIAN_ROWS.size)
+    hessian = np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], local, hessian)
+            interval_hessian(here, k * h, h, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 if SHARED and HESSIAN_ROWS[j] >= ELEMENT:

@@ -50,59 +50,87 @@ def assemble(
     names: Names,
 ) -> ControlProgram:
     """Lay out all unknowns, and add up the shares of the interval and of both ends."""
-    on_nodes = motion.controls.nodal
     ends = Ends(
         start + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.start_pins)),
         end + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.end_pins)),
     )
     path = interval_terms(model, motion.path, len(motion.interval), names)
-    before = (*motion.node, *(unknown for terms in nodal for unknown in terms.unknowns))
+    program = _laid_out(model, replace(motion, element=motion.element + path.element), boundary_values, nodal, ends)
+    program = _with_shared(program, shared)
+    program = replace(
+        program,
+        interval=(*program.interval, *path.multipliers),
+        interval_symbols=(*program.interval_symbols, *symbols([y.name for y in path.multipliers], "_k")),
+        equations=(*program.equations, *path.equations, *(pair for terms in nodal for pair in terms.equations)),
+        start=ends.start_element(program.node, program.shared),
+        end=ends.end_element(program.node, program.shared, _idle_controls(program)),
+        slacks=path.slacks,
+        slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
+        slack_multipliers=path.slack_multipliers,
+    )
+    _require_identical_bodies(program)
+    return in_scaled_time(program)
+
+
+def _laid_out(
+    model: Model,
+    motion: Motion,
+    boundary_values: tuple[BoundaryValue, ...],
+    nodal: Sequence[NodalTerms],
+    ends: Ends,
+) -> ControlProgram:
+    """The unknowns of nodes and intervals and the share of an interval; the ends' own shares are still empty."""
+    before = _bounded((*motion.node, *(unknown for terms in nodal for unknown in terms.unknowns)), model)
     controls = _bounded([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
-    node = (*_bounded(before, model), *ends.extra, *(controls if on_nodes else ()))
-    interval = (*motion.interval, *path.multipliers)
-    element = motion.element + path.element + sum((terms.element for terms in nodal), S.Zero) + ends.filling()
-    # A one-sided scheme reads nodal controls at one end of an interval only.
-    idle = [
-        u.name
-        for u, symbol in zip(controls, motion.controls.right_controls, strict=True)
-        if on_nodes and symbol not in element.free_symbols
-    ]
-    program = ControlProgram(
+    on_nodes = motion.controls.nodal
+    node = (*before, *ends.extra, *(controls if on_nodes else ()))
+    empty = EndElement((), S.Zero, ())
+    return ControlProgram(
         model=model,
         method=motion.method,
         scheme=motion.scheme,
         nodal_controls=on_nodes,
         node=node,
-        interval=interval,
+        interval=motion.interval,
         controls=() if on_nodes else controls,
         left_symbols=symbols([unknown.name for unknown in node], "_k"),
-        interval_symbols=(*motion.interval_symbols, *symbols([y.name for y in path.multipliers], "_k")),
+        interval_symbols=motion.interval_symbols,
         control_symbols=() if on_nodes else motion.controls.left_controls,
         right_symbols=symbols([unknown.name for unknown in node], "_k1"),
-        element=element,
+        element=motion.element + sum((terms.element for terms in nodal), S.Zero) + ends.filling(),
         cost=motion.cost,
-        equations=(*motion.equations, *path.equations, *(pair for terms in nodal for pair in terms.equations)),
+        equations=motion.equations,
         boundary_values=boundary_values,
         node_guess=motion.node_guess,
         stage_guess=motion.stage_guess,
         control_guess=control_guess(model),
         only_at_ends=tuple(range(len(before), len(before) + len(ends.extra))),
-        start=ends.start_element(node, [own.unknown for own in shared.all]),
-        end=ends.end_element(node, [own.unknown for own in shared.all], idle),
-        slacks=path.slacks,
-        slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
-        slack_multipliers=path.slack_multipliers,
+        start=empty,
+        end=empty,
+    )
+
+
+def _with_shared(program: ControlProgram, shared: Shared) -> ControlProgram:
+    return replace(
+        program,
         shared=tuple(own.unknown for own in shared.all),
         shared_symbols=tuple(own.symbol for own in shared.all),
-        shared_guess=tuple(at_guess(model, own.guess) for own in shared.all),
+        shared_guess=tuple(at_guess(program.model, own.guess) for own in shared.all),
         own=len(shared.own),
-        bodies=model.bodies,
-        body=model.body,
+        bodies=program.model.bodies,
+        body=program.model.body,
         couplings=shared.couplings,
         coupling_symbols=shared.coupling_symbols,
     )
-    _require_identical_bodies(program)
-    return in_scaled_time(program)
+
+
+def _idle_controls(program: ControlProgram) -> list[str]:
+    """Nodal controls at the last node that no interval reads, because a one-sided scheme takes those of the left."""
+    if not program.nodal_controls:
+        return []
+    first = len(program.node) - len(program.model.controls)
+    pairs = zip(program.node[first:], program.right_symbols[first:], strict=True)
+    return [unknown.name for unknown, symbol in pairs if symbol not in program.element.free_symbols]
 
 
 def in_scaled_time(program: ControlProgram) -> ControlProgram:

@@ -91,9 +91,9 @@ def momentum_end(
 
 
 def _require_disjoint(model: Model, matched: set[int], momenta: Mapping[int, Expr]) -> None:
-    both = sorted(matched & set(momenta))
+    """Refuse a Hamiltonian's periodic momentum that conditions of an end bring in as well, through a velocity."""
+    both = " ".join(model.coordinates[i].name for i in sorted(matched & set(momenta)))
     if both:
-        listed = " ".join(model.rates[i].name for i in both)
         raise BoundaryError(
-            f"{listed} is periodic, and other conditions of an end depend on it", "use --method hamiltonian"
+            f"the momentum of {both} is periodic, and conditions of an end depend on it", "use --method hamiltonian"
         )

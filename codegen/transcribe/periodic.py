@@ -71,10 +71,15 @@ def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Seque
 
 
 def periodic_velocities(model: Model, names: Names) -> Periodic:
-    """Periodicity of the velocities of a model in Lagrangian form, by momenta where that says the same."""
+    """Periodicity of the velocities of a model in Lagrangian form, by momenta where that says the same.
+
+    Where a condition or the terminal cost depends on a velocity, it is an unknown of the end and stands for itself.
+    """
     shifts = dict(model.periodic)
     chosen = [i for i, v in enumerate(model.rates) if v in shifts]
-    by_momentum = set(equivalent_momenta(model, chosen))
+    conditions = (*model.start_conditions, *model.end_conditions)
+    wanted = occurring(model.rates, model.terminal_cost, *(condition.expression for condition in conditions))
+    by_momentum = set(equivalent_momenta(model, [i for i in chosen if i not in wanted]))
     out = Periodic()
     for i in chosen:
         guess = at_start(model, momentum_guess(model)[i])

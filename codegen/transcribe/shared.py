@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from sympy import Expr, S, Symbol
+from sympy import Expr, Max, Min, S, Symbol
 
 from codegen.errors import BoundaryError
 from codegen.model import Condition, Model
@@ -49,7 +49,7 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
         q = model.coordinates[i]
         assert model.end is not None, "a control problem has an end"
         if model.end.positions[i] is not None:
-            raise BoundaryError(f"{q} is given at the end, and couplings depend on it", "give it, or couple it")
+            raise BoundaryError(f"{q} is given at the end, and couplings depend on it", "leave out one of the two")
         if q.name in tied:
             name, offset[i] = tied[q.name]
             index[i] = next(j for j, o in enumerate(own) if o.unknown.name == name)
@@ -60,8 +60,9 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
         aliases.append((q.name, name, S.Zero))
     values = model.end_values
     shifted = {v.symbol: v.symbol + offset[v.coordinate] for v in values if offset[v.coordinate] != 0}
+    tied_nodes = (*periodic.start_aliases, *periodic.end_aliases, *aliases)
     return Shared(
-        own=tuple(own),
+        own=tuple(replace(o, unknown=_bounded(model, o.unknown, tied_nodes)) for o in own),
         common=common,
         end_aliases=tuple(aliases),
         couplings=tuple(
@@ -70,6 +71,15 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
         ),
         coupling_symbols=tuple((v.symbol, v.body, index[v.coordinate]) for v in values),
     )
+
+
+def _bounded(model: Model, unknown: Unknown, aliases: Sequence[Alias]) -> Unknown:
+    """Give a shared unknown the bounds of the quantities that equal it, up to their offsets, at the ends."""
+    bounds = {bound.symbol.name: bound for bound in model.bounds}
+    tied = [(bounds[name], offset) for name, other, offset in aliases if other == unknown.name and name in bounds]
+    lower = [bound.lower - offset for bound, offset in tied if bound.lower is not None]
+    upper = [bound.upper - offset for bound, offset in tied if bound.upper is not None]
+    return replace(unknown, lower=Max(*lower) if lower else None, upper=Min(*upper) if upper else None)
 
 
 def _independent(model: Model) -> tuple[Condition, ...]:

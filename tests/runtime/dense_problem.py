@@ -192,21 +192,21 @@ def transcribe(motion: Motion, steps: int) -> Dense:
     places = np.arange(steps)[:, None] * stride + np.arange(len(local))
     if shared:
         places[:, -1] = size - 1
+    pairs = (places[:, :, None] * size + places[:, None, :]).ravel()
     element = cost + sum(y * r for y, r in zip(multipliers, residuals, strict=True))
     ends = [*range(size - len(shared) - node, size - len(shared)), *range(size - len(shared), size)]
     first, second = _derivatives(element, cost, local)
     end_first, end_second = _derivatives(motion.terminal, motion.terminal, [*states, *shared])
 
     def lagrangian(x: Vector) -> tuple[float, Vector]:
-        values, gradient = first(x[places]), np.zeros(size)
-        np.add.at(gradient, places, values[:, 1:])
+        values = first(x[places])
+        gradient = np.bincount(places.ravel(), values[:, 1:].ravel(), size)
         last = end_first(x[None, ends])[0]
         gradient[ends] += last[1:]
         return float(values[:, 0].sum() + last[0]), gradient
 
     def hessian(x: Vector) -> Vector:
-        matrix = np.zeros((size, size))
-        np.add.at(matrix, (places[:, :, None], places[:, None, :]), second(x[places]))
+        matrix = np.bincount(pairs, second(x[places]).ravel(), size * size).reshape(size, size)
         matrix[np.ix_(ends, ends)] += end_second(x[None, ends])[0]
         return matrix
 

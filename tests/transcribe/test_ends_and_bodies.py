@@ -249,3 +249,34 @@ def test_a_coupled_coordinate_that_is_periodic():
     ends = [dense.at_nodes(z, "x", j) for j in (0, 1)]
     assert ends[0][-1] - ends[1][-1] == pytest.approx(2)
     assert [e[-1] - e[0] for e in ends] == pytest.approx([1, 1])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_periodic_velocity_on_which_the_terminal_cost_depends(method):
+    """q'' = u with q and v periodic and (v(1) - 1)^2 at the end: a detour back pays for speed."""
+    q, v = coordinate("q")
+    u = control("u")
+    problem = Control(
+        lagrangian=v**2 / 2, force={q: u}, cost=u**2 / 2, terminal_cost=(v - 1) ** 2, duration=1, start_conditions=[q],
+        periodic=[q, v],
+    )  # fmt: skip
+    dense, z = solved(problem, method)
+    # With speed w at the ends q returns when sum h u (1 - t) = -w: J = 6 w^2/(1 - 1/N^2) + (w - 1)^2.
+    c = 6 / (1 - 1 / 36)
+    assert dense.cost(z) == pytest.approx(c / (1 + c), rel=1e-9)
+
+
+def test_shared_unknowns_keep_the_bounds_of_what_equals_them():
+    (x,) = states("x")
+    u = control("u")
+    (top,) = parameters(top=3)
+    model = normalise(
+        Control(dynamics={x: u}, cost=u**2 + (x - 9) ** 2, duration=1, periodic={x: 1}, bounds={x: (0, top)})
+    )
+    program = transcribe(model)
+    (start,) = program.shared
+    # x(0) lies in [0, top], and so does x(0) + 1.
+    assert (start.lower, start.upper) == (0, sympy.Symbol("top", real=True) - 1)
+    dense = DenseProblem(program, 4)
+    nodes = dense.at_nodes(dense.slsqp(dense.initial()).z, "x")
+    assert [nodes[0], nodes[-1]] == pytest.approx([2, 3], abs=1e-6)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from dense_assembly import DenseProblem, pinned_names
+from dense_assembly import DenseProblem
+from dense_layout import pinned_names
 
 from codegen import (
     Control,

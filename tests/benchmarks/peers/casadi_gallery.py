@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .casadi_control import COMPILER, IPOPT_OPTIONS
-from .gallery_problem import GalleryProblem
+from .gallery_problem import GalleryProblem, nothing
 
 Array = NDArray[np.float64]
 OPTIONS = IPOPT_OPTIONS | {"error_on_fail": False}
@@ -45,25 +45,24 @@ class Program:
     functions: dict[str, ca.MX]
     lower: Array
     upper: Array
+    guess: Array
     constraint_lower: Array
     constraint_upper: Array
-    guess: Array
     size: tuple[int, int, int, int]
 
 
 def interval_function(problem: GalleryProblem, steps: int) -> ca.Function:
-    """One interval: (q_k, q_{k+1}, u_k, k, p) to (cost, left, right, path); of a first-order one `left` is empty."""
+    """One interval: (q_k, q_{k+1}, u_k, k, p) to cost, `left` and `right` (or the step's defect), `path` if any."""
     n = problem.dimension
     q0, q1 = ca.SX.sym("q0", n), ca.SX.sym("q1", n)
     u, k, p = ca.SX.sym("u", problem.controls), ca.SX.sym("k"), ca.SX.sym("p", len(problem.free))
     step = problem.duration(ca.vertsplit(p)) / steps
     time, controls = step * (k + 0.5), ca.vertsplit(u)
     middle, rate = ca.vertsplit((q0 + q1) / 2), ca.vertsplit((q1 - q0) / step)
-    path = ca.vertcat(*problem.path(middle, rate, controls, time))
     if problem.dynamics:
         cost = step * problem.cost(middle, None, controls, time)
         slope = ca.vertcat(*problem.dynamics(ca, middle, controls, time, ca.vertsplit(p)))
-        outputs = [cost, ca.SX(n, 0), q1 - q0 - step * slope, path]
+        outputs = [cost, q1 - q0 - step * slope]
     else:
         assert problem.lagrangian
         minus, plus = impulses(problem, (q0, q1), u, step, k)
@@ -74,7 +73,9 @@ def interval_function(problem: GalleryProblem, steps: int) -> ca.Function:
         else:
             action = step * problem.lagrangian(ca, middle, rate, time)
             cost = step * problem.cost(middle, rate, controls, time)
-        outputs = [cost, ca.gradient(action, q0) + minus, ca.gradient(action, q1) + plus, path]
+        outputs = [cost, ca.gradient(action, q0) + minus, ca.gradient(action, q1) + plus]
+    if problem.path is not nothing:
+        outputs.append(ca.vertcat(*problem.path(middle, rate, controls, time)))
     return ca.Function("interval", [q0, q1, u, k, p], outputs, {"cse": True})
 
 
@@ -120,43 +121,59 @@ def transcribe(problem: GalleryProblem, steps: int) -> Program:
     size = (n * (steps + 1) * bodies, m * steps * bodies, len(problem.free), rates + holonomic * (steps + 1))
     x = ca.MX.sym("x", sum(size))
     flat_q, flat_u, p, flat_v, flat_y = ca.vertsplit(x, np.cumsum([0, *size[:3], rates, size[3] - rates]).tolist())
-    q = [ca.reshape(part, n, steps + 1) for part in ca.vertsplit(flat_q, n * (steps + 1))]
-    left_q, right_q = ca.horzcat(*(b[:, :-1] for b in q)), ca.horzcat(*(b[:, 1:] for b in q))
+    q = ca.reshape(flat_q, n, (steps + 1) * bodies)
+    nodes = np.arange((steps + 1) * bodies).reshape(bodies, steps + 1)
     numbers = ca.DM(np.tile(np.arange(steps), bodies)).T
     mapped = interval_function(problem, steps).map("intervals", "serial", steps * bodies, [4], [])
-    cost, left, right, path = mapped(left_q, right_q, ca.reshape(flat_u, m, steps * bodies), numbers, p)
+    u = ca.reshape(flat_u, m, steps * bodies)
+    cost, *rest = mapped(columns(q, nodes[:, :-1]), columns(q, nodes[:, 1:]), u, numbers, p)
+    starts, ends = columns(q, nodes[:, 0]), columns(q, nodes[:, -1])
+    velocities = (ca.reshape(flat_v, n, 2 * bodies)[:, i::2] for i in range(2)) if rates else (ca.MX(0, bodies),) * 2
+    first_rate, last_rate = velocities
+    values = ca.vertsplit(p) if problem.free else []
 
     constraints: list[tuple[ca.MX, float, float]] = []
-    values, time = ca.vertsplit(p) if size[2] else [], problem.duration(ca.vertsplit(p) if size[2] else [])
-    velocity = ca.reshape(flat_v, n, rates // n if n else 0)
-    for body in range(bodies):
-        places = slice(body * steps, (body + 1) * steps)
-        end_rate = velocity[:, 2 * body + 1] if rates else None
-        if problem.dynamics:
-            constraints.append((ca.vec(right[:, places]), 0.0, 0.0))
-        else:
-            momentum = momentum_function(problem)
-            first = momentum(q[body][:, 0], velocity[:, 2 * body], 0)
-            last = momentum(q[body][:, -1], end_rate, time)
-            balance = ca.horzcat(first, right[:, places]) + ca.horzcat(left[:, places], -last)
-            if holonomic:
-                y = ca.reshape(flat_y, holonomic, steps + 1)
-                c, reaction = constraint_function(problem).map(steps + 1)(q[0], y)
-                constraints.append((ca.vec(c[:, 1:-1]), 0.0, 0.0))
-                balance -= reaction
-            constraints.append((ca.vec(balance), 0.0, 0.0))
-        for place, conditions in ((0, problem.start_conditions), (-1, problem.end_conditions)):
-            rate = velocity[:, 2 * body - place] if rates else None
-            constraints += conditions(ca, ca.vertsplit(q[body][:, place]), ca.vertsplit(rate) if rates else [])
-    if path.shape[0]:
-        constraints.append((ca.vec(path), -inf, 0.0))
-    constraints += [(c, 0.0, 0.0) for c in problem.couplings(ca, [ca.vertsplit(b[:, -1]) for b in q])]
-    final_rate = ca.vertsplit(velocity[:, 1]) if rates else []
-    total = ca.sum2(cost) + problem.terminal_cost(ca.vertsplit(q[0][:, -1]), final_rate, values)
-    lower, upper, guess = bounds_and_guess(problem, steps, size)
+    if problem.dynamics:
+        constraints.append((ca.vec(rest[0]), 0.0, 0.0))
+    else:
+        momentum = momentum_function(problem).map(bodies)
+        first = momentum(starts, first_rate, ca.DM.zeros(1, bodies))
+        last = momentum(ends, last_rate, ca.repmat(ca.MX(problem.duration(values)), 1, bodies))
+        balance = node_sums(first, rest[0], rest[1], last, steps, bodies)
+        if holonomic:
+            y = ca.reshape(flat_y, holonomic, steps + 1)
+            c, reaction = constraint_function(problem).map(steps + 1)(q, y)
+            constraints.append((ca.vec(c[:, 1:-1]), 0.0, 0.0))
+            balance -= reaction
+        constraints.append((ca.vec(balance), 0.0, 0.0))
+    for conditions, place, rate in (
+        (problem.start_conditions, starts, first_rate),
+        (problem.end_conditions, ends, last_rate),
+    ):
+        for body in range(bodies):
+            constraints += conditions(ca, ca.vertsplit(place[:, body]), ca.vertsplit(rate[:, body]))
+    if problem.path is not nothing:
+        constraints.append((ca.vec(rest[-1]), -inf, 0.0))
+    constraints += [(c, 0.0, 0.0) for c in problem.couplings(ca, [ca.vertsplit(e) for e in ca.horzsplit(ends)])]
+    final = problem.terminal_cost(ca.vertsplit(ends[:, 0]), ca.vertsplit(last_rate[:, 0]), values)
     g = ca.vertcat(*(c for c, _, _ in constraints))
     low, high = (np.concatenate([np.full(c.shape[0], c_bounds[i]) for c, *c_bounds in constraints]) for i in (0, 1))
-    return Program({"x": x, "f": total, "g": g}, lower, upper, low, high, guess, size)
+    return Program(
+        {"x": x, "f": ca.sum2(cost) + final, "g": g}, *bounds_and_guess(problem, steps, size), low, high, size
+    )
+
+
+def columns(matrix: ca.MX, places: NDArray[np.int64]) -> ca.MX:
+    """The columns at the given places, in their order."""
+    return matrix[:, places.ravel().tolist()]
+
+
+def node_sums(first: ca.MX, left: ca.MX, right: ca.MX, last: ca.MX, steps: int, bodies: int) -> ca.MX:
+    """What both intervals at a node contribute, for all nodes of all bodies; the ends' momenta stand in outside."""
+    intervals = np.arange(steps * bodies).reshape(bodies, steps)
+    outside = (steps * bodies + np.arange(bodies))[:, None]
+    before, after = np.hstack([outside, intervals]), np.hstack([intervals, outside])
+    return columns(ca.horzcat(right, first), before) + columns(ca.horzcat(left, -last), after)
 
 
 def bounds_and_guess(problem: GalleryProblem, steps: int, size: tuple[int, ...]) -> tuple[Array, Array, Array]:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from codegen import build, load
+from codegen.compiler import build
+from codegen.load import load
 
 from .casadi_gallery import Array, PreparedGallery
 

@@ -1,0 +1,251 @@
+"""Primal-dual interior point method with a filter line search, for problems with bounds on unknowns.
+
+Bounds are replaced by a logarithmic barrier whose weight mu tends to zero; for each weight Newton's method solves the
+optimality conditions, with the inertia of the KKT matrix corrected until the step is one of descent, and a filter
+decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
+line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.barrier import (
+    add_barrier,
+    barrier_diagonal,
+    finite_bounds,
+    measure_optimality,
+    move,
+    move_duals,
+    push_inside,
+    step_duals,
+)
+from codegen.runtime.descent import measure_step
+from codegen.runtime.filter import accept, acceptable, envelope
+from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.inertia import excess_negative
+from codegen.runtime.point import evaluate
+from codegen.runtime.restoration import restore
+from codegen.runtime.rounding import is_rounding, is_solved
+
+SHORTEST_STEP = 1e-12
+LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
+CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+
+
+class Iterate(NamedTuple):
+    """A point, the distances of its unknowns to their bounds with the sum of their logarithms, and bound duals."""
+
+    point: NamedTuple
+    distance: np.ndarray
+    logarithms: float
+    duals: np.ndarray
+
+
+class Search(NamedTuple):
+    """What stays the same during a solve: grid, bounds, storage of the linear system."""
+
+    grid: NamedTuple
+    bounds: NamedTuple
+    system: tuple
+
+
+class Step(NamedTuple):
+    """A Newton step: its barrier gradient, slope, longest primal and dual lengths, and the Hessian's shift."""
+
+    primal: np.ndarray
+    dual: np.ndarray
+    gradient: np.ndarray
+    slope: float
+    longest: float
+    dual_length: float
+    shift: float
+
+
+def minimise(grid, unknowns, tolerance, max_iterations, log, barrier=0.1):
+    """Find a local minimum; return (status, point, iterations).
+
+    A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
+    iterate. `barrier` is the first weight; a small one suits a start near the solution.
+    """
+    search = Search(grid, finite_bounds(grid), allocate_system(grid))
+    iterate = first_iterate(search, unknowns, barrier)
+    first = max(1.0, iterate.point.violation)
+    small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
+    mu, least = barrier, 0.1 * tolerance
+    shift, last_shift, length = 0.0, 0.0, 0.0
+    for iteration in range(max_iterations + 1):
+        point, duals = iterate.point, iterate.duals
+        measured = measure_optimality(
+            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
+        )
+        point = point._replace(stationarity=measured[0])
+        log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
+        if not point.error < np.inf:
+            return "non-finite", point, iteration
+        if measured[1] <= tolerance and is_solved(grid, point, tolerance):
+            return "solved", point, iteration
+        if is_boundless(grid, point):
+            return "unbounded", point, iteration
+        if iteration == max_iterations:
+            break
+        while mu > least and barrier_error(grid, point, measured, mu) <= 10.0 * mu:
+            mu = max(least, min(0.2 * mu, mu**1.5))
+            filtered = filtered[:1]
+            measured = measure_optimality(
+                point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals, mu
+            )
+        step = regularised_step(search, iterate, mu, last_shift)
+        if step is None:
+            return "rank-deficient", point, iteration
+        shift, last_shift = step.shift, step.shift or last_shift
+        trial, length = line_search(search, iterate, step, mu, small_violation, filtered)
+        if trial is None:
+            if is_rounding(grid, point):
+                return "stalled", point, iteration
+            filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
+            status, trial = restored(search, iterate, mu, filtered)
+            if trial is None:
+                return status, point, iteration
+        iterate = trial
+    return "iteration limit", point, max_iterations
+
+
+def first_iterate(search, unknowns, mu):
+    """The start pushed inside its bounds, bound duals mu / distance, multipliers by least squares."""
+    grid = search.grid
+    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), 1e-2)
+    return with_multipliers(search, inside, mu)
+
+
+def with_multipliers(search, unknowns, mu):
+    """An iterate at primal unknowns inside their bounds: duals on the central path, multipliers by least squares."""
+    unknowns, distance = np.array(unknowns), np.empty(search.bounds.place.size)
+    logarithms = move(unknowns, unknowns, 0.0, *search.bounds, unknowns, distance)
+    duals = np.minimum(mu / distance, 1e3)
+    unknowns = guess_multipliers(search, unknowns, duals)
+    return Iterate(evaluate(search.grid, unknowns), distance, logarithms, duals)
+
+
+def guess_multipliers(search, unknowns, duals):
+    """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
+    grid, bounds, system = search
+    unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
+    if not factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, 0.0, 1.0), system):
+        return unknowns
+    gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
+    np.subtract.at(gradient, bounds.place, bounds.side * duals)
+    step = np.empty_like(unknowns)
+    solve_kkt(grid, system, gradient, step)
+    multipliers = np.where(grid.is_multiplier, step, 0.0)
+    return unknowns + multipliers if np.abs(multipliers).max(initial=0.0) <= 1e3 else unknowns
+
+
+def is_boundless(grid, point):
+    """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
+    if point.residual <= 1e-6 and point.cost < -LARGEST:
+        return True
+    return np.abs(point.unknowns[~grid.is_multiplier]).max() > LARGEST
+
+
+def barrier_error(grid, point, measured, mu):
+    """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
+    stationarity, _, off_centre, multipliers, duals, count = measured
+    scale = max(100.0, (multipliers + duals) / max(np.count_nonzero(grid.is_multiplier) + count, 1)) / 100.0
+    return max(stationarity / scale, point.residual, off_centre / (max(100.0, duals / max(count, 1)) / 100.0))
+
+
+def regularised_step(search, iterate, mu, last_shift):
+    """Newton step of the barrier problem with the Hessian shifted until its inertia is right (algorithm IC), or None."""
+    grid, bounds, system = search
+    point, size = iterate.point, iterate.point.unknowns.size
+    diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
+    dual = np.empty(bounds.place.size)
+    add_barrier(point.gradient, bounds.place, bounds.side, iterate.distance, mu, gradient)
+    shift, dual_shift = 0.0, 0.0
+    while shift < 1e20:
+        barrier_diagonal(
+            grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, dual_shift, diagonal
+        )
+        if factor_kkt(grid, point.unknowns, 1.0, diagonal, system):
+            excess = excess_negative(grid, point.unknowns, diagonal, system)
+            if not excess:
+                solve_kkt(grid, system, gradient, primal)
+                slope, descends = measure_step(point.unknowns, gradient, primal, grid.is_multiplier)
+                if (descends or excess == 0) and np.isfinite(primal).all():
+                    lengths = step_duals(
+                        primal, *bounds[::2], iterate.distance, iterate.duals, mu, max(0.99, 1.0 - mu), dual
+                    )
+                    return Step(primal, dual, gradient, slope, *lengths, shift)
+        elif dual_shift == 0.0:
+            dual_shift = 1e-8 * mu**0.25
+            continue
+        if shift == 0.0:
+            shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)
+        else:
+            shift *= 100.0 if last_shift == 0.0 else 8.0
+    return None
+
+
+def line_search(search, iterate, step, mu, small_violation, filtered):
+    """Shorten the step until the filter accepts it; return the next iterate (None when there is none) and the length."""
+    grid, bounds, _ = search
+    violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
+
+    def accepted(trial, length):
+        point, _, logarithms = trial
+        return point.error < np.inf and accept(
+            violation, cost, point.violation, point.cost - mu * logarithms, step.slope, length, small_violation, filtered
+        )
+
+    length = step.longest
+    while length > SHORTEST_STEP:
+        trial = moved(grid, bounds, iterate.point.unknowns, step.primal, length)
+        if not accepted(trial, length) and length == step.longest and trial[0].violation >= violation:
+            trial = corrected(search, iterate, step, mu, trial, accepted) or trial
+        if accepted(trial, length):
+            duals = np.empty_like(iterate.duals)
+            move_duals(iterate.duals, step.dual, step.dual_length, trial[1], mu, duals)
+            return Iterate(*trial, duals), length
+        length *= 0.5
+    return None, length
+
+
+def moved(grid, bounds, unknowns, step, length):
+    """Point, distances and sum of their logarithms after a step of some length."""
+    trial, distance = np.empty_like(unknowns), np.empty(bounds.place.size)
+    logarithms = move(unknowns, step, length, *bounds, trial, distance)
+    return evaluate(grid, trial), distance, logarithms
+
+
+def corrected(search, iterate, step, mu, trial, accepted):
+    """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
+    grid, bounds, system = search
+    right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
+    residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
+    for _ in range(CORRECTIONS):
+        residual = length * residual + trial[0].gradient[grid.is_multiplier]
+        right[grid.is_multiplier] = residual
+        solve_kkt(grid, system, right, correction)
+        if not np.isfinite(correction).all():
+            return None
+        length, _ = step_duals(
+            correction, *bounds[::2], iterate.distance, iterate.duals, mu, max(0.99, 1.0 - mu), unused
+        )
+        trial = moved(grid, bounds, iterate.point.unknowns, correction, length)
+        if accepted(trial, step.longest):
+            return trial
+        if not trial[0].violation < 0.99 * last:
+            return None
+        last = trial[0].violation
+    return None
+
+
+def restored(search, iterate, mu, filtered):
+    """(status, iterate) after the violation has been lowered; the iterate is None when it cannot be."""
+
+    def is_acceptable(point, logarithms):
+        return acceptable(point.violation, point.cost - mu * logarithms, filtered)
+
+    status, unknowns = restore(search, iterate, is_acceptable)
+    return status, None if unknowns is None else with_multipliers(search, unknowns, mu)

@@ -1,0 +1,84 @@
+"""Feasibility restoration: lower the violation of the equations when the line search finds no way on.
+
+Minimises half the sum of squares of the residuals c inside the bounds, by Levenberg and Marquardt's method with a
+barrier: with A the Jacobian of the equations and the bounds' duals as in `barrier`, the step d solves
+(A'A + damping + z/d) d = -(A'c - nu s / d), which is the KKT matrix without cost, with -1 on the multipliers' diagonal.
+Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3, for the purpose.
+"""
+
+import numpy as np
+
+from codegen.runtime.barrier import barrier_diagonal, move, move_duals, step_duals
+from codegen.runtime.frontal import factor_kkt, solve_kkt
+from codegen.runtime.point import evaluate
+
+RESTORATION_STEPS = 200
+
+
+def restore(search, iterate, is_acceptable):
+    """(status, unknowns): primal unknowns that the filter accepts, or None with the word for what went wrong."""
+    grid, bounds, _ = search
+    unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
+    logarithms, point = iterate.logarithms, evaluate(grid, unknowns)
+    first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 1e-4
+    duals = np.minimum(nu / distance, 1e3)
+    for _ in range(RESTORATION_STEPS):
+        pull = attraction(grid, point)
+        error = restoration_error(grid, bounds, pull, distance, duals)
+        if error <= 1e-8 * point.residual:
+            return "infeasible", None
+        while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
+            nu = max(1e-14, min(0.2 * nu, nu**1.5))
+        taken = damped_step(search, point, pull, distance, logarithms, duals, nu, damping)
+        if taken is None:
+            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), None
+        (point, distance, logarithms), duals, damping = taken
+        if point.violation <= 0.9 * first and is_acceptable(point, logarithms):
+            return "restored", point.unknowns
+    return "stalled", None
+
+
+def attraction(grid, point):
+    """A' c, the gradient of half the squared residuals by primal unknowns, by the linearity of the Lagrangian."""
+    with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
+    pull = evaluate(grid, with_residuals).gradient - point.gradient
+    return np.where(grid.is_multiplier, 0.0, pull)
+
+
+def restoration_error(grid, bounds, pull, distance, duals):
+    """Error of the optimality conditions of the least violation."""
+    stationary = pull.copy()
+    np.subtract.at(stationary, bounds.place, bounds.side * duals)
+    return max(np.abs(stationary).max(), np.max(duals * distance, initial=0.0))
+
+
+def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
+    """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
+    grid, bounds, system = search
+    size = point.unknowns.size
+    diagonal, step, slopes = np.empty(size), np.empty(size), pull.copy()
+    dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
+    np.subtract.at(slopes, bounds.place, nu * bounds.side / distance)
+    right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
+    merit = sum_of_squares(grid, point) - nu * logarithms
+    while damping < 1e12:
+        barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 1.0, diagonal)
+        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system):
+            solve_kkt(grid, system, right, step)
+            step[grid.is_multiplier] = 0.0
+            length, dual_length = step_duals(step, *bounds[::2], distance, duals, nu, 0.99, dual_step)
+            unknowns, new_distance = np.empty(size), np.empty_like(distance)
+            new_logarithms = move(point.unknowns, step, length, *bounds, unknowns, new_distance)
+            trial = evaluate(grid, unknowns)
+            lowered = sum_of_squares(grid, trial) - nu * new_logarithms
+            if trial.error < np.inf and lowered <= merit + 1e-4 * length * min(0.0, slopes @ step):
+                move_duals(duals, dual_step, dual_length, new_distance, nu, new_duals)
+                return (trial, new_distance, new_logarithms), new_duals, max(damping / 5.0, 1e-12)
+        damping = max(8.0 * damping, 1e-8)
+    return None
+
+
+def sum_of_squares(grid, point):
+    """Half the sum of the squares of all residuals."""
+    residual = point.gradient[grid.is_multiplier]
+    return 0.5 * (residual @ residual)
