@@ -64,7 +64,10 @@ class Unpacked(NamedTuple):
 
 
 class ControlModule(Protocol):
-    """The public functions of a generated module that solves an optimal-control problem."""
+    """The public functions of a generated module that solves an optimal-control problem.
+
+    `variable_bounds` is there if metadata["inequalities"]; COUPLINGS is the number of conditions between bodies.
+    """
 
     metadata: Mapping[str, Any]
 
@@ -81,6 +84,8 @@ class ControlModule(Protocol):
     hessian: Callable[[Grid, Vector], Entries]
     stationarity: Callable[[Grid, Vector], Vector]
     unpack: Callable[[Grid, Vector], Unpacked]
+    variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
+    COUPLINGS: int
 
 
 class StepGrid(Protocol):

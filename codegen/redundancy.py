@@ -102,7 +102,7 @@ def _equations(model: Model) -> _Equations:
         places: dict[sympy.Symbol, sympy.Expr] = {}
         for index, symbol in enumerate(moving):
             number = expressions.rounded_at(fixed[symbol], values) if symbol in fixed else None
-            places[symbol] = own.get((body, index), sympy.Symbol(f"{symbol}_{body}", real=True))
+            places[symbol] = own.get((body, index), sympy.Dummy(f"{symbol}_{body}", real=True))
             if number is None:
                 guess[places[symbol]] = _guessed_end(model, index, values)
             else:

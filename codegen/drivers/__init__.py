@@ -38,6 +38,7 @@ _ROWS = (
     Driver("newton", "newton", ("control", "simulate"), "the generated solver"),
     Driver("slsqp", "slsqp", ("control",), "scipy's sequential least-squares programming, dense"),
     Driver("trust-constr", "trust_constr", ("control",), "scipy's trust-region SQP, sparse with exact Hessians"),
+    Driver("ipopt", "ipopt", ("control",), "IPOPT, an interior point method; needs cyipopt (extra: ipopt)"),
     Driver("fsolve", "fsolve", ("control", "simulate"), "MINPACK's hybrid Powell method, dense, on square systems"),
 )
 

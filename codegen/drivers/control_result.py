@@ -11,8 +11,9 @@ from codegen.load import ControlModule, Entries, Grid, Vector
 def control_result(module: ControlModule, driver: str, request: Request, attempt: ControlAttempt) -> Result:
     """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
     metadata, unknowns, grid = module.metadata, attempt.unknowns, module.make_grid(request.steps)
-    residual = max(max_norm(module.constraints(grid, unknowns)), max_norm(_pinned_error(module, grid, unknowns)))
-    stationarity = max_norm(module.stationarity(grid, unknowns))
+    wrong = (module.constraints(grid, unknowns), _pinned_error(module, grid, unknowns), _beyond_bounds(module, grid, unknowns))
+    residual = max(max_norm(values) for values in wrong)
+    stationarity = max_norm(_unbalanced(module, grid, unknowns))
     status, message = attempt.status, attempt.message
     rounding = _rounding_level(module, grid, unknowns) if np.isfinite(residual + stationarity) else 0.0
     scale = max(1.0, max_norm(module.cost_gradient(grid, unknowns)))
@@ -52,8 +53,36 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
             "final_state_miss": _final_state_miss(module, grid, unknowns),
             "largest_control": max_norm(u),
             "stationarity": stationarity,
+            **_free_parameters(module, unknowns),
         },
     )
+
+
+def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector]:
+    """Distances of the free primal unknowns from their lower and upper bounds, infinite where there are none."""
+    primal = module.primal_unknowns(grid)
+    if not module.metadata["inequalities"]:
+        none = np.full(primal.size, np.inf)
+        return none, none
+    lower, upper = module.variable_bounds(grid)
+    return unknowns[primal] - lower[primal], upper[primal] - unknowns[primal]
+
+
+def _beyond_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
+    """By how much unknowns violate their bounds."""
+    below, above = bound_distances(module, grid, unknowns)
+    return np.maximum(0.0, -np.minimum(below, above))
+
+
+def _unbalanced(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
+    """The gradient of the Lagrangian by free primal unknowns, as far as no bound holds against it.
+
+    A bound may hold against a slope that leads out of it, in proportion to its closeness: what remains is the slope
+    times the distance, as in complementarity.
+    """
+    gradient = module.stationarity(grid, unknowns)
+    below, above = (np.clip(d, 0.0, 1.0) for d in bound_distances(module, grid, unknowns))
+    return np.asarray(np.where(gradient > 0.0, gradient * below, gradient * above), dtype=float)
 
 
 def _pinned_error(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
@@ -92,3 +121,10 @@ def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> fl
     equations = at_end[module.multiplier_unknowns(grid)]
     pinned = _pinned_error(module, grid, unknowns)
     return max(max_norm(pinned), max_norm(module.constraints(grid, unknowns)[equations]))
+
+
+def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
+    """Values of the static parameters that were optimised; they stand before the multipliers of couplings."""
+    names = module.metadata["free_parameters"]
+    last = unknowns.size - module.COUPLINGS
+    return dict(zip(names, map(float, unknowns[last - len(names) : last]), strict=True))

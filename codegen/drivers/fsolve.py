@@ -26,6 +26,11 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
 
     Finds a stationary point, which need not be a minimum.
     """
+    if module.metadata["inequalities"]:
+        raise ArgumentError(
+            "driver fsolve solves equations, and the problem has inequalities",
+            "use newton, slsqp, trust-constr or ipopt",
+        )
     problem = ScaledProblem.on_grid(module, request.steps)
     problem.require_at_most(LIMIT, "fsolve")
     count = problem.primal.size

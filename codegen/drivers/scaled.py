@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
+from scipy.optimize import Bounds
 from threadpoolctl import threadpool_limits
 
 from codegen.drivers.result import max_norm
@@ -56,6 +57,21 @@ class ScaledProblem:
     def start(self) -> Vector:
         """Free primal unknowns of the initial guess."""
         return self.base[self.primal]
+
+    @cached_property
+    def bounds(self) -> tuple[Vector, Vector]:
+        """Lower and upper bounds of the free primal unknowns."""
+        if not self.module.metadata["inequalities"]:
+            return np.full(self.primal.size, -np.inf), np.full(self.primal.size, np.inf)
+        lower, upper = self.module.variable_bounds(self.grid)
+        return lower[self.primal], upper[self.primal]
+
+    @property
+    def scipy_bounds(self) -> Bounds | None:
+        """The bounds as scipy.optimize wants them; iterates stay within them."""
+        if not self.module.metadata["inequalities"]:
+            return None
+        return Bounds(*self.bounds, keep_feasible=True)
 
     @cached_property
     def row_scale(self) -> Vector:
@@ -105,17 +121,24 @@ class ScaledProblem:
         return self.cost_scale * self.module.stationarity(self.grid, self.unknowns(x, nu))
 
     def multipliers(self, x: Vector) -> Vector:
-        """Scaled multipliers that minimise the 2-norm of the stationarity, by one sparse augmented system."""
+        """Scaled multipliers that minimise the 2-norm of the stationarity, by one sparse augmented system.
+
+        Unknowns on their bounds are left out, because duals of the bounds balance them.
+        """
         jacobian = self.jacobian(x)
-        identity = scipy.sparse.identity(self.primal.size)
+        lower, upper = self.bounds
+        scale = 1e-6 * np.maximum(1.0, np.abs(x))
+        inside = (x - lower > scale) & (upper - x > scale)
+        jacobian, gradient = jacobian[:, inside], self.cost_gradient(x)[inside]
+        identity = scipy.sparse.identity(gradient.size)
         system = scipy.sparse.bmat([[identity, jacobian.T], [jacobian, None]], format="csc")
-        right = np.concatenate([-self.cost_gradient(x), np.zeros(self.dual.size)])
+        right = np.concatenate([-gradient, np.zeros(self.dual.size)])
         try:
-            nu = scipy.sparse.linalg.splu(system).solve(right)[self.primal.size :]
+            nu = scipy.sparse.linalg.splu(system).solve(right)[gradient.size :]
         except RuntimeError:  # exactly singular
             nu = np.full(self.dual.size, np.nan)
         if not np.isfinite(nu).all():
-            nu = np.linalg.lstsq(jacobian.T.toarray(), -self.cost_gradient(x), rcond=None)[0]
+            nu = np.linalg.lstsq(jacobian.T.toarray(), -gradient, rcond=None)[0]
         return np.asarray(nu, dtype=float)
 
     def require_at_most(self, limit: int, driver: str) -> None:

@@ -30,6 +30,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             start,
             jac=problem.cost_gradient,
             constraints=[equations],
+            bounds=problem.scipy_bounds,
             method="SLSQP",
             options={"maxiter": MAX_ITERATIONS, "ftol": ftol},
         )

@@ -36,6 +36,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             jac=problem.cost_gradient,
             hess=problem.hessian,
             constraints=[equations],
+            bounds=problem.scipy_bounds,
             method="trust-constr",
             options={"maxiter": MAX_ITERATIONS, "gtol": 1e-9, "xtol": 1e-14},
         )

@@ -1,0 +1,94 @@
+"""IPOPT through cyipopt, with exact sparse Hessians: an interior point method from outside, to compare with.
+
+Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
+large-scale nonlinear programming. cyipopt is an extra: `pip install variational-codegen[ipopt]`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from codegen.drivers.result import ControlAttempt, Request
+from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.errors import ArgumentError
+from codegen.load import ControlModule, Vector
+
+TOLERANCE = 1e-8
+MAX_ITERATIONS = 1000
+
+_STATUSES = {0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", -1: "iteration limit", -13: "non-finite"}
+"""IPOPT's return codes; what is missing here counts as stalled."""
+
+
+def control(module: ControlModule, request: Request) -> ControlAttempt:
+    """Minimise the cost; bounds are not relaxed. Raises ArgumentError when cyipopt is not installed."""
+    try:
+        import cyipopt
+    except ImportError:
+        raise ArgumentError(
+            "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"
+        ) from None
+    problem = ScaledProblem.on_grid(module, request.steps)
+    lower, upper = problem.bounds
+    zero = np.zeros(problem.dual.size)
+    with quiet_single_thread():
+        callbacks = _Callbacks(problem)
+        program = cyipopt.Problem(problem.primal.size, problem.dual.size, callbacks, lower, upper, zero, zero)
+        options = {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": MAX_ITERATIONS}
+        options |= {"bound_relax_factor": 0.0, "nlp_scaling_method": "none"}
+        for name, value in options.items():
+            program.add_option(name, value)
+        x, details = program.solve(problem.start)
+    status = _STATUSES.get(int(details["status"]), "stalled")
+    message = (
+        f"IPOPT found a local minimum in {callbacks.iterations} iterations"
+        if status == "solved"
+        else f"{status}: IPOPT gave up after {callbacks.iterations} iterations; try --driver newton"
+    )
+    return ControlAttempt(status, message, callbacks.iterations, problem.unknowns(x, details["mult_g"]), 10 * TOLERANCE)
+
+
+class _Callbacks:
+    """The problem under the names that cyipopt asks for; sparse matrices have one pattern for all points."""
+
+    def __init__(self, problem: ScaledProblem) -> None:
+        self.problem, self.iterations = problem, 0
+        module, grid, base = problem.module, problem.grid, problem.base
+        self.jacobian_pattern = module.jacobian(grid, base)[:2]
+        rows, columns, _ = module.hessian(grid, base)
+        self.is_lower = rows >= columns
+        self.hessian_pattern = rows[self.is_lower], columns[self.is_lower]
+
+    def objective(self, x: Vector) -> float:
+        return self.problem.cost(x)
+
+    def gradient(self, x: Vector) -> Vector:
+        return self.problem.cost_gradient(x)
+
+    def constraints(self, x: Vector) -> Vector:
+        return self.problem.constraints(x)
+
+    def jacobianstructure(self) -> Any:
+        return self.jacobian_pattern
+
+    def jacobian(self, x: Vector) -> Vector:
+        problem = self.problem
+        rows, _, values = problem.module.jacobian(problem.grid, problem.unknowns(x))
+        return values * problem.row_scale[rows]
+
+    def hessianstructure(self) -> Any:
+        return self.hessian_pattern
+
+    def hessian(self, x: Vector, nu: Vector, weight: float) -> Vector:
+        problem = self.problem
+        module, grid = problem.module, problem.grid
+        values = module.hessian(grid, problem.unknowns(x, nu))[2]
+        if weight != 1.0:
+            values = values + (weight - 1.0) * module.hessian(grid, problem.unknowns(x))[2]
+        return problem.cost_scale * values[self.is_lower]
+
+    def intermediate(self, _mode: int, iterations: int, *_measures: float) -> bool:
+        self.iterations = iterations
+        return True
