@@ -164,14 +164,19 @@ def solve(
     repeat: Repeat = 1,
     json: Json = False,
     log: Log = False,
+    warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
+    doublings: Annotated[int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")] = 0,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
+    animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
-    from codegen import drivers, output
+    from codegen import drivers, output, pictures
 
-    _require_sensible(driver, log, plot, save, out)
+    _require_sensible(driver, log, save, out)
+    wanted = pictures.requested(problem, set_, plot, animate)
+    start = output.saved_unknowns(warm) if warm is not None else None
     with _working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
     with _working("Solving"):
@@ -181,13 +186,14 @@ def solve(
         module = load(made.path)
         load_seconds = time.perf_counter() - begin
         _require_fitting(module.metadata["task"], driver, every, log)
-        result = drivers.solve(module, driver, steps=steps, every=every, repeat=repeat)
+        result = drivers.solve(
+            module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings
+        )
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
     record = output.as_record(result, made.seconds + compile_seconds, load_seconds + read_seconds)
     if save is not None:
         output.save(result, record, save)
-    if plot is not None:
-        output.draw(result, plot)
+    wanted.save(module, result)
     if log:
         _console(stderr=json).print(output.log_table(result))
     if json:
@@ -262,16 +268,15 @@ def _build(
     return compiler.build(problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out)
 
 
-def _require_sensible(driver: str, log: bool, plot: Path | None, save: Path | None, out: Path | None) -> None:
+def _require_sensible(driver: str, log: bool, save: Path | None, out: Path | None) -> None:
     """Refuse, before anything is derived, what could only fail after everything is solved."""
     from codegen import drivers, output
 
     drivers.find(driver)
     if log and driver != "newton":
         raise ArgumentError(f"driver {driver} keeps no log of its iterates", "use --log with --driver newton")
-    for path, kinds, option in ((plot, output.PICTURES, "--plot"), (save, output.ARCHIVES, "--save")):
-        if path is not None:
-            output.require_writable(path, kinds, option)
+    if save is not None:
+        output.require_writable(save, output.ARCHIVES, "--save")
     if out is not None:
         output.require_folder(out, "--out", may_be_made=True)
 

@@ -66,7 +66,8 @@ class Unpacked(NamedTuple):
 class ControlModule(Protocol):
     """The public functions of a generated module that solves an optimal-control problem.
 
-    `variable_bounds` is there if metadata["inequalities"]; COUPLINGS is the number of conditions between bodies.
+    `variable_bounds` is there if metadata["inequalities"]; COUPLINGS is the number of conditions between bodies, ROOT
+    that of unknowns that no node owns. Views are of nodes and intervals, bodies first.
     """
 
     metadata: Mapping[str, Any]
@@ -84,8 +85,10 @@ class ControlModule(Protocol):
     hessian: Callable[[Grid, Vector], Entries]
     stationarity: Callable[[Grid, Vector], Vector]
     unpack: Callable[[Grid, Vector], Unpacked]
+    views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
     COUPLINGS: int
+    ROOT: int
 
 
 class StepGrid(Protocol):

@@ -1,4 +1,4 @@
-"""What `codegen solve` leaves behind: one JSON object, a table, an archive of arrays, a picture."""
+"""What `codegen solve` leaves behind: one JSON object, a table, an archive of arrays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from codegen.drivers.result import Result
 
 ARCHIVES = (".npz",)
-PICTURES = (".png", ".pdf", ".svg")
 
 
 def require_writable(path: Path, kinds: tuple[str, ...], option: str) -> None:
@@ -173,16 +172,20 @@ def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
     """Write all arrays to an .npz archive, with the record of the run as JSON text under `result`."""
     import numpy as np
 
-    names = ("t", "q", "p", "u", "multipliers", "energy", "log")
+    names = ("t", "q", "p", "u", "multipliers", "energy", "log", "unknowns")
     arrays: dict[str, Any] = {name: getattr(result, name) for name in names if getattr(result, name) is not None}
     labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays, **labels, result=np.array(as_json(record)))
 
 
-def draw(result: Result, path: Path) -> None:
-    """Write a picture of the solution; the ending of the path decides its kind."""
-    from codegen import plots
+def saved_unknowns(path: Path) -> Any:
+    """The unknowns of a saved optimisation; OutputError when the file holds none."""
+    import numpy as np
 
-    with replacing(path) as temporary:
-        plots.save(result, temporary)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return np.asarray(archive["unknowns"], dtype=float)
+    except (OSError, ValueError, KeyError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise ArgumentError(f"--warm {path} holds no solution ({reason})", "give a file that --save wrote") from None

@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar
 
+from codegen.drawing import Item
+
 Expression = Any
 """A sympy expression or a number."""
 
@@ -25,7 +27,7 @@ class Problem:
     state of a first-order system to its derivative, x' = f(x, u, t). `force` maps a coordinate to the generalised
     force on it (the covector component of f in the Lagrange-d'Alembert principle). `duration` is T; `steps` is the
     default number N of intervals. `start` maps coordinates and velocities (or momenta, or states) to their values at
-    t = 0.
+    t = 0. `drawing` lists what a picture of the system shows (see `codegen.drawing`); nothing else depends on it.
     """
 
     task: ClassVar[str] = ""
@@ -38,6 +40,7 @@ class Problem:
     duration: Expression
     start: Mapping[Any, Expression] = field(default_factory=dict)
     steps: int = 100
+    drawing: Sequence[Item] = ()
 
 
 @dataclass(frozen=True)

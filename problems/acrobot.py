@@ -10,6 +10,7 @@ OptimTraj's demo "acrobot" (Kelly, 2015). There are many local optima; the guess
 from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinates, parameters, time
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:
@@ -20,6 +21,8 @@ def problem() -> Control:
 
     elbow = l1**2 * dq1**2
     wrist = elbow + l2**2 * dq2**2 + 2 * l1 * l2 * cos(q1 - q2) * dq1 * dq2
+    upper = l1 * sin(q1), -l1 * cos(q1)
+    lower = upper[0] + l2 * sin(q2), upper[1] - l2 * cos(q2)
     return Control(
         lagrangian=m1 / 2 * elbow + m2 / 2 * wrist + (m1 + m2) * g * l1 * cos(q1) + m2 * g * l2 * cos(q2),
         force={q1: -u, q2: u},
@@ -30,4 +33,5 @@ def problem() -> Control:
         bounds={u: (-u_max, u_max)},
         guess={q1: pi * (t / T) ** 2, q2: pi * t / T - 2 * sin(2 * pi * t / T)},
         steps=60,
+        drawing=[Trail(lower), Rod((0, 0), upper), Rod(upper, lower), Mass(upper, 0.05), Mass(lower, 0.05)],
     )

@@ -9,6 +9,7 @@ T* = 1.801603122 s.
 from sympy import cos, pi, sin
 
 from codegen import Control, control, free_parameter, parameters, states, time
+from codegen.drawing import Mark, Mass, Trail
 
 
 def problem() -> Control:
@@ -27,4 +28,5 @@ def problem() -> Control:
         bounds={theta: (0, pi)},
         guess={v: 5 * t, theta: (1 + 8 * t) * pi / 18},
         steps=50,
+        drawing=[Trail((x, y), label="path"), Mark((0, y0)), Mark((x1, y1)), Mass((x, y), 0.2)],
     )

@@ -14,6 +14,7 @@ from typing import Literal
 from sympy import cos, sin
 
 from codegen import Control, control, coordinates, parameters
+from codegen.drawing import Arrow, Box, Ground, Mass, Rod, Trail
 
 
 def problem(form: Literal["plain", "holonomic"] = "plain") -> Control:
@@ -26,8 +27,10 @@ def problem(form: Literal["plain", "holonomic"] = "plain") -> Control:
     sideways = dy + (b * cos(theta) - a * sin(theta)) * dtheta
     upwards = dz + (a * cos(theta) + b * sin(theta)) * dtheta
     potential = g * (z + a * sin(theta) - b * cos(theta))
+    centre = y + b * sin(theta) + a * cos(theta), z + a * sin(theta) - b * cos(theta)
     at_rest = dict.fromkeys((*heights, *vertical), 0) | ({} if holonomic else {dy: 0, dtheta: 0})
     slow = [condition for v in (dy, dtheta) for condition in (v <= 0.01, v >= -0.01)] if holonomic else []
+    cart = [Box((y, z), 0.3, 0.2), Arrow((y, z), (u / 50, 0), label="force")]
     return Control(
         lagrangian=(sideways**2 + upwards**2) / 2 + J / 2 * dtheta**2 - potential,
         force={y: u},
@@ -40,4 +43,5 @@ def problem(form: Literal["plain", "holonomic"] = "plain") -> Control:
         bounds={y: (-1, 5), theta: (-6.283185307179586, 6.283185307179586), u: (-100, 100)},
         constraint=heights,
         steps=20,
+        drawing=[Ground((-1, -0.1), (1.5, -0.1)), Trail(centre), *cart, Rod((y, z), centre), Mass(centre, 0.07)],
     )

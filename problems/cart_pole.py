@@ -8,9 +8,10 @@ value: 58.8839489745 N^2 s, dymos's test of the same data (there with 40 segment
 58.80767.
 """
 
-from sympy import cos, pi
+from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinates, parameters
+from codegen.drawing import Arrow, Box, Ground, Mass, Rod, Trail
 
 
 def problem() -> Control:
@@ -20,6 +21,8 @@ def problem() -> Control:
     u_max, d_max = parameters(u_max=20, d_max=2)
 
     kinetic = (m1 + m2) / 2 * dx**2 + m2 * rod * cos(theta) * dx * dtheta + m2 * rod**2 / 2 * dtheta**2
+    bob = x + rod * sin(theta), -rod * cos(theta)
+    cart = [Box((x, 0), 0.24, 0.12), Arrow((x, 0), (u / u_max, 0), label="force")]
     return Control(
         lagrangian=kinetic + m2 * g * rod * cos(theta),
         force={x: u},
@@ -29,4 +32,5 @@ def problem() -> Control:
         end={x: d, theta: pi, dx: 0, dtheta: 0},
         bounds={x: (-d_max, d_max), u: (-u_max, u_max)},
         steps=50,
+        drawing=[Ground((-d, -0.06), (2 * d, -0.06)), Trail(bob), *cart, Rod((x, 0), bob), Mass(bob, 0.04)],
     )

@@ -6,7 +6,10 @@ swing angle and its rate. Source: Sakawa and Shindo, Optimal control of containe
 Goh and Wong (1991). Data and published value 5.1513e-3 of PSOPT's example "crane".
 """
 
+from sympy import cos, sin
+
 from codegen import Control, controls, parameters, states
+from codegen.drawing import Box, Ground, Rod, Trail
 
 
 def problem() -> Control:
@@ -15,6 +18,7 @@ def problem() -> Control:
     T, trolley, rope = parameters(T=9, trolley=17.2656, rope=27.0756)
     speed, hoist, drive, down, up = parameters(speed=2.5, hoist=1, drive=2.83374, down=0.80865, up=0.71265)
 
+    load = x1 + x2 * sin(x3), -x2 * cos(x3)
     return Control(
         dynamics={
             x1: x4,
@@ -30,4 +34,5 @@ def problem() -> Control:
         end={x1: 10, x2: 14, x3: 0, x4: 2.5, x5: 0, x6: 0},
         bounds={x4: (-speed, speed), x5: (-hoist, hoist), u1: (-drive, drive), u2: (-down, up)},
         steps=90,
+        drawing=[Ground((14, 0.5), (-4, 0.5)), Trail(load), Box((x1, 0), 2, 1), Rod((x1, 0), load), Box(load, 3, 1.5)],
     )

@@ -10,6 +10,7 @@ quantities are nondimensional. Reference: the same linkage with the crank's angl
 from sympy import acos, cos, pi, sin
 
 from codegen import Control, control, coordinates, parameters
+from codegen.drawing import Mark, Rod, Trail
 
 
 def problem() -> Control:
@@ -23,6 +24,8 @@ def problem() -> Control:
         [acos((l2**2 + d**2 - l3**2) / (2 * l2 * d)) for d in distances],
         [pi - acos((l3**2 + d**2 - l2**2) / (2 * l3 * d)) for d in distances],
     )
+    tip, joint = (l1 * cos(a), l1 * sin(a)), (l0 + l3 * cos(c), l3 * sin(c))
+    links = [Rod((0, 0), tip), Rod(tip, joint), Rod((l0, 0), joint)]
     return Control(
         lagrangian=l1**2 / 6 * da**2 + coupler / 2 + l3**2 / 6 * dc**2,
         force={a: u},
@@ -32,4 +35,5 @@ def problem() -> Control:
         end={a: pi, b: b1, c: c1, da: 0, db: 0, dc: 0},
         constraint=[l1 * cos(a) + l2 * cos(b) - l3 * cos(c) - l0, l1 * sin(a) + l2 * sin(b) - l3 * sin(c)],
         steps=50,
+        drawing=[Trail(tip), Trail(joint), *links, Mark((0, 0)), Mark((l0, 0))],
     )

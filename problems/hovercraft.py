@@ -15,6 +15,7 @@ from typing import Literal
 from sympy import Expr, acos, cos, pi, sin, sqrt
 
 from codegen import Control, body_number, controls, coordinates, parameters, time
+from codegen.drawing import Arrow, Circle, Mark, Mass, Trail
 
 
 def problem(craft: int = 3, conditions: Literal["minimal", "thesis"] = "minimal") -> Control:
@@ -42,6 +43,8 @@ def problem(craft: int = 3, conditions: Literal["minimal", "thesis"] = "minimal"
         shape = [angle(i) - pi * (craft - 2) / craft for i in range(craft)]
 
     start_x, corner_angle = 1 + 2 * body / (craft - 1), pi + 2 * pi * body / craft
+    target = [Circle((Mx, My), radius, label="final circle"), Mark((Mx, My))]
+    heading = Arrow((x, y), (cos(theta) / 3, sin(theta) / 3), label="heading")
     return Control(
         lagrangian=m / 2 * (dx**2 + dy**2) + J / 2 * dtheta**2,
         force={x: cos(theta) * f1 - sin(theta) * f2, y: sin(theta) * f1 + cos(theta) * f2, theta: -r * f2},
@@ -58,4 +61,5 @@ def problem(craft: int = 3, conditions: Literal["minimal", "thesis"] = "minimal"
             f2: 1,
         },
         steps=20,
+        drawing=[*target, Trail((x, y)), Mass((x, y), 0.06), heading],
     )

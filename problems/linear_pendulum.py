@@ -5,15 +5,17 @@ period. Source: thesis, section 3.2. All quantities are nondimensional. The opti
 J* = 4.530760981081599.
 """
 
-from sympy import pi
+from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinate
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:
     q, dq = coordinate("q")
     f = control("f")
 
+    bob = sin(q), -cos(q)
     return Control(
         lagrangian=dq**2 / 2 - q**2 / 2,
         force={q: f},
@@ -22,4 +24,5 @@ def problem() -> Control:
         start={q: 3 * pi / 5, dq: 0},
         end={q: 2 * pi / 5, dq: 0},
         steps=50,
+        drawing=[Trail(bob), Rod((0, 0), bob), Mass(bob, 0.06)],
     )

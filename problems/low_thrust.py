@@ -10,6 +10,7 @@ and gravitational parameter are 1 at the start. The largest radius is 1.5252777 
 from sympy import Eq, cos, pi, sin
 
 from codegen import Control, controls, coordinates, parameters, time
+from codegen.drawing import Arrow, Circle, Mass, Trail
 
 
 def problem() -> Control:
@@ -19,6 +20,9 @@ def problem() -> Control:
     thrust, flow, T = parameters(thrust=0.1405, flow=0.0749, T=3.32)
     acceleration, s = thrust / (1 - flow * t), t / T
 
+    sun = [Mass((0, 0), 0.08, label="sun"), Circle((0, 0), 1, label="first orbit")]
+    place = r * cos(phi), r * sin(phi)
+    push = (w1 * cos(phi) - w2 * sin(phi)) / 3, (w1 * sin(phi) + w2 * cos(phi)) / 3
     return Control(
         lagrangian=(dr**2 + r**2 * dphi**2) / 2 + 1 / r,
         force={r: acceleration * w1, phi: acceleration * r * w2},
@@ -30,4 +34,5 @@ def problem() -> Control:
         path=[w1**2 + w2**2 <= 1],
         guess={r: 1 + s**2 * (3 - 2 * s) / 2, phi: T * (s - s**2 / 4), w1: sin(2 * pi * s), w2: cos(2 * pi * s)},
         steps=50,
+        drawing=[*sun, Trail(place, label="transfer"), Mass(place, 0.04), Arrow(place, push, label="thrust")],
     )

@@ -11,6 +11,7 @@ from typing import Literal
 from sympy import cos, pi, sin
 
 from codegen import Control, controls, coordinates, parameters
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem(links: int = 2, motors: Literal["every", "first"] = "every") -> Control:
@@ -30,6 +31,7 @@ def problem(links: int = 2, motors: Literal["every", "first"] = "every") -> Cont
         force[qs[i]] += u
         if i:
             force[qs[i - 1]] -= u
+    joints = [(rod * sum(sin(q) for q in qs[:i]), -rod * sum(cos(q) for q in qs[:i])) for i in range(links + 1)]
     return Control(
         lagrangian=lagrangian,
         force={q: f for q, f in force.items() if f != 0},
@@ -38,4 +40,5 @@ def problem(links: int = 2, motors: Literal["every", "first"] = "every") -> Cont
         start=dict.fromkeys((*qs, *dqs), 0),
         end=dict.fromkeys(qs, pi / 4) | dict.fromkeys(dqs, 0),
         steps=20,
+        drawing=[Trail(joints[-1]), *map(Rod, joints, joints[1:]), *(Mass(joint, 0.03) for joint in joints[1:])],
     )

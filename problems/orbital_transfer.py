@@ -6,9 +6,10 @@ integral of the squared thrust. Source: thesis, section 3.3; after Junge, Marsde
 quantities are nondimensional.
 """
 
-from sympy import pi, sqrt
+from sympy import cos, pi, sin, sqrt
 
 from codegen import Control, control, coordinates, parameters
+from codegen.drawing import Arrow, Circle, Mass, Trail
 
 
 def problem(revolutions: float = 1) -> Control:
@@ -16,6 +17,9 @@ def problem(revolutions: float = 1) -> Control:
     u = control("u")
     m, GM, r0, r1, p = parameters(m=100, GM=0.40038, r0=5, r1=6, revolutions=revolutions)
 
+    place = r * cos(phi), r * sin(phi)
+    thrust = Arrow(place, (-50 * u * sin(phi), 50 * u * cos(phi)), label="thrust")
+    orbits = [Circle((0, 0), r0, label="first orbit"), Circle((0, 0), r1, label="last orbit")]
     return Control(
         lagrangian=m / 2 * (dr**2 + r**2 * dphi**2) + GM * m / r,
         force={phi: r * u},
@@ -24,4 +28,5 @@ def problem(revolutions: float = 1) -> Control:
         start={r: r0, phi: 0, dr: 0, dphi: sqrt(GM / r0**3)},
         end={r: r1, phi: 2 * pi * p, dr: 0, dphi: sqrt(GM / r1**3)},
         steps=100,
+        drawing=[Mass((0, 0), 1, label="earth"), *orbits, Trail(place, label="transfer"), Mass(place, 0.2), thrust],
     )

@@ -9,6 +9,7 @@ guess here, which swings ever wider, leads to 9.31395.
 from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinate, parameters, time
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:
@@ -17,6 +18,7 @@ def problem() -> Control:
     t = time()
     J, m, g, d, T, greatest = parameters(J=1, m=1, g=9.81, d=1, T=10, greatest=2)
 
+    bob = d * sin(theta), -d * cos(theta)
     return Control(
         lagrangian=J / 2 * dtheta**2 + m * g * d * cos(theta),
         force={theta: torque},
@@ -27,4 +29,5 @@ def problem() -> Control:
         bounds={torque: (-greatest, greatest)},
         guess={theta: pi * (t / T) ** 2 * sin(9 * pi * t / (2 * T))},
         steps=100,
+        drawing=[Trail(bob), Rod((0, 0), bob), Mass(bob, 0.08)],
     )

@@ -6,9 +6,10 @@ u1^2 + u2^2. Source: data of OptimTraj's quadRotor2d (Kelly, 2015), where the we
 one; here the mass is 2 m.
 """
 
-from sympy import cos, sin
+from sympy import Expr, cos, sin
 
 from codegen import Control, controls, coordinates, parameters
+from codegen.drawing import Arrow, Box, Trail
 
 
 def problem() -> Control:
@@ -16,6 +17,10 @@ def problem() -> Control:
     u1, u2 = controls("u1 u2")
     m, d, g, T = parameters(m=0.2, d=0.3, g=9.81, T=1)
     greatest = 5 * m * g
+
+    def thrust(place: Expr, u: Expr) -> Arrow:
+        rotor = x + place * cos(theta), y + place * sin(theta)
+        return Arrow(rotor, (-u / (10 * m * g) * sin(theta), u / (10 * m * g) * cos(theta)), label="thrust")
 
     return Control(
         lagrangian=m * (dx**2 + dy**2 + d**2 * dtheta**2) - 2 * m * g * y,
@@ -27,4 +32,5 @@ def problem() -> Control:
         bounds={u1: (-greatest, greatest), u2: (-greatest, greatest)},
         guess={u1: m * g, u2: m * g},
         steps=50,
+        drawing=[Trail((x, y)), Box((x, y), 2 * d, 0.03, theta), thrust(-d, u1), thrust(d, u2)],
     )

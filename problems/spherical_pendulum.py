@@ -9,9 +9,22 @@ Ober-Bloebaum, Marsden and Ortiz, Discrete mechanics and optimal control for con
 
 from typing import Literal
 
-from sympy import cos, pi, sin, sqrt
+from sympy import Expr, cos, pi, sin, sqrt
 
 from codegen import Control, controls, coordinates, parameters, time
+from codegen.drawing import Arrow, Item, Mass, Rod, Trail
+
+
+def seen(x: Expr, y: Expr, z: Expr) -> tuple[Expr, Expr]:
+    """The plane point at which a point in space is drawn: y to the right, z upwards, x towards the beholder."""
+    return y - x / 2, z - x / 3
+
+
+def drawing(x: Expr, y: Expr, z: Expr, u1: Expr, u2: Expr) -> list[Item]:
+    """The pendulum, its path with the shadow on the floor below, and the horizontal force."""
+    bob, floor = seen(x, y, z), seen(x, y, -1.3)
+    force = Arrow(bob, seen(u1 / 20, u2 / 20, 0), label="force")
+    return [Trail(bob), Trail(floor, label="shadow of the path"), Rod((0, 0), bob), Mass(bob, 0.05), force]
 
 
 def problem(form: Literal["cartesian", "angles"] = "cartesian") -> Control:
@@ -34,6 +47,7 @@ def problem(form: Literal["cartesian", "angles"] = "cartesian") -> Control:
             end={theta: pi / 4, phi: pi / 2, dtheta: 0, dphi: 0},
             guess={phi: pi * t / 2},
             steps=50,
+            drawing=drawing(sin(theta) * cos(phi), sin(theta) * sin(phi), -cos(theta), u1, u2),
         )
 
     (x, y, z), (dx, dy, dz) = coordinates("x y z")
@@ -47,4 +61,5 @@ def problem(form: Literal["cartesian", "angles"] = "cartesian") -> Control:
         constraint=[x**2 + y**2 + z**2 - 1],
         guess={x: s * cos(pi * t / 2), y: s * sin(pi * t / 2), z: -s},
         steps=50,
+        drawing=drawing(x, y, z, u1, u2),
     )

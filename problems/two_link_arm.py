@@ -7,9 +7,10 @@ examples of PROPT and PSOPT. All quantities are nondimensional. Published value:
 limit is 2.9823.
 """
 
-from sympy import Rational, cos
+from sympy import Rational, cos, sin
 
 from codegen import Control, controls, coordinates, free_parameter, parameters
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:
@@ -19,6 +20,8 @@ def problem() -> Control:
     T = free_parameter("T", guess=3, lower=1, upper=10)
 
     first, second, both = Rational(7, 3), Rational(4, 3), Rational(3, 2)
+    joint = cos(alpha), sin(alpha)
+    hand = joint[0] + cos(beta), joint[1] + sin(beta)
     return Control(
         lagrangian=first / 2 * dalpha**2 + second / 2 * dbeta**2 + both * cos(beta - alpha) * dalpha * dbeta,
         force={alpha: u1 - u2, beta: u2},
@@ -28,4 +31,5 @@ def problem() -> Control:
         end={alpha: target, beta: target + elbow, dalpha: 0, dbeta: 0},
         bounds={u1: (-greatest, greatest), u2: (-greatest, greatest)},
         steps=100,
+        drawing=[Trail(hand, label="hand"), Rod((0, 0), joint), Rod(joint, hand), Mass(joint, 0.04), Mass(hand, 0.08)],
     )

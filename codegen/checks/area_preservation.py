@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import sympy
 from sympy import Expr
 
-from codegen.checks.base import Context, Finding
+from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.one_step import jacobians, step_equations, without_forces
 from codegen.model import Model
 from codegen.schemes import METHODS, Scheme
@@ -18,7 +18,11 @@ from codegen.schemes import METHODS, Scheme
 
 def check(context: Context) -> Iterator[Finding]:
     """Derive the determinant for every registered scheme, forces left out, where there is one coordinate."""
+    if context.model.form == "first-order":
+        yield does_not_apply("area preservation", "a first-order system has no phase plane of q and p")
+        return
     if len(context.model.coordinates) != 1:
+        yield does_not_apply("area preservation", "there is more than one coordinate")
         return
     model = without_forces(context.model)
     curved = model.function.has(*model.coordinates)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 from codegen.compiler import Choices
@@ -11,15 +12,21 @@ from codegen.model import Model
 from codegen.schemes import Scheme
 from codegen.transcribe.program import ControlProgram, StepProgram
 
+_LEAST_STEPS = 8
+
 
 @dataclass(frozen=True)
 class Finding:
-    """One piece of evidence: which check, about what, whether it holds, and the formula or number that says so."""
+    """One piece of evidence: which check, about what, whether it holds, and the formula or number that says so.
+
+    What does not apply to a problem has passed, but is no evidence; then `detail` says why it does not apply.
+    """
 
     check: str
     subject: str
     passed: bool
     detail: str
+    applies: bool = True
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,16 @@ class Context:
     scheme: Scheme
     module: Any
 
+    @cached_property
+    def solution(self) -> Any:
+        """What the module's solver finds on the default number of intervals, but on eight at least."""
+        return self.module.solve(max(_LEAST_STEPS, self.model.steps))
+
 
 Check: TypeAlias = Callable[[Context], Iterable[Finding]]
-"""A check yields nothing where it does not apply."""
+"""A check yields at least one finding, also where it does not apply."""
+
+
+def does_not_apply(check: str, reason: str) -> Finding:
+    """The finding of a check that has nothing to say about a problem."""
+    return Finding(check, "the whole problem", True, f"does not apply: {reason}", applies=False)

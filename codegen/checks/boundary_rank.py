@@ -1,7 +1,8 @@
 """Rank of all discrete equations, boundary conditions included: none may be redundant or out of reach.
 
 Where the Jacobian of the constraints lacks rank, its left null vectors say which equations of motion depend on each
-other, and the boundary conditions that meet them are the ones of which one is too many.
+other, and the boundary conditions that meet them are the ones of which one is too many. Conditions between bodies are
+sorted into independent ones and redundant ones, which the module leaves out.
 """
 
 from __future__ import annotations
@@ -12,19 +13,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.checks.base import Context, Finding
+from codegen import expressions
+from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.flat_vector import FlatVector
+from codegen.checks.solutions import free_values
+from codegen.redundancy import independent_couplings
 from codegen.transcribe.program import ControlProgram, EndElement
 
 _INTERVALS = 8
 _SINGULAR = 1e-11
 _TAKES_PART = 1e-6
+_HOLDS = 1e-6
 
 
 def check(context: Context) -> Iterator[Finding]:
-    """Decompose the scaled Jacobian at the guess and beside it; the larger rank counts."""
+    """Decompose the scaled Jacobian at the guess and beside it; the larger rank counts. Then look at couplings."""
     program = context.program
     if not isinstance(program, ControlProgram):
+        yield does_not_apply("boundary rank", "a simulation has no boundary value problem")
         return
+    yield from _rank(context, program)
+    if context.model.couplings:
+        yield from _couplings(context)
+
+
+def _rank(context: Context, program: ControlProgram) -> Iterator[Finding]:
     module = context.module
     grid = module.make_grid(_INTERVALS)
     guess = module.initial_guess(grid)
@@ -34,28 +47,70 @@ def check(context: Context) -> Iterator[Finding]:
     for amount in (0.0, 0.05):
         unknowns = guess.copy()
         unknowns[free] += amount * generator.uniform(-1, 1, free.size) * (1 + np.abs(unknowns[free]))
-        found = _decomposed(module, grid, unknowns)
-        if best is None or found[0] < best[0]:
+        found = _decomposed(module, grid, module.with_pinned_values(grid, unknowns))
+        if found is not None and (best is None or found[0] < best[0]):
             best = found
-    assert best is not None
-    lacking, nulls, touched = best
     rows = module.multiplier_unknowns(grid)
     free_count = module.primal_unknowns(grid).size
+    if best is None:
+        yield Finding("boundary rank", "all equations", False, "their Jacobian is not finite at the guess nor beside it")
+        return
+    lacking, nulls, touched = best
     if lacking == 0:
-        conditions = ", ".join(f"{v.where} {v.quantity}" for v in program.boundary_values)
-        detail = f"{rows.size} equations in {free_count} unknowns have full rank (N = {_INTERVALS}): {conditions}"
-        yield Finding("boundary rank", "boundary conditions", True, detail)
+        conditions = [f"{v.where} {v.quantity}" for v in program.boundary_values]
+        ends = (*program.start.conditions, *program.end.conditions)
+        conditions += [name.partition("(")[2].removesuffix(")") for name, _ in ends if "(" in name]
+        detail = f"{rows.size} equations in {free_count} unknowns have full rank (N = {_INTERVALS})"
+        yield Finding("boundary rank", "all equations", True, f"{detail}: {', '.join(conditions) or 'no conditions'}")
         return
     for null in range(lacking):
-        yield Finding(
-            "boundary rank", "boundary conditions", False, _named(program, grid, nulls[:, null], rows, touched[null])
-        )
+        detail = _named(program, nulls[:, null], rows, touched[null])
+        yield Finding("boundary rank", "all equations", False, detail)
 
 
-def _decomposed(module: Any, grid: Any, unknowns: Any) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
-    """How much rank is missing, the left null vectors (columns), and what of every pinned unknown they meet (rows)."""
+def _couplings(context: Context) -> Iterator[Finding]:
+    """Which conditions between bodies follow from others, and whether the solution satisfies these as well."""
+    model, solution = context.model, context.solution
+    found = independent_couplings(model)
+    names = [condition.name for condition in model.couplings]
+    subject = "conditions between bodies"
+    if not found.consistent:
+        detail = f"they contradict each other: no configuration was found where {found.violated} holds as well"
+        yield Finding("boundary rank", subject, False, detail)
+        return
+    kept = f"{len(found.kept)} of {len(names)} are independent" + ("" if found.dropped else ", none is redundant")
+    yield Finding("boundary rank", subject, True, kept)
+    for place, others in found.dropped:
+        detail = f"redundant, and left out: it follows from {'; '.join(others)}" if others else "redundant: it says nothing"
+        missed = _missed(context, place)
+        passed = solution.status != "solved" or missed <= _HOLDS
+        if not passed:
+            detail = f"left out as redundant, but the solution violates it by {missed:.2g}; start from a better guess"
+        yield Finding("boundary rank", f"{names[place]}", passed, detail)
+
+
+def _missed(context: Context, place: int) -> float:
+    """By how much the solution violates a condition between bodies."""
+    model, solution = context.model, context.solution
+    free = dict(zip((p.symbol for p in model.free_parameters), free_values(context.module, solution), strict=True))
+    width = len(model.coordinates)
+    values = model.default_values | free
+    values |= {v.symbol: float(solution.q[-1, v.body * width + v.coordinate]) for v in model.end_values}
+    number = expressions.rounded_at(model.couplings[place].expression, values)
+    return abs(number) if number is not None else float("inf")
+
+
+def _decomposed(
+    module: Any, grid: Any, unknowns: Any
+) -> tuple[int, NDArray[np.float64], NDArray[np.float64]] | None:
+    """How much rank is missing, the left null vectors (columns), and what of every unknown they meet (rows).
+
+    None where the Jacobian is not finite.
+    """
     rows, columns = module.multiplier_unknowns(grid), module.primal_unknowns(grid)
     matrix = _dense(module.jacobian(grid, unknowns), (rows.size, columns.size))
+    if not np.isfinite(matrix).all():
+        return None
     row_scale = np.abs(matrix).max(axis=1, initial=0.0)
     row_scale[row_scale == 0.0] = 1.0
     scaled = matrix / row_scale[:, None]
@@ -78,34 +133,36 @@ def _dense(entries: Any, shape: tuple[int, int]) -> NDArray[np.float64]:
     return matrix
 
 
-def _named(program: ControlProgram, grid: Any, null: Any, rows: Any, touched: Any) -> str:
+def _named(program: ControlProgram, null: Any, rows: Any, touched: Any) -> str:
     """Which equations depend on each other, and which boundary conditions take part."""
-    stride = len(program.node) + len(program.interval) + len(program.controls)
-    names = [*program.node, *program.interval, *program.controls]
-    weights = np.zeros(grid.is_multiplier.size)
+    flat = FlatVector(program, _INTERVALS)
+    weights = np.zeros(flat.size)
     weights[rows] = np.abs(null)
     bound = _TAKES_PART * weights.max()
-    equations = dict.fromkeys(names[i % stride].meaning for i in np.flatnonzero(weights > bound))
-    conditions = _conditions(program, "start", program.start, weights, touched, 0, bound)
-    conditions += _conditions(program, "end", program.end, weights, touched, weights.size - len(program.node), bound)
-    involved = "; ".join(name.removeprefix("multiplier of ") for name in equations)
+    meanings = flat.meanings()
+    equations = dict.fromkeys(meanings[i].removeprefix("multiplier of ") for i in np.flatnonzero(weights > bound))
+    conditions = dict[str, None]()
+    for body in range(program.bodies):
+        for where, end, k in (("start", program.start, 0), ("end", program.end, _INTERVALS)):
+            places = flat.node(body, k)
+            conditions |= _conditions(program, where, end, weights[places] > bound, touched[places] > bound)
     listed = ", ".join(conditions) or "no boundary condition"
+    involved = "; ".join(equations)
     return f"redundant or unreachable: one of {listed} ({involved} depend on each other); leave one of them free"
 
 
 def _conditions(
-    program: ControlProgram, where: str, end: EndElement, weights: Any, touched: Any, first: int, bound: float
-) -> list[str]:
+    program: ControlProgram, where: str, end: EndElement, takes_part: Any, touched: Any
+) -> dict[str, None]:
     """Prescribed positions (or momenta) whose column a null vector meets, and velocities whose equation it holds."""
     values = {value.symbol: value for value in program.boundary_values}
-    found = []
+    found = dict[str, None]()
     for place, value in end.pins:
-        if value in values and touched[first + place] > bound:
-            found.append(f"{where} {values[value].quantity}")
+        if value in values and touched[place]:
+            found[f"{where} {values[value].quantity}"] = None
     symbols = program.left_symbols if where == "start" else program.right_symbols
     for place, unknown in enumerate(program.node):
-        if not (unknown.multiplier and weights[first + place] > bound):
-            continue
-        condition = end.element.diff(symbols[place])
-        found += [f"{where} {values[s].quantity}" for s in values if s in condition.free_symbols]
-    return list(dict.fromkeys(found))
+        if unknown.multiplier and takes_part[place]:
+            condition = end.element.diff(symbols[place])
+            found |= {f"{where} {values[s].quantity}": None for s in values if s in condition.free_symbols}
+    return found

@@ -1,8 +1,9 @@
 """The derived discrete equations, divided by h, tend to the forced equations of motion as h -> 0.
 
 This settles the signs of forces and potentials (the thesis prints one of them wrongly in A.1). The discrete side is
-what the module was emitted from; the continuous side is d/dt dL/dv - dL/dq = f, or Hamilton's equations, put together
-here. Along a smooth motion their difference must vanish like h.
+what the module was emitted from; the continuous side is d/dt dL/dv - dL/dq = f + G^T y with constraint forces y along
+the normals of holonomic constraints, Hamilton's equations, or x' = f, put together here. Along a smooth motion their
+difference must vanish like h.
 """
 
 from __future__ import annotations
@@ -28,17 +29,20 @@ _VANISHED = 1e-15
 def check(context: Context) -> Iterator[Finding]:
     """Compare both sides at random states, one finding for each equation."""
     model, program = without_boundaries(context.model), context.program
+    forces: list[Symbol] = []
     if program.method == "variational":
         model = legendre.lagrangian_form(model)
         names = [f"equation of motion of {q}" for q in model.coordinates]
-        discrete, continuous = _nodal(model, node_equations(program)), _euler_lagrange(model)
-        rates: list[Symbol] = [*model.rates, *_accelerations(model)]
+        forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(model.holonomic))]
+        discrete, continuous = _nodal(model, node_equations(program), program, forces), _euler_lagrange(model, forces)
+        rates: list[Symbol] = [*model.rates, *_accelerations(model), *forces]
     else:
-        model = legendre.hamiltonian_form(model)
+        model = model if model.form == "first-order" else legendre.hamiltonian_form(model)
         names = [f"step of {x}" for x in (*model.coordinates, *model.rates)]
         rates = [Symbol(f"rate_{x}", real=True) for x in (*model.coordinates, *model.rates)]
-        discrete, continuous = _stepwise(model, _one_step_equations(program), rates), _hamilton(model, rates)
-    symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
+        discrete, continuous = _stepwise(model, _one_step_equations(program), rates), _flow(model, rates)
+    free = [parameter.symbol for parameter in model.free_parameters]
+    symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, *free, model.time]
     symbols = list(dict.fromkeys(symbols))
     points = random_points(continuous, symbols, model.default_values)
     for name, scheme_side, exact in zip(names, discrete, continuous, strict=True):
@@ -61,12 +65,15 @@ def check(context: Context) -> Iterator[Finding]:
 
 
 def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], list[Expr]]:
-    """Halves of a node's discrete Euler-Lagrange equation: -p_k of the interval after it, p_k1 of the one before it."""
+    """Halves of a node's discrete Euler-Lagrange equation: -p_k of the interval after it, p_k1 of the one before it.
+
+    In time, also where the program measures it in fractions of a free duration.
+    """
     dimension = len(program.model.coordinates)
     if isinstance(program, ControlProgram):
         left = program.left_symbols[dimension : 2 * dimension]
         right = program.right_symbols[dimension : 2 * dimension]
-        after, before = ([sympy.diff(program.element, m) for m in side] for side in (left, right))
+        after, before = ([_in_time(program, sympy.diff(program.element, m)) for m in side] for side in (left, right))
         return after, before
     # The step's equations are p - (momentum as a function of both positions).
     momenta = [*program.left_symbols[dimension:], *program.right_symbols[dimension:]]
@@ -74,7 +81,24 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
     return [-value for value in values[:dimension]], values[dimension:]
 
 
-def _nodal(model: Model, halves: tuple[list[Expr], list[Expr]]) -> list[Expr]:
+def _in_time(program: ControlProgram | StepProgram, expression: Expr) -> Expr:
+    """Undo that t and h are fractions of the duration."""
+    if not (isinstance(program, ControlProgram) and program.scaled_time):
+        return expression
+    duration, time = program.model.duration, program.model.time
+    return expression.xreplace({STEP: STEP / duration, time: time / duration})
+
+
+def constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -> list[Symbol]:
+    """The forces along the normals of holonomic constraints at a node: they follow coordinates and multipliers."""
+    first = 2 * len(program.model.coordinates)
+    names = [u.name for u in program.node[first : first + len(program.model.holonomic)]] if isinstance(program, ControlProgram) else []
+    return list(at_nodes([Symbol(name) for name in names], suffix))
+
+
+def _nodal(
+    model: Model, halves: tuple[list[Expr], list[Expr]], program: ControlProgram | StepProgram, forces: Sequence[Symbol]
+) -> list[Expr]:
     """The equations of a node on the motion q(t +- h) = q +- h v + h^2 a/2, with the node at time t."""
     after, before = halves
     q, v, a = model.coordinates, model.rates, _accelerations(model)
@@ -82,28 +106,34 @@ def _nodal(model: Model, halves: tuple[list[Expr], list[Expr]]) -> list[Expr]:
     earlier = [x - STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
     later = [x + STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
     controls = _controls(model)
+    controls |= {
+        site: force
+        for suffix in ("_k", "_k1")
+        for site, force in zip(constraint_multipliers(program, suffix), forces, strict=True)
+    }
     going = {**dict(zip(left, q, strict=True)), **dict(zip(right, later, strict=True)), **controls}
     coming = {**dict(zip(left, earlier, strict=True)), **dict(zip(right, q, strict=True)), **controls}
     coming[model.time] = model.time - STEP
     return [e.xreplace(going) + f.xreplace(coming) for e, f in zip(after, before, strict=True)]
 
 
-def _euler_lagrange(model: Model) -> list[Expr]:
-    """L_q - d/dt L_v + f."""
+def _euler_lagrange(model: Model, forces: Sequence[Symbol]) -> list[Expr]:
+    """L_q - d/dt L_v + f, and the forces of holonomic constraints along their normals."""
     function, q, v, a = model.function, model.coordinates, model.rates, _accelerations(model)
     equations = []
     for x, w, f in zip(q, v, model.force, strict=True):
         momentum = sympy.diff(function, w)
         rate = sympy.diff(momentum, model.time)
         rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *a), strict=True))
-        equations.append(sympy.diff(function, x) - rate + f)
+        normal = sum((y * sympy.diff(c, x) for y, c in zip(forces, model.holonomic, strict=True)), sympy.S.Zero)
+        equations.append(sympy.diff(function, x) - rate + f + normal)
     return equations
 
 
 def _one_step_equations(program: ControlProgram | StepProgram) -> list[Expr]:
     if isinstance(program, StepProgram):
         return [equation for _, equation in program.equations]
-    return [equation for name, equation in program.equations if name == "0"]
+    return [_in_time(program, equation) for name, equation in program.equations if name == "0"]
 
 
 def _stepwise(model: Model, equations: Sequence[Expr], rates: Sequence[Symbol]) -> list[Expr]:
@@ -121,8 +151,10 @@ def _stepwise(model: Model, equations: Sequence[Expr], rates: Sequence[Symbol]) 
     return [e.xreplace(place) for e in total]
 
 
-def _hamilton(model: Model, rates: Sequence[Symbol]) -> list[Expr]:
-    """The left sides of q' - dH/dp = 0 and p' + dH/dq - f = 0."""
+def _flow(model: Model, rates: Sequence[Symbol]) -> list[Expr]:
+    """The left sides of q' - dH/dp = 0 and p' + dH/dq - f = 0, or of x' - f(x, u, t) = 0."""
+    if model.form == "first-order":
+        return [rate - f for rate, f in zip(rates, model.dynamics, strict=True)]
     half = len(model.coordinates)
     first = [rate - sympy.diff(model.function, p) for rate, p in zip(rates[:half], model.rates, strict=True)]
     pairs = zip(rates[half:], model.coordinates, model.force, strict=True)

@@ -7,7 +7,7 @@ differentiation and are right to about 40 digits.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import mpmath  # type: ignore[import-untyped]
@@ -76,28 +76,68 @@ def gradient(function: Function, numbers: Sequence[float], places: Sequence[int]
     """Forward differences of the first value of a function by the arguments at some places."""
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
-        return [(at(i) - at()) / _INCREMENT for i in places]
+        middle = at()
+        return [(at(i) - middle) / _INCREMENT for i in places]
 
 
-def hessian(function: Function, numbers: Sequence[float], places: Sequence[int]) -> list[list[Any]]:
-    """Second forward differences of the first value of a function, the lower triangle row by row."""
+def second_differences(
+    function: Function, numbers: Sequence[float], pairs: Sequence[tuple[int, int]]
+) -> dict[tuple[int, int], Any]:
+    """Second forward differences of the first value of a function by pairs of arguments."""
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
-        single = {i: at(i) for i in places}
+        single = {i: at(i) for i in dict.fromkeys(place for pair in pairs for place in pair)}
         middle = at()
-        return [
-            [(at(i, j) - single[i] - single[j] + middle) / _INCREMENT**2 for j in places[: row + 1]]
-            for row, i in enumerate(places)
-        ]
+        return {(i, j): (at(i, j) - single[i] - single[j] + middle) / _INCREMENT**2 for i, j in pairs}
+
+
+def directional(function: Function, numbers: Sequence[float], direction: Sequence[float]) -> list[Any]:
+    """Second forward differences of the first value of a function by each of its first arguments and a direction.
+
+    The direction has an entry for each of these arguments.
+    """
+    along = {i: mpmath.mpf(float(weight)) for i, weight in enumerate(direction) if weight}
+    with mpmath.workdps(DIGITS):
+        at = _shifted(function, numbers)
+        ahead, middle = at(along=along), at()
+        return [(at(i, along=along) - at(i) - ahead + middle) / _INCREMENT**2 for i in range(len(direction))]
+
+
+def curved_beyond(
+    function: Function, numbers: Sequence[float], places: Sequence[int], pattern: Iterable[tuple[int, int]]
+) -> set[tuple[int, int]]:
+    """Pairs (row, column), row >= column, outside a pattern whose second difference does not vanish.
+
+    A row is searched only if its second difference by a random combination of all columns outside the pattern does
+    not vanish, so that the cost grows with the number of rows.
+    """
+    known, found = set(pattern), set[tuple[int, int]]()
+    generator = np.random.default_rng(_SEED)
+    inside = second_differences(function, numbers, sorted(known)).values()
+    least = NOTHING * (max(map(abs, inside), default=0) or 1)
+    with mpmath.workdps(DIGITS):
+        at = _shifted(function, numbers)
+        middle = at()
+        for row in places:
+            columns = [c for c in places if c <= row and (row, c) not in known]
+            weights = {c: mpmath.mpf(float(generator.uniform(0.5, 1.5))) for c in columns}
+            alone, beside = at(row), at(along=weights)
+            if abs(at(row, along=weights) - alone - beside + middle) <= least * _INCREMENT**2:
+                continue
+            values = second_differences(function, numbers, [(row, c) for c in columns])
+            found |= {pair for pair, value in values.items() if abs(value) > least}
+    return found
 
 
 def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., Any]:
-    """The first value of a function at numbers that are incremented at the given places."""
+    """The first value of a function at numbers that are incremented at the given places, and along a direction."""
 
-    def at(*places: int) -> Any:
+    def at(*places: int, along: Mapping[int, Any] | None = None) -> Any:
         arguments = [mpmath.mpf(number) for number in numbers]
         for i in places:
             arguments[i] += _INCREMENT
+        for i, weight in (along or {}).items():
+            arguments[i] += weight * _INCREMENT
         return function(*arguments)[0]
 
     return at

@@ -8,7 +8,7 @@ import sympy
 from sympy import Expr
 
 from codegen import legendre, schemes
-from codegen.checks.base import Context, Finding
+from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.evaluation import vanishes_symbolically
 from codegen.checks.one_step import without_boundaries
 from codegen.discretise import at_nodes, one_step_interval, variational_interval
@@ -18,6 +18,10 @@ from codegen.model import Model
 def check(context: Context) -> Iterator[Finding]:
     """Put both discrete Legendre transforms into the implicit midpoint equations, which must then vanish."""
     if context.scheme.name != "midpoint":
+        yield does_not_apply("midpoint equivalence", f"the scheme is {context.scheme.name}")
+        return
+    if context.model.form == "first-order":
+        yield does_not_apply("midpoint equivalence", "a first-order system has no discrete Lagrangian")
         return
     for name, left_over in residuals(context.model):
         if vanishes_symbolically(left_over):

@@ -12,7 +12,7 @@ import sympy
 from sympy import Expr
 
 from codegen import legendre
-from codegen.checks.base import Context, Finding
+from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.evaluation import vanishes_symbolically
 from codegen.checks.one_step import without_boundaries, without_forces
 from codegen.discretise import one_step_interval, variational_interval
@@ -22,14 +22,22 @@ from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
 
 def check(context: Context) -> Iterator[Finding]:
     """Prove conservation for every coordinate that the Lagrangian or Hamiltonian does not hold."""
-    for i, q in enumerate(context.model.coordinates):
-        if context.model.function.has(q):
-            continue
-        change = momentum_change(context.model, context.scheme, i)
+    model = context.model
+    if model.form == "first-order":
+        yield does_not_apply("discrete Noether", "a first-order system has no momenta")
+        return
+    cyclic = [i for i, q in enumerate(model.coordinates) if not model.function.has(q)]
+    if not cyclic:
+        yield does_not_apply("discrete Noether", f"no coordinate is cyclic in the {model.form.capitalize()}")
+    for i in cyclic:
+        q = model.coordinates[i]
+        change = momentum_change(model, context.scheme, i)
         passed = vanishes_symbolically(change)
         detail = f"{q} is cyclic, and without force its discrete momentum is conserved, proved symbolically"
-        if context.model.force[i] != 0:
-            detail += f" (the force {sympy.sstr(context.model.force[i])} changes it)"
+        if model.force[i] != 0:
+            detail += f" (the force {sympy.sstr(model.force[i])} changes it)"
+        if any(constraint.has(q) for constraint in model.holonomic):
+            detail += " (the force of a constraint changes it)"
         if not passed:
             detail = f"{q} is cyclic, but its discrete momentum changes by {sympy.sstr(change)[:200]} in a step"
         yield Finding("discrete Noether", f"momentum of {q}", passed, detail)

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 
 from codegen.analysis.exact_optimum import exact_optimum
 from codegen.analysis.reference_optimum import reference_optimum
-from codegen.checks.base import Context, Finding
+from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.errors import CodegenError
+from codegen.model import Model
 from codegen.transcribe.program import ControlProgram
 
 _ALLOWED = 0.15
@@ -22,14 +23,36 @@ _LARGEST = 10_000
 def check(context: Context) -> Iterator[Finding]:
     """Solve on N, 2N and 4N intervals, more if need be, and compare with the optimum of the continuous problem."""
     if not isinstance(context.program, ControlProgram):
+        yield does_not_apply("optimum", "a simulation minimises nothing")
+        return
+    reason = beyond_maximum_principle(context.model)
+    if reason:
+        yield does_not_apply("optimum", f"the maximum principle is derived here for plain problems, this one has {reason}")
         return
     try:
         cost, source = optimal_cost(context)
     except CodegenError as error:
         detail = f"not measured: {error}"
-        yield Finding("optimum", "convergence to the optimum", True, " ".join(detail.split()))
+        yield Finding("optimum", "convergence to the optimum", True, " ".join(detail.split()), applies=False)
         return
     yield _convergence(context, cost, source)
+
+
+def beyond_maximum_principle(model: Model) -> str:
+    """What a problem has that the boundary value problem of the maximum principle does not provide for, in words."""
+    features = {
+        "a first-order system": model.form == "first-order",
+        "bounds": bool(model.bounds),
+        "path conditions": bool(model.path),
+        "holonomic constraints": bool(model.holonomic),
+        "conditions at its ends": bool(model.start_conditions or model.end_conditions),
+        "a terminal cost": model.terminal_cost != 0,
+        "periodic ends": bool(model.periodic),
+        "free parameters": bool(model.free_parameters),
+        "several bodies": model.bodies > 1,
+        "no controls": not model.controls,
+    }
+    return ", ".join(name for name, present in features.items() if present)
 
 
 def optimal_cost(context: Context) -> tuple[float, str]:

@@ -1,43 +1,66 @@
-"""The emitted sparsity pattern, both ways: nothing outside it, nothing in it that is identically zero."""
+"""The emitted sparsity patterns, both ways: nothing outside them, nothing in them that is identically zero."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from codegen.checks.base import Context, Finding
-from codegen.checks.derivatives import control_symbols
-from codegen.checks.evaluation import NOTHING, function_of, hessian, random_points
-from codegen.discretise import STEP
+from sympy import Expr, Symbol
+
+from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.evaluation import NOTHING, curved_beyond, function_of, random_points, second_differences
+from codegen.checks.kernel_arguments import other_symbols, pattern_of
 from codegen.transcribe.program import ControlProgram
+
+Pair = tuple[int, int]
 
 
 def check(context: Context) -> Iterator[Finding]:
-    """Compare HESSIAN_ROWS and HESSIAN_COLUMNS with where second differences of l are not zero."""
+    """Compare the patterns of the interval and of both ends with where second differences of l are not zero."""
     program = context.program
     if not isinstance(program, ControlProgram):
+        yield does_not_apply("sparsity", "a step of a simulation has a dense Jacobian")
         return
-    unknowns, parameters = control_symbols(program)
-    symbols = [*unknowns, *parameters, program.model.time, STEP]
-    scalar = function_of(symbols, [program.element])
-    occupied: set[tuple[int, int]] = set()
-    for point in random_points([program.element], symbols, program.model.default_values, count=2, seed=7):
-        full = hessian(scalar, [point[symbol] for symbol in symbols], range(len(unknowns)))
-        least = NOTHING * max(abs(value) for row in full for value in row)
-        occupied |= {(r, c) for r, row in enumerate(full) for c, value in enumerate(row) if abs(value) > least}
-    emitted = list(zip(map(int, context.module.HESSIAN_ROWS), map(int, context.module.HESSIAN_COLUMNS), strict=True))
+    yield from _compared(context, program, "interval", program.element, program.element_symbols, set())
+    for name, end, node in (
+        ("start", program.start, program.left_symbols),
+        ("end", program.end, program.right_symbols),
+    ):
+        pinned = {place for place, _ in end.pins}
+        yield from _compared(context, program, name, end.element, (*node, *program.shared_symbols), pinned)
 
-    def named(entries: set[tuple[int, int]]) -> str:
+
+def _compared(
+    context: Context,
+    program: ControlProgram,
+    name: str,
+    scalar: Expr,
+    unknowns: Sequence[Symbol],
+    pinned: set[int],
+) -> Iterator[Finding]:
+    """One share of the Lagrangian; what is pinned counts as a number there."""
+    symbols = [*unknowns, *other_symbols(program)]
+    function = function_of(symbols, [scalar])
+    emitted = pattern_of(context.module, name)
+    free = [place for place in range(len(unknowns)) if place not in pinned]
+    missing, occupied = set[Pair](), set[Pair]()
+    for point in random_points([scalar], symbols, program.model.default_values, count=2, seed=7):
+        numbers = [point[symbol] for symbol in symbols]
+        values = second_differences(function, numbers, emitted)
+        least = NOTHING * max(map(abs, values.values()), default=0)
+        occupied |= {pair for pair, value in values.items() if abs(value) > least}
+        missing |= curved_beyond(function, numbers, free, emitted)
+    if name != "interval" and not emitted and not missing:
+        return
+
+    def named(entries: set[Pair]) -> str:
         r, c = min(entries)
         more = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
         return f"d2l/d{unknowns[r]} d{unknowns[c]}{more}"
 
-    missing, needless = occupied - set(emitted), set(emitted) - occupied
-    repeated = len(emitted) - len(set(emitted))
-    total = len(unknowns) * (len(unknowns) + 1) // 2
-    outside = f"the {total - len(occupied)} entries outside the pattern vanish"
-    yield Finding("sparsity", "interval_hessian", not missing, f"not emitted: {named(missing)}" if missing else outside)
+    needless, repeated = set(emitted) - occupied, len(emitted) - len(set(emitted))
+    outside = f"the {len(free) * (len(free) + 1) // 2 - len(occupied)} entries outside the pattern vanish"
+    kernel = f"{name}_hessian"
+    yield Finding("sparsity", kernel, not missing, f"not emitted: {named(missing)}" if missing else outside)
     wrong = f"identically zero: {named(needless)}" if needless else f"{repeated} entries are emitted twice"
     inside = f"none of the {len(emitted)} emitted entries is identically zero"
-    yield Finding(
-        "sparsity", "interval_hessian", not needless and not repeated, wrong if needless or repeated else inside
-    )
+    yield Finding("sparsity", kernel, not needless and not repeated, wrong if needless or repeated else inside)

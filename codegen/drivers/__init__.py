@@ -10,14 +10,14 @@ import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from codegen.errors import ArgumentError
 
 if TYPE_CHECKING:
     from codegen.drivers.compilation import SecondProcess
     from codegen.drivers.result import Result
-    from codegen.load import GeneratedModule
+    from codegen.load import ControlModule, GeneratedModule, Vector
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,42 @@ def find(name: str, task: str | None = None) -> Driver:
 
 
 def solve(
-    module: GeneratedModule, driver: str = "newton", *, steps: int | None = None, every: int = 1, repeat: int = 1
+    module: GeneratedModule,
+    driver: str = "newton",
+    *,
+    steps: int | None = None,
+    every: int = 1,
+    repeat: int = 1,
+    warm: Vector | None = None,
+    doublings: int = 0,
 ) -> Result:
     """Solve with a driver on `steps` intervals (default: the problem's own number) and re-evaluate the residuals.
 
-    The first of `repeat` + 1 runs compiles and is not timed. `every` thins the stored steps of a simulation. Raises
+    The first of `repeat` + 1 runs compiles and is not timed. `every` thins the stored steps of a simulation. An
+    optimisation may start from the `unknowns` of an earlier result on any number of intervals (`warm`), and may be
+    repeated on twice, four times, ... as many (`doublings`), each time from the solution before. Raises
     ArgumentError when the driver does not apply, NumericsError when a number is unusable; numerical failure is a
     status of the result.
     """
+    from codegen.drivers.result import Request
     from codegen.drivers.run import run
 
-    return run(module, find(driver, module.metadata["task"]), steps=steps, every=every, repeat=repeat)
+    found, task = find(driver, module.metadata["task"]), module.metadata["task"]
+    steps = module.metadata["steps"] if steps is None else steps
+    if task == "simulate":
+        if warm is not None or doublings:
+            raise ArgumentError("warm starts and refinement are for optimisation", "leave them out of a simulation")
+        return run(module, found, Request(steps, every), repeat)
+
+    def solve_on(number: int, start: Vector | None) -> Result:
+        return run(module, found, Request(number, every, start), repeat)
+
+    from codegen.drivers.refinement import refine, transferred
+
+    control = cast("ControlModule", module)
+    if doublings:
+        return refine(solve_on, control, steps, doublings, warm)
+    return solve_on(steps, None if warm is None else transferred(control, warm, steps))
 
 
 def prepare(module: GeneratedModule, helper: SecondProcess) -> float:

@@ -71,12 +71,11 @@ def compile_all_but_the_longest(module: Any) -> None:
     gradient = module.evaluate(grid, unknowns).gradient
     system = module.allocate_system(grid)
     with np.errstate(all="ignore"):
-        module.excess_negative(grid, unknowns, np.zeros_like(unknowns), system)
         module.solve_kkt(grid, system, gradient, np.empty_like(unknowns))
         module.unpack(grid, unknowns)
         module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
-        if hasattr(module, "measure_step"):  # a linear-quadratic problem has none
-            module.measure_step(unknowns, gradient, gradient, grid.is_multiplier)
+        if hasattr(module, "slope_of"):  # a linear-quadratic problem has none
+            module.slope_of(unknowns, gradient, gradient, grid.is_multiplier)
 
 
 def compile_the_longest(module: Any) -> None:

@@ -47,6 +47,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         multipliers=multipliers,
         energy=None,
         log=attempt.log,
+        unknowns=unknowns,
         names=component_names(metadata),
         summary={
             "duration": float(t[-1] - t[0]),

@@ -31,7 +31,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             "driver fsolve solves equations, and the problem has inequalities",
             "use newton, slsqp, trust-constr or ipopt",
         )
-    problem = ScaledProblem.on_grid(module, request.steps)
+    problem = ScaledProblem.on_grid(module, request)
     problem.require_at_most(LIMIT, "fsolve")
     count = problem.primal.size
 

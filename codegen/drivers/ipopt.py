@@ -30,7 +30,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
         raise ArgumentError(
             "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"
         ) from None
-    problem = ScaledProblem.on_grid(module, request.steps)
+    problem = ScaledProblem.on_grid(module, request)
     lower, upper = problem.bounds
     zero = np.zeros(problem.dual.size)
     with quiet_single_thread():

@@ -10,7 +10,9 @@ TOLERANCE = 1e-10
 
 def control(module: ControlModule, request: Request) -> ControlAttempt:
     """Call the module's `solve`."""
-    solution = module.solve(steps=request.steps, tolerance=TOLERANCE)
+    solution = module.solve(
+        steps=request.steps, guess=request.guess, warm=request.guess is not None, tolerance=TOLERANCE
+    )
     return ControlAttempt(
         status=solution.status,
         message=solution.message,

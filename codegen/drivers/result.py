@@ -28,10 +28,15 @@ STATUSES = {
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a driver: the number of steps, and for a simulation to store every how many-th of them."""
+    """What is asked of a driver.
+
+    The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
+    unknowns to start from that is close to the solution.
+    """
 
     steps: int
     every: int = 1
+    guess: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ class Result:
 
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
     evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
-    first run, which compiled if `compiled`.
+    first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made.
     """
 
     problem: str
@@ -91,6 +96,7 @@ class Result:
     multipliers: Matrix | None = field(repr=False)
     energy: Vector | None = field(repr=False)
     log: Matrix | None = field(repr=False)
+    unknowns: Vector | None = field(repr=False)
     names: dict[str, tuple[str, ...]]
     summary: dict[str, float]
     seconds_solve: float = float("nan")

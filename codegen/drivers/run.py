@@ -18,10 +18,9 @@ from codegen.errors import NumericsError
 from codegen.load import GeneratedModule, is_control, is_simulation, machine_code_counts
 
 
-def run(module: GeneratedModule, driver: Driver, *, steps: int | None, every: int, repeat: int) -> Result:
+def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) -> Result:
     """Solve `repeat` times with warm machine code, and assess the last solution; see `codegen.drivers.solve`."""
-    request = Request(module.metadata["steps"] if steps is None else steps, every)
-    for name, number in (("steps", request.steps), ("every", every), ("repeat", repeat)):
+    for name, number in (("steps", request.steps), ("every", request.every), ("repeat", repeat)):
         if isinstance(number, bool) or not isinstance(number, int) or number < 1:
             raise NumericsError(f"{name} is {number!r}", "give a positive integer")
     _require_memory(module, request)

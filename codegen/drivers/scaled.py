@@ -20,7 +20,7 @@ import scipy.sparse.linalg
 from scipy.optimize import Bounds
 from threadpoolctl import threadpool_limits
 
-from codegen.drivers.result import max_norm
+from codegen.drivers.result import Request, max_norm
 from codegen.errors import ArgumentError
 from codegen.load import ControlModule, Entries, Grid, Indices, Vector
 
@@ -47,10 +47,10 @@ class ScaledProblem:
     dual: Indices
 
     @classmethod
-    def on_grid(cls, module: ControlModule, steps: int) -> ScaledProblem:
-        """The problem on N intervals."""
-        grid = module.make_grid(steps)
-        base = module.initial_guess(grid)
+    def on_grid(cls, module: ControlModule, request: Request) -> ScaledProblem:
+        """The problem on N intervals, from the guess that is asked for, else the problem's own."""
+        grid = module.make_grid(request.steps)
+        base = module.initial_guess(grid) if request.guess is None else module.with_pinned_values(grid, request.guess)
         return cls(module, grid, base, module.primal_unknowns(grid), module.multiplier_unknowns(grid))
 
     @property

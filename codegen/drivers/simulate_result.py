@@ -48,6 +48,7 @@ def simulate_result(
         multipliers=None,
         energy=attempt.energy,
         log=None,
+        unknowns=None,
         names=names,
         summary={
             "duration": float(attempt.t[-1]),

@@ -18,7 +18,7 @@ _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank
 
 def control(module: ControlModule, request: Request) -> ControlAttempt:
     """Minimise the cost; multipliers are the least-squares estimate at the solution."""
-    problem = ScaledProblem.on_grid(module, request.steps)
+    problem = ScaledProblem.on_grid(module, request)
     problem.require_at_most(LIMIT, "slsqp")
     start = problem.start
     equations = {"type": "eq", "fun": problem.constraints, "jac": lambda x: problem.jacobian(x).toarray()}

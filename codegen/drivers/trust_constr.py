@@ -20,7 +20,7 @@ _GRADIENT_SMALL, _STEP_SMALL = 1, 2
 
 def control(module: ControlModule, request: Request) -> ControlAttempt:
     """Minimise the cost; multipliers are the least-squares estimate at the solution."""
-    problem = ScaledProblem.on_grid(module, request.steps)
+    problem = ScaledProblem.on_grid(module, request)
     with quiet_single_thread():
         equations = NonlinearConstraint(
             problem.constraints,

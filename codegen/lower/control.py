@@ -148,18 +148,18 @@ def _end_kernels(
 def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[str, ...]:
     """The files of `codegen/runtime` that the module needs, in the order in which they are to be read."""
     condensed = ("condensation", "element_barrier" if program.has_inequalities else "element_condensed")
-    solver: tuple[str, ...] = ("inertia", "descent", "newton_filter")
+    solver: tuple[str, ...] = ("descent", "newton_filter")
     if derivatives.linear_quadratic:
-        solver = ("inertia", "newton_linear")
+        solver = ("newton_linear",)
     elif program.has_inequalities:
-        solver = ("inertia", "descent", "filter", "barrier", "restoration", "interior_point")
+        solver = ("descent", "filter", "barrier", "restoration", "interior_point")
     return (
         *(("shared",) if program.shared else ()),
         *(("coupling",) if program.couplings else ()),
         "lagrangian", "norms", "point", "elements",
         "ends_curved" if layout.is_curved(derivatives) else "ends_flat",
         *(condensed if derivatives.condensed else ("element_kept",)),
-        "frontal", "rounding",
+        "symmetric", "frontal", "rounding",
         *solver,
         *(("momenta",) if program.method == "variational" else ()),
         "frame",

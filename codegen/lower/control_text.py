@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import sympy
 
+from codegen import schemes
 from codegen.derive import ControlDerivatives
 from codegen.lower.control_layout import is_curved
 from codegen.lower.kernels import Kernel
@@ -87,6 +88,7 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("task", repr("control")),
         ("method", repr(program.method)),
         ("scheme", repr(program.scheme)),
+        ("order", repr(schemes.find(program.scheme, program.method).order)),
         ("controls", repr("nodal" if program.nodal_controls else "interval")),
         ("form", repr(model.form)),
         ("bodies", repr(program.bodies)),

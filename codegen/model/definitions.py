@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import sympy
 
+from codegen.drawing import Item
+
 
 @dataclass(frozen=True)
 class Boundary:
@@ -67,7 +69,7 @@ class Model:
 
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
     number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
-    of `end_values` and parameters. The duration may depend on free parameters.
+    of `end_values` and parameters. The duration may depend on free parameters. `drawing` is for pictures alone.
     """
 
     task: str
@@ -101,6 +103,7 @@ class Model:
     body: sympy.Symbol | None = None
     end_values: tuple[EndValue, ...] = ()
     couplings: tuple[Condition, ...] = ()
+    drawing: tuple[Item, ...] = ()
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:

@@ -10,7 +10,7 @@ import sympy
 
 from codegen import expressions
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
-from codegen.model import regularity, values
+from codegen.model import drawings, regularity, values
 from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
 from codegen.model.relations import text
@@ -35,8 +35,10 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
         raise ExpressionError("the simulation is given by dynamics", "simulate takes a Lagrangian or a Hamiltonian")
     entries = written_entries(problem, form)
     used = used_quantities(entries)
+    drawing = drawings.checked_drawing(problem)
+    drawings.require_derived(drawing, used)
     _require_unique_names([*used, *declared])
-    _require_all_used(used, declared)
+    _require_all_used([*used, *drawings.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
     _require_fitting(problem, form, entries, kinds)
     require_keys(entries, kinds)
@@ -47,7 +49,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     values.require_values(model, bounds_of(entries, list(plain.values())))
     regularity.require_regular(model)
     values.require_agreement(model)
-    return model
+    return drawings.with_drawing(model, drawing, plain)
 
 
 def _require_unique_names(quantities: Sequence[Quantity]) -> None:
@@ -99,7 +101,7 @@ def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entr
     for value in kinds.end_values:
         coordinate, where = value.partner, f"{value.partner}.of({value.body})"
         if value.body >= problem.bodies:
-            raise BoundaryError(f"{where} is no body", f"bodies are 0 to {problem.bodies - 1}, or give bodies=")
+            raise BoundaryError(f"{where} is no body", f"number them 0 to {problem.bodies - 1}, or raise bodies")
         if coordinate in problem.end:
             raise BoundaryError(f"end fixes {coordinate}, which {where} couples", "leave it out of end")
 

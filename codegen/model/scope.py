@@ -49,7 +49,7 @@ _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
 
 _WORDS: tuple[tuple[tuple[type[Quantity], ...], str], ...] = (
     ((Coordinate, State), "coordinates"),
-    ((Velocity, Momentum), "velocities"),
+    ((Velocity, Momentum), "velocities or momenta"),
     ((ControlInput,), "controls"),
     ((Time,), "time"),
     ((BodyNumber,), "the body's number"),

@@ -64,7 +64,7 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 
 @njit(cache=True, error_model="numpy")
 def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu=0.0):
-    """Max-norm of the stationarity, largest complementarity z d beyond rounding, largest |z d - mu|, and sizes.
+    """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
 
     The sizes are the sums of all |multipliers| and of all duals, and the number of duals.
     """
@@ -75,7 +75,7 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
         product = duals[j] * distance[j]
         off_centre = max(off_centre, abs(product - mu))
         if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
-            excess = max(excess, product)
+            excess += product
         size += duals[j]
     stationarity, multipliers = 0.0, 0.0
     for i in range(gradient.size):

@@ -39,7 +39,7 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose entries the elimination c
 SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def condense(gradient, condensed, steps, reduced, root):
     """Fill the right-hand sides -(g - B' inverse(C) g_u) of the unknowns that stay; `root` holds -g already."""
     _, inverses, couplings = condensed
@@ -66,7 +66,7 @@ def condense(gradient, condensed, steps, reduced, root):
                         right[k * BLOCK + TOUCHED[i]] += change
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def expand(gradient, condensed, steps, reduced, root, step):
     """Fill `step` with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
     _, inverses, couplings = condensed

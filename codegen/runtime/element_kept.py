@@ -26,7 +26,7 @@ def add_element(hessian, diagonal, condensed, interval, element):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def condense(gradient, condensed, steps, reduced, root):
     """Fill the right-hand sides of every body with -gradient; `root` has been set already."""
     for body in range(BODIES):
@@ -34,7 +34,7 @@ def condense(gradient, condensed, steps, reduced, root):
             reduced[body, i] = -gradient[body * (steps * STRIDE + NODE) + i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def expand(gradient, condensed, steps, reduced, root, step):
     """Fill `step` with what was solved for, which is all there is."""
     for body in range(BODIES):

@@ -1,12 +1,13 @@
-"""Frontal LU factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete.
+"""Frontal factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete, count inertia.
 
-The matrix of a body is a sum over intervals of one small element matrix, as in finite elements. At interval k the
-front holds NODE rows left over from before and the rows of interval k and of node k + 1; its columns are the unknowns
-of blocks k and k + 1 and of node k + 2. All entries in the columns of block k are then known, and partial pivoting
-among all rows of the front eliminates them. That makes it the banded LU with row exchanges, but on dense blocks of
-constant size. Rows and columns of shared unknowns border the front; they are never pivots, and what elimination leaves
-in them is the Schur complement that ties bodies together. Sources: Irons (1970), A frontal solution program for finite
-element analysis; Golub and Van Loan (2013), Matrix computations, sections 3.4 and 4.3.
+The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Block k holds
+the unknowns of node k and of the interval after it. Blocks 1, 2, ... are eliminated in this order, with pivoting inside
+each; that is the forward sweep of a Riccati recursion. Block 0 is singular by itself, because its equations are matched
+by later unknowns, so it borders the front to the end and is eliminated with the last node. Shared unknowns border all
+fronts of all bodies; what elimination leaves of them is the Schur complement that ties bodies together, a dense matrix.
+The pivots' signs give the inertia of the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program
+for finite element analysis; Haynsworth (1968), Determination of the inertia of a partitioned Hermitian matrix; Rao,
+Wright and Rawlings (1998), Application of interior-point methods to model predictive control, for the Riccati view.
 """
 
 import numpy as np
@@ -30,87 +31,99 @@ from codegen.runtime.example import (
     STRIDE,
     interval_hessian,
 )
+from codegen.runtime.callbacks import multiplier_unknowns
 from codegen.runtime.shared import follow_shared, read_shared, root_place
+from codegen.runtime.symmetric import eliminate_symmetric, solve_lower, solve_pivots, solve_upper
 
-WIDTH = 2 * BLOCK + NODE  # columns of the front, without its border
+FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
+BORDER = FIRST.size
+FRONT = SIZE + BORDER + SHARED  # rows of the front: block k, node k + 1, block 0, shared unknowns
+LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
 
 
 def allocate_system(grid):
-    """Factors of the front at every interval (lower, upper, row exchanges), the shared block, and what was condensed.
+    """Room for the factors, for what is condensed, and the number of equations.
 
-    The last front of a body eliminates its last node alone.
+    The factors of all blocks, of the last nodes and of the shared unknowns are a lower factor, the inverse of the
+    pivots and the exchanges each.
     """
     return (
-        np.zeros((BODIES, grid.steps + 1, SIZE + SHARED, BLOCK)),
-        np.zeros((BODIES, grid.steps + 1, BLOCK, WIDTH + SHARED)),
-        np.zeros((BODIES, grid.steps + 1, BLOCK), np.int64),
+        np.zeros((BODIES, grid.steps, FRONT, BLOCK)),
+        np.zeros((BODIES, grid.steps, BLOCK, 2)),
+        np.zeros((BODIES, grid.steps, BLOCK), np.int64),
+        np.zeros((BODIES, LAST + SHARED, LAST)),
+        np.zeros((BODIES, LAST, 2)),
+        np.zeros((BODIES, LAST), np.int64),
         np.zeros((ROOT, ROOT)),
+        np.zeros((ROOT, 2)),
+        np.zeros(ROOT, np.int64),
         allocate_condensed(grid),
+        multiplier_unknowns(grid).size,
     )
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system):
-    """Factor the KKT matrix; False when it is singular or a block that is condensed is not positive definite.
+    """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
 
-    The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an array as long as the unknowns, is
-    added to the diagonal of the whole matrix.
+    Zero means that the reduced Hessian is positive definite, as at a minimum. None means that the matrix is singular,
+    or that a block that is condensed is not positive definite. The Hessian by primal unknowns is multiplied by
+    `weight`; then `diagonal`, an array as long as the unknowns, is added to the diagonal of the whole matrix.
     """
-    lower, upper, exchanges, root, condensed = system
+    condensed, equations = system[-2:]
     if not prepare_condensed(grid, weight, diagonal, condensed):
-        return False
-    data = grid.steps, grid.h, grid.parameters, weight, diagonal
-    if not eliminate(unknowns, *data, lower, upper, exchanges, root, condensed):
-        return False
-    if SHARED:
-        root.flat[:: ROOT + 1] += diagonal[diagonal.size - ROOT :]
-        try:
-            root[:] = np.linalg.inv(root)
-        except np.linalg.LinAlgError:
-            return False
-        return bool(np.isfinite(root).all())
-    return True
+        return None
+    negative = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, system[:-1])
+    return None if negative < 0 else negative - equations
 
 
-# The most frequent calls are inlined: a call costs as much as the arithmetic of a small block.
-@njit(cache=True, error_model="numpy")
-def eliminate(unknowns, steps, h, parameters, weight, diagonal, lower, upper, exchanges, root, condensed):
-    """Run the front over all intervals of all bodies; False when a pivot vanishes or is infinite.
-
-    The Schur complements of the shared unknowns are added up in `root`.
-    """
-    chain = steps * STRIDE + NODE
-    front, element = np.empty((SIZE + SHARED, WIDTH + SHARED)), np.empty((SIZE + SHARED, SIZE + SHARED))
-    hessian = np.empty(HESSIAN_ROWS.size)
-    for i in range(ROOT):
-        for j in range(ROOT):
-            root[i, j] = 0.0
+# Sums may be taken in any order, which lets them run in parallel in the processor.
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def factor(unknowns, steps, h, parameters, weight, diagonal, system):
+    """Run the front over all intervals of all bodies; the number of negative pivots, or -1 if one vanishes."""
+    lower, inverse, places, last_lower, last_inverse, last_places, root_lower, root_inverse, root_places = system[:9]
+    condensed = system[9]
+    chain, negative = steps * STRIDE + NODE, 0
+    front, element = np.empty((FRONT, FRONT)), np.empty((SIZE + SHARED, SIZE + SHARED))
+    last, root, hessian = np.empty((LAST + SHARED, LAST + SHARED)), np.zeros((ROOT, ROOT)), np.empty(HESSIAN_ROWS.size)
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
         own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
-        data = parameters[body]
-        for i in range(SIZE + SHARED):
-            for j in range(WIDTH + SHARED):
-                front[i, j] = 0.0
-        for k in range(-1, steps):
-            if k >= 0:
-                load_rows(element, front)
-            if k < steps - 1:
-                interval = body * steps + k + 1
-                if not fill_element(own, k + 1, steps, h, data, weight, added, hessian, condensed, interval, element):
-                    return False
-                add_node(element, front)
-            if k >= 0 and not eliminate_block(front, lower[body, k], upper[body, k], exchanges[body, k]):
-                return False
+        for k in range(steps):
+            interval = body * steps + k
+            if not fill_element(
+                own, k, steps, h, parameters[body], weight, added, hessian, condensed, interval, element
+            ):
+                return -1
+            if k == 0:
+                begin_front(element, front)
+                continue
+            add_to_front(element, front)
+            found = eliminate_symmetric(front, BLOCK, FRONT, lower[body, k], inverse[body, k], places[body, k])
+            if found < 0:
+                return -1
+            negative += found
             move_on(front)
-        if not eliminate_last(front, lower[body, steps], upper[body, steps], exchanges[body, steps]):
-            return False
+        end_front(front, last)
+        found = eliminate_symmetric(
+            last, LAST, LAST + SHARED, last_lower[body], last_inverse[body], last_places[body]
+        )
+        if found < 0:
+            return -1
+        negative += found
         for i in range(SHARED):
             for j in range(SHARED):
-                root[root_place(body, i), root_place(body, j)] += front[SIZE + i, WIDTH + j]
-    if COUPLINGS:
-        add_coupling_matrix(unknowns, parameters[0], weight, root)
-    return True
+                root[root_place(body, i), root_place(body, j)] += last[LAST + max(i, j), LAST + min(i, j)]
+    if SHARED:
+        for i in range(ROOT):
+            root[i, i] += diagonal[diagonal.size - ROOT + i]
+        if COUPLINGS:
+            add_coupling_matrix(unknowns, parameters[0], weight, root)
+        found = eliminate_symmetric(root, ROOT, ROOT, root_lower, root_inverse, root_places)
+        if found < 0:
+            return -1
+        negative += found
+    return negative
 
 
 @njit(error_model="numpy", inline="always")
@@ -129,154 +142,178 @@ def fill_element(own, k, steps, h, parameters, weight, added, hessian, condensed
     return regular
 
 
-@njit(error_model="numpy", inline="always")
-def load_rows(element, front):
-    """Put the rows of an interval and of the node after it into the front, and add those of shared unknowns."""
-    for i in range(NODE, SIZE):
-        for j in range(SIZE):
-            front[i, j] = element[i, j]
-        for j in range(SIZE, WIDTH):
+@njit(error_model="numpy")
+def begin_front(element, front):
+    """Put the first element matrix into an empty front: node 1 where node k stands, block 0 into the border."""
+    for i in range(FRONT):
+        for j in range(FRONT):
             front[i, j] = 0.0
+    for i in range(NODE):
+        for j in range(NODE):
+            front[i, j] = element[BLOCK + i, BLOCK + j]
+        for j in range(BORDER):
+            front[SIZE + j, i] = element[FIRST[j], BLOCK + i]
         for j in range(SHARED):
-            front[i, WIDTH + j] = element[i, SIZE + j]
-    for i in range(SIZE, SIZE + SHARED):
-        for j in range(SIZE):
-            front[i, j] += element[i, j]
+            front[SIZE + BORDER + j, i] = element[SIZE + j, BLOCK + i]
+    for i in range(BORDER):
+        for j in range(BORDER):
+            front[SIZE + i, SIZE + j] = element[FIRST[i], FIRST[j]]
         for j in range(SHARED):
-            front[i, WIDTH + j] += element[i, SIZE + j]
+            front[SIZE + BORDER + j, SIZE + i] = element[SIZE + j, FIRST[i]]
+    for i in range(SHARED):
+        for j in range(SHARED):
+            front[SIZE + BORDER + i, SIZE + BORDER + j] = element[SIZE + i, SIZE + j]
 
 
 @njit(error_model="numpy", inline="always")
-def add_node(element, front):
-    """Add the rows of an element's left node to the front, where they complete those of the node."""
-    for i in range(NODE):
+def add_to_front(element, front):
+    """Add the element matrix of interval k to the front, where node k stands already."""
+    for i in range(BLOCK):
+        for j in range(BLOCK):
+            front[i, j] += element[i, j]
+    for i in range(BLOCK, SIZE):
+        for j in range(i + 1):
+            front[i, j] += element[i, j]
+    for i in range(SHARED):
         for j in range(SIZE):
-            front[BLOCK + i, BLOCK + j] += element[i, j]
-        for j in range(SHARED):
-            front[BLOCK + i, WIDTH + j] += element[i, SIZE + j]
+            front[SIZE + BORDER + i, j] += element[SIZE + i, j]
+        for j in range(i + 1):
+            front[SIZE + BORDER + i, SIZE + BORDER + j] += element[SIZE + i, SIZE + j]
 
 
 @njit(error_model="numpy", inline="always")
 def move_on(front):
-    """Move what is left in the front one block up and to the left."""
+    """Move what elimination left of node k + 1 to the place of node k, and clear the rest of the block."""
     for i in range(NODE):
-        for j in range(SIZE):
+        for j in range(i + 1):
             front[i, j] = front[BLOCK + i, BLOCK + j]
-        for j in range(SIZE, WIDTH):
-            front[i, j] = 0.0
-        for j in range(WIDTH, WIDTH + SHARED):
-            front[i, j] = front[BLOCK + i, j]
-    for i in range(SIZE, SIZE + SHARED):
-        for j in range(SIZE):
+            front[j, i] = front[i, j]
+    for i in range(SIZE, FRONT):
+        for j in range(NODE):
             front[i, j] = front[i, BLOCK + j]
-        for j in range(SIZE, WIDTH):
+        for j in range(NODE, SIZE):
             front[i, j] = 0.0
-
-
-@njit(error_model="numpy", inline="always")
-def eliminate_block(front, lower, upper, exchanges):
-    """Eliminate the first BLOCK columns of the front with row exchanges; False when a pivot vanishes."""
-    for c in range(BLOCK):
-        pivot, largest = c, abs(front[c, c])
-        for i in range(c + 1, SIZE):
-            if abs(front[i, c]) > largest:
-                pivot, largest = i, abs(front[i, c])
-        if not 0.0 < largest < np.inf:
-            return False
-        exchanges[c] = pivot
-        for j in range(WIDTH + SHARED):
-            upper[c, j] = front[pivot, j]
-            front[pivot, j] = front[c, j]
-        inverse = 1.0 / upper[c, c]
-        for i in range(c + 1, SIZE + SHARED):
-            factor = front[i, c] * inverse
-            lower[i, c] = factor
-            for j in range(WIDTH + SHARED):
-                front[i, j] -= factor * upper[c, j]
-    return True
+    for i in range(NODE, SIZE):
+        for j in range(i + 1):
+            front[i, j] = 0.0
+            if i < BLOCK:
+                front[j, i] = 0.0
 
 
 @njit(error_model="numpy")
-def eliminate_last(front, lower, upper, exchanges):
-    """Eliminate the last node in the same way, by the NODE rows that are left; False when a pivot vanishes."""
-    for c in range(NODE):
-        pivot = c
-        for i in range(c + 1, NODE):
-            if abs(front[i, c]) > abs(front[pivot, c]):
-                pivot = i
-        if not 0.0 < abs(front[pivot, c]) < np.inf:
-            return False
-        exchanges[c] = pivot
-        for j in range(WIDTH + SHARED):
-            upper[c, j] = front[pivot, j]
-            front[pivot, j] = front[c, j]
-        for i in range(c + 1, SIZE + SHARED):
-            if i < NODE or i >= SIZE:
-                lower[i, c] = front[i, c] / upper[c, c]
-                for j in range(WIDTH + SHARED):
-                    front[i, j] -= lower[i, c] * upper[c, j]
-    return True
+def end_front(front, last):
+    """The last node, block 0 and the shared unknowns without the gap between them, both triangles."""
+    for i in range(LAST + SHARED):
+        row = i if i < NODE else i + BLOCK
+        for j in range(i + 1):
+            last[i, j] = front[row, j if j < NODE else j + BLOCK]
+            last[j, i] = last[i, j]
 
 
 def solve_kkt(grid, system, gradient, step):
-    """Newton step for all unknowns: the solution of KKT matrix . step = -gradient."""
-    lower, upper, exchanges, root, condensed = system
-    # A front reaches BLOCK + NODE columns beyond the last node.
-    reduced = np.zeros((BODIES, (grid.steps + 2) * BLOCK + 2 * NODE))
-    shared = -gradient[gradient.size - ROOT :]
-    condense(gradient, condensed, grid.steps, reduced, shared)
-    for i in START_PINNED:
-        reduced[:, i] = 0.0
-    for i in END_PINNED:
-        reduced[:, grid.steps * BLOCK + i] = 0.0
-    forward(lower, exchanges, reduced, shared)
-    if SHARED:
-        shared = root @ shared
-        step[step.size - ROOT :] = shared
-    backward(upper, reduced, shared)
-    expand(gradient, condensed, grid.steps, reduced, shared, step)
-    if SHARED:
-        follow_shared(grid.steps * STRIDE + NODE, step)
+    """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt."""
+    substitute(gradient, grid.steps, system[:-1], step)
 
 
-@njit(cache=True, error_model="numpy")
-def forward(lower, exchanges, reduced, shared):
-    """Apply row exchanges and lower factors of all intervals and of the last node, body by body."""
-    steps = lower.shape[1] - 1
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def substitute(gradient, steps, system, step):
+    """Solve with the factors: forward over all bodies, the shared unknowns, backward over all bodies."""
+    lower, inverse, places, last_lower, last_inverse, last_places, root_lower, root_inverse, root_places = system[:9]
+    condensed = system[9]
+    reduced, last = np.zeros((BODIES, steps * BLOCK + NODE)), np.empty((BODIES, LAST))
+    shared = np.empty(ROOT)
+    for i in range(ROOT):
+        shared[i] = -gradient[gradient.size - ROOT + i]
+    condense(gradient, condensed, steps, reduced, shared)
     for body in range(BODIES):
         right = reduced[body]
-        for k in range(steps + 1):
-            first, columns, rows = k * BLOCK, BLOCK, SIZE
-            if k == steps:
-                columns, rows = NODE, NODE
-            for c in range(columns):
-                value = right[first + exchanges[body, k, c]]
-                right[first + exchanges[body, k, c]] = right[first + c]
-                right[first + c] = value
-                for i in range(c + 1, rows):
-                    right[first + i] -= lower[body, k, i, c] * value
-                for i in range(SHARED):
-                    shared[root_place(body, i)] -= lower[body, k, SIZE + i, c] * value
-
-
-@njit(cache=True, error_model="numpy", fastmath={"reassoc"})
-def backward(upper, reduced, shared):
-    """Substitute backwards from the last node; `shared` is known, and every row of `reduced` ends with zeros.
-
-    The sums may be taken in any order, which lets them run in parallel in the processor.
-    """
-    steps = upper.shape[1] - 1
+        for i in START_PINNED:
+            right[i] = 0.0
+        for i in END_PINNED:
+            right[steps * BLOCK + i] = 0.0
+        forward(lower[body], places[body], body, right, shared)
+        gather_last(right, steps, last[body])
+        solve_lower(last_lower[body], last_places[body], LAST, last[body])
+        for i in range(SHARED):
+            for c in range(LAST):
+                shared[root_place(body, i)] -= last_lower[body, LAST + i, c] * last[body, c]
+    if SHARED:
+        solve_lower(root_lower, root_places, ROOT, shared)
+        solve_pivots(root_inverse, root_places, ROOT, shared)
+        solve_upper(root_lower, root_places, ROOT, shared)
+        for i in range(ROOT):
+            step[step.size - ROOT + i] = shared[i]
     for body in range(BODIES):
-        right = reduced[body]
-        for k in range(steps, -1, -1):
-            first = k * BLOCK
-            for c in range((NODE if k == steps else BLOCK) - 1, -1, -1):
-                value = right[first + c]
-                for j in range(c + 1, BLOCK):
-                    value -= upper[body, k, c, j] * right[first + j]
-                rest = 0.0
-                for j in range(BLOCK, WIDTH):
-                    rest += upper[body, k, c, j] * right[first + j]
-                for j in range(SHARED):
-                    rest += upper[body, k, c, WIDTH + j] * shared[root_place(body, j)]
-                right[first + c] = (value - rest) / upper[body, k, c, c]
+        solve_pivots(last_inverse[body], last_places[body], LAST, last[body])
+        for i in range(SHARED):
+            for c in range(LAST):
+                last[body, c] -= last_lower[body, LAST + i, c] * shared[root_place(body, i)]
+        solve_upper(last_lower[body], last_places[body], LAST, last[body])
+        scatter_last(last[body], steps, reduced[body])
+        backward(lower[body], inverse[body], places[body], body, shared, reduced[body])
+    expand(gradient, condensed, steps, reduced, shared, step)
+    if SHARED:
+        follow_shared(steps * STRIDE + NODE, step)
+
+
+@njit(error_model="numpy")
+def forward(lower, places, body, right, shared):
+    """Solve with the lower factors of the blocks of a body, and subtract from what borders them."""
+    for k in range(1, lower.shape[0]):
+        block = right[k * BLOCK : (k + 1) * BLOCK]
+        solve_lower(lower[k], places[k], BLOCK, block)
+        for i in range(NODE):
+            right[(k + 1) * BLOCK + i] -= product(lower[k, BLOCK + i], block)
+        for i in range(BORDER):
+            right[FIRST[i]] -= product(lower[k, SIZE + i], block)
+        for i in range(SHARED):
+            shared[root_place(body, i)] -= product(lower[k, SIZE + BORDER + i], block)
+
+
+@njit(error_model="numpy", inline="always")
+def product(row, block):
+    """Scalar product of two vectors of a block's size."""
+    value = 0.0
+    for c in range(BLOCK):
+        value += row[c] * block[c]
+    return value
+
+
+@njit(error_model="numpy")
+def backward(lower, inverse, places, body, shared, right):
+    """Solve with the pivots and transposed factors, from the last block to block 1."""
+    for k in range(lower.shape[0] - 1, 0, -1):
+        block = right[k * BLOCK : (k + 1) * BLOCK]
+        solve_pivots(inverse[k], places[k], BLOCK, block)
+        for i in range(NODE):
+            subtract(lower[k, BLOCK + i], right[(k + 1) * BLOCK + i], block)
+        for i in range(BORDER):
+            subtract(lower[k, SIZE + i], right[FIRST[i]], block)
+        for i in range(SHARED):
+            subtract(lower[k, SIZE + BORDER + i], shared[root_place(body, i)], block)
+        solve_upper(lower[k], places[k], BLOCK, block)
+
+
+@njit(error_model="numpy", inline="always")
+def subtract(row, value, block):
+    """Subtract a multiple of a factor's row from a block."""
+    for c in range(BLOCK):
+        block[c] -= row[c] * value
+
+
+@njit(error_model="numpy")
+def gather_last(right, steps, last):
+    """The entries of the last node and of block 0."""
+    for i in range(NODE):
+        last[i] = right[steps * BLOCK + i]
+    for i in range(BORDER):
+        last[NODE + i] = right[FIRST[i]]
+
+
+@njit(error_model="numpy")
+def scatter_last(last, steps, right):
+    """Put the solution of the last node and of block 0 into its places."""
+    for i in range(NODE):
+        right[steps * BLOCK + i] = last[i]
+    for i in range(BORDER):
+        right[FIRST[i]] = last[NODE + i]

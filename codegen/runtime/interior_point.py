@@ -20,16 +20,16 @@ from codegen.runtime.barrier import (
     push_inside,
     step_duals,
 )
-from codegen.runtime.descent import measure_step
+from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
-from codegen.runtime.inertia import excess_negative
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_rounding, is_solved
 
 SHORTEST_STEP = 1e-12
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
+BARRIER, WARM_BARRIER = 0.1, 1e-5  # first weights
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
 
 
@@ -62,17 +62,18 @@ class Step(NamedTuple):
     shift: float
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, log, barrier=0.1):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
-    iterate. `barrier` is the first weight; a small one suits a start near the solution.
+    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds.
     """
     search = Search(grid, finite_bounds(grid), allocate_system(grid))
-    iterate = first_iterate(search, unknowns, barrier)
+    # The cost is off by the sum of all complementarities, which ends below the tolerance.
+    mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
+    iterate = first_iterate(search, unknowns, mu, 1e-4 if warm else 1e-2)
     first = max(1.0, iterate.point.violation)
     small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
-    mu, least = barrier, 0.1 * tolerance
     shift, last_shift, length = 0.0, 0.0, 0.0
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
@@ -111,10 +112,10 @@ def minimise(grid, unknowns, tolerance, max_iterations, log, barrier=0.1):
     return "iteration limit", point, max_iterations
 
 
-def first_iterate(search, unknowns, mu):
-    """The start pushed inside its bounds, bound duals mu / distance, multipliers by least squares."""
+def first_iterate(search, unknowns, mu, push):
+    """The start pushed by `push` inside its bounds, bound duals mu / distance, multipliers by least squares."""
     grid = search.grid
-    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), 1e-2)
+    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), push)
     return with_multipliers(search, inside, mu)
 
 
@@ -131,7 +132,7 @@ def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     grid, bounds, system = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
-    if not factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, 0.0, 1.0), system):
+    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, 0.0, 1.0), system) is None:
         return unknowns
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)
@@ -167,18 +168,17 @@ def regularised_step(search, iterate, mu, last_shift):
         barrier_diagonal(
             grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, dual_shift, diagonal
         )
-        if factor_kkt(grid, point.unknowns, 1.0, diagonal, system):
-            excess = excess_negative(grid, point.unknowns, diagonal, system)
-            if not excess:
-                solve_kkt(grid, system, gradient, primal)
-                slope, descends = measure_step(point.unknowns, gradient, primal, grid.is_multiplier)
-                if (descends or excess == 0) and np.isfinite(primal).all():
-                    lengths = step_duals(
-                        primal, *bounds[::2], iterate.distance, iterate.duals, mu, max(0.99, 1.0 - mu), dual
-                    )
-                    return Step(primal, dual, gradient, slope, *lengths, shift)
-        elif dual_shift == 0.0:
-            dual_shift = 1e-8 * mu**0.25
+        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system)
+        if excess == 0:
+            solve_kkt(grid, system, gradient, primal)
+            slope = slope_of(point.unknowns, gradient, primal, grid.is_multiplier)
+            if np.isfinite(slope):
+                lengths = step_duals(
+                    primal, *bounds[::2], iterate.distance, iterate.duals, mu, max(0.99, 1.0 - mu), dual
+                )
+                return Step(primal, dual, gradient, slope, *lengths, shift)
+        elif dual_shift == 0.0 and (excess is None or excess < 0):
+            dual_shift = 1e-8 * mu**0.25  # the equations may be dependent
             continue
         if shift == 0.0:
             shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)

@@ -8,18 +8,17 @@ curvature that replaces the inertia of the KKT matrix.
 import numpy as np
 
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
-from codegen.runtime.descent import measure_step
+from codegen.runtime.descent import slope_of
 from codegen.runtime.point import evaluate
-from codegen.runtime.inertia import excess_negative
 from codegen.runtime.rounding import is_rounding, is_solved
 
 SHORTEST_STEP = 1e-10
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, log):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
+    `warm` has no effect: Newton's method needs no telling. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
     system = allocate_system(grid)
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
@@ -52,15 +51,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, log):
 
 
 def is_minimum(grid, point, system):
-    """Whether a start that is stationary already is a minimum, as far as slow variations of the unknowns can tell."""
-    none = np.zeros(point.unknowns.size)
-    return factor_kkt(grid, point.unknowns, 1.0, none, system) and not excess_negative(grid, point.unknowns, none, system)
+    """Whether a start that is stationary already is a minimum: the reduced Hessian is positive definite."""
+    return factor_kkt(grid, point.unknowns, 1.0, np.zeros(point.unknowns.size), system) == 0
 
 
 def guess_multipliers(grid, unknowns, system):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
-    if point.stationarity == 0.0 or not factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 0.0), system):
+    if point.stationarity == 0.0 or factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 0.0), system) is None:
         return point.unknowns
     step = np.empty_like(unknowns)
     solve_kkt(grid, system, np.where(grid.is_multiplier, 0.0, point.gradient), step)
@@ -76,16 +74,12 @@ def regularised_step(grid, point, last_shift, system):
     step = np.empty_like(point.unknowns)
     shift, dual_shift = 0.0, 0.0
     while shift < 1e20:
-        diagonal = shifts(grid, shift, dual_shift)
-        if factor_kkt(grid, point.unknowns, 1.0, diagonal, system):
-            excess = excess_negative(grid, point.unknowns, diagonal, system)
-            if not excess:
-                solve_kkt(grid, system, point.gradient, step)
-                slope, descends = measure_step(point.unknowns, point.gradient, step, grid.is_multiplier)
-                if descends or excess == 0:
-                    return step, slope, shift
-        elif shift > 0.0:
-            dual_shift = 1e-8
+        excess = factor_kkt(grid, point.unknowns, 1.0, shifts(grid, shift, dual_shift), system)
+        if excess == 0:
+            solve_kkt(grid, system, point.gradient, step)
+            return step, slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), shift
+        if shift > 0.0 and (excess is None or excess < 0):
+            dual_shift = 1e-8  # the equations are dependent
         if shift == 0.0:
             shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)
         else:
@@ -145,7 +139,7 @@ def restore(grid, point, filtered, system):
     """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced further."""
     step = np.empty_like(point.gradient)
     for _ in range(50):
-        if not factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system):
+        if factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system) is None:
             return None
         solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
         step[grid.is_multiplier] = 0.0

@@ -4,26 +4,25 @@ import numpy as np
 
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.point import evaluate
-from codegen.runtime.inertia import excess_negative
 from codegen.runtime.rounding import is_solved
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, log):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find the minimum; return (status, point, iterations).
 
-    A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
+    `max_iterations` and `warm` have no effect. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
     """
     system = allocate_system(grid)
     none = np.zeros(unknowns.size)
-    regular = factor_kkt(grid, unknowns, 1.0, none, system)
+    excess = factor_kkt(grid, unknowns, 1.0, none, system)
     point = evaluate(grid, unknowns)
     for iteration in range(4):
         log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
         if not point.error < np.inf:
             return "non-finite", point, iteration
-        if not regular:
+        if excess is None or excess < 0:
             return "rank-deficient", point, iteration
-        if iteration == 0 and excess_negative(grid, unknowns, none, system):
+        if excess > 0:
             return "unbounded", point, iteration
         if is_solved(grid, point, tolerance):
             return "solved", point, iteration

@@ -63,7 +63,7 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     merit = sum_of_squares(grid, point) - nu * logarithms
     while damping < 1e12:
         barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 1.0, diagonal)
-        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system):
+        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system) is not None:
             solve_kkt(grid, system, right, step)
             step[grid.is_multiplier] = 0.0
             length, dual_length = step_duals(step, *bounds[::2], distance, duals, nu, 0.99, dual_step)

@@ -292,5 +292,5 @@ def compiled_solver(functions: dict[str, ca.MX], options: dict[str, Any]) -> ca.
         source, library = Path(folder, "program.c"), Path(folder, "program.so")
         emitted = ca.nlpsol("solver", "ipopt", functions, options).generate_dependencies(source.name)
         Path(emitted).replace(source)
-        subprocess.run([*COMPILER, str(source), "-o", str(library)], check=True)
+        subprocess.run([*COMPILER, "-w", str(source), "-o", str(library)], check=True)
         return ca.nlpsol("solver", "ipopt", str(library), options)

@@ -1,0 +1,129 @@
+"""Where unknowns stand in the flat vector of a control module, derived from the program alone.
+
+For each body node 0, interval 0, node 1, ..., node N; then the shared unknowns of every body, those of the whole
+problem, and the multipliers of the conditions between bodies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.transcribe.program import ControlProgram, Unknown
+
+Places = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class FlatVector:
+    """The layout for `steps` intervals; `body`, `k` and `j` count from zero."""
+
+    program: ControlProgram
+    steps: int
+
+    @property
+    def inside(self) -> tuple[Unknown, ...]:
+        """Unknowns of a node and of the interval after it."""
+        program = self.program
+        return (*program.node, *program.interval, *program.controls, *program.slacks)
+
+    @property
+    def chain(self) -> int:
+        """How many unknowns a body's nodes and intervals have."""
+        return self.steps * len(self.inside) + len(self.program.node)
+
+    @property
+    def first_shared(self) -> int:
+        """Where the unknowns begin that no node owns."""
+        return self.program.bodies * self.chain
+
+    @property
+    def first_coupling(self) -> int:
+        """Where the multipliers of the conditions between bodies begin."""
+        program = self.program
+        return self.first_shared + program.bodies * program.own + len(program.shared) - program.own
+
+    @property
+    def size(self) -> int:
+        """The number of all unknowns."""
+        return self.first_coupling + len(self.program.couplings)
+
+    def node(self, body: int, k: int) -> Places:
+        """Places of the unknowns of a node."""
+        return body * self.chain + k * len(self.inside) + np.arange(len(self.program.node))
+
+    def interval(self, body: int, k: int) -> Places:
+        """Places of the unknowns between two nodes: stages, multipliers, controls, slacks."""
+        first = body * self.chain + k * len(self.inside)
+        return first + np.arange(len(self.program.node), len(self.inside))
+
+    def shared(self, body: int) -> Places:
+        """Places of the shared unknowns of a body: its own, then those of the whole problem."""
+        program = self.program
+        common = self.first_shared + program.bodies * program.own
+        own = self.first_shared + body * program.own + np.arange(program.own)
+        return np.concatenate([own, common + np.arange(len(program.shared) - program.own)])
+
+    def element(self, body: int, k: int) -> Places:
+        """Places of all unknowns on which an interval's share of the Lagrangian may depend."""
+        return np.concatenate([self.node(body, k), self.interval(body, k), self.node(body, k + 1), self.shared(body)])
+
+    def end(self, body: int, where: str) -> Places:
+        """Places of all unknowns on which an end's share of the Lagrangian may depend."""
+        return np.concatenate([self.node(body, 0 if where == "start" else self.steps), self.shared(body)])
+
+    def multipliers(self) -> NDArray[np.bool_]:
+        """Which unknowns multiply an equation."""
+        chain = [*[u.multiplier for u in self.inside] * self.steps, *[u.multiplier for u in self.program.node]]
+        shared = np.zeros(self.size - self.first_shared, bool)
+        shared[self.first_coupling - self.first_shared :] = True
+        return np.concatenate([np.tile(np.array(chain, bool), self.program.bodies), shared])
+
+    def free(self) -> NDArray[np.bool_]:
+        """Which unknowns neither are given at an end, nor equal a shared one, nor lack a meaning at inner nodes."""
+        program, free = self.program, np.ones(self.size, bool)
+        for body in range(program.bodies):
+            for k in range(1, self.steps):
+                free[self.node(body, k)[list(program.only_at_ends)]] = False
+            for k, end in ((0, program.start), (self.steps, program.end)):
+                free[self.node(body, k)[[*(i for i, _ in end.pins), *(i for i, _, _ in end.shared)]]] = False
+        return free
+
+    def representatives(self) -> Places:
+        """For every unknown its own place, or that of the shared unknown that it equals up to an offset."""
+        places = np.arange(self.size)
+        for body in range(self.program.bodies):
+            for k, end in ((0, self.program.start), (self.steps, self.program.end)):
+                for place, j, _ in end.shared:
+                    places[self.node(body, k)[place]] = self.shared(body)[j]
+        return places
+
+    def names(self) -> list[str]:
+        """What to call every unknown, as in `lambda_x at node 3 of body 0`."""
+        return self._listed("name")
+
+    def meanings(self) -> list[str]:
+        """What every unknown means, wherever it lives."""
+        return self._listed("meaning")
+
+    def _listed(self, attribute: str) -> list[str]:
+        program = self.program
+        several = program.bodies > 1
+        with_place = attribute == "name"
+
+        def told(unknown: Unknown, where: str, body: int) -> str:
+            text = str(getattr(unknown, attribute))
+            return f"{text}{where}{f' of body {body}' if several else ''}" if with_place else text
+
+        listed = []
+        for body in range(program.bodies):
+            for k in range(self.steps):
+                listed += [told(u, f" at node {k}", body) for u in program.node]
+                listed += [told(u, f" on interval {k}", body) for u in self.inside[len(program.node) :]]
+            listed += [told(u, f" at node {self.steps}", body) for u in program.node]
+        for body in range(program.bodies):
+            listed += [told(u, "", body) for u in program.shared[: program.own]]
+        listed += [str(getattr(u, attribute)) for u in program.shared[program.own :]]
+        return listed + [str(getattr(c.multiplier, attribute)) for c in program.couplings]

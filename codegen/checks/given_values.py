@@ -1,0 +1,143 @@
+"""Values and bounds that the module gives to unknowns, against those of the author's problem.
+
+They are no part of the Lagrangian, so that no kernel tells of them: values at both ends, unknowns that equal a shared
+one, and the tables of least and greatest values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+from numpy.typing import NDArray
+from sympy import Expr
+
+from codegen import expressions
+from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.flat_vector import FlatVector
+from codegen.transcribe.program import ControlProgram, Unknown
+
+_STEPS = 3
+_EQUAL = 1e-12
+
+Values = NDArray[np.float64]
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Compare the table of parameters, pinned values and bounds, entry by entry."""
+    program = context.program
+    if not isinstance(program, ControlProgram):
+        yield does_not_apply("given values", "a simulation gives no values but those of its start")
+        return
+    yield _parameters(context, program)
+    yield _pinned(context, program)
+    yield _bounds(context, program)
+
+
+def _parameters(context: Context, program: ControlProgram) -> Finding:
+    """Every body's row of parameters and boundary values; what a free end has been given cannot stand there."""
+    model = context.model
+    given = {}
+    for where, boundary in (("start", model.start), ("end", model.end)):
+        assert boundary is not None, "a control problem has an end"
+        quantities = zip((*model.coordinates, *model.rates), (*boundary.positions, *boundary.rates), strict=True)
+        given |= {(where, q.name): value for q, value in quantities if value is not None}
+    grid, count = context.module.make_grid(_STEPS), len(model.parameters)
+    names = [*(f"parameter {p}" for p in model.parameters), *(f"{v.where} {v.quantity}" for v in program.boundary_values)]
+    if {(v.where, v.quantity) for v in program.boundary_values} != given.keys():
+        return _finding("boundary values", [f"values are given of {', '.join(names[count:])}, not of what was written"])
+    wrong = []
+    for body in range(program.bodies):
+        values = [given[v.where, v.quantity] for v in program.boundary_values]
+        wanted = [*model.defaults, *(_number(value, program, body) for value in values)]
+        for name, found, value in zip(names, grid.parameters[body], wanted, strict=False):
+            if not _equal(found, value):
+                wrong.append(f"{name} of body {body} is {found:.12g}, expected {value:.12g}")
+    return _finding("boundary values", wrong, f"{', '.join(names[count:]) or 'none'}: as written")
+
+
+def _pinned(context: Context, program: ControlProgram) -> Finding:
+    """What `with_pinned_values` overwrites in an arbitrary vector, and with what."""
+    module, flat = context.module, FlatVector(program, _STEPS)
+    grid = module.make_grid(_STEPS)
+    before = np.random.default_rng(5).uniform(1.0, 2.0, flat.size)
+    wanted = before.copy()
+    for body in range(program.bodies):
+        known = {v.symbol: _number(v.value, program, body) for v in program.boundary_values}
+        for k, end in ((0, program.start), (_STEPS, program.end)):
+            node, shared = flat.node(body, k), flat.shared(body)
+            for place, value in end.pins:
+                wanted[node[place]] = _number(value, program, body, known)
+            for place, j, offset in end.shared:
+                wanted[node[place]] = before[shared[j]] + _number(offset, program, body, known)
+    found, names = module.with_pinned_values(grid, before), flat.names()
+    wrong = [
+        f"{names[i]} is given {found[i]:.12g}, expected {wanted[i]:.12g}"
+        for i in range(flat.size)
+        if not _equal(found[i], wanted[i])
+    ]
+    fixed = np.count_nonzero(wanted != before)
+    return _finding("pinned unknowns", wrong, f"{fixed} unknowns at the ends have their values, all others are left alone")
+
+
+def _bounds(context: Context, program: ControlProgram) -> Finding:
+    """Tables of bounds against those that the author wrote; slacks are not negative, pinned unknowns unbounded."""
+    module, flat = context.module, FlatVector(program, _STEPS)
+    if not program.has_inequalities:
+        wrong = ["there are none, but the module has variable_bounds"] if hasattr(module, "variable_bounds") else []
+        return _finding("bounds", wrong, "there are none")
+    lower, upper = np.full(flat.size, -np.inf), np.full(flat.size, np.inf)
+    written = {bound.symbol.name: (bound.lower, bound.upper) for bound in context.model.bounds}
+    written |= {free.symbol.name: (free.lower, free.upper) for free in context.model.free_parameters}
+    written |= {slack.name: (sympy.S.Zero, None) for slack in program.slacks}
+
+    def put(places: Values, unknowns: Sequence[Unknown], body: int) -> None:
+        for place, unknown in zip(places, unknowns, strict=True):
+            for side, value in zip((lower, upper), written.get(unknown.name, (None, None)), strict=True):
+                if value is not None:
+                    side[place] = _number(value, program, body)
+
+    for body in range(program.bodies):
+        for k in range(_STEPS + 1):
+            put(flat.node(body, k), program.node, body)
+            if k < _STEPS:
+                put(flat.interval(body, k), flat.inside[len(program.node) :], body)
+        put(flat.shared(body), program.shared, body)
+        for k, end in ((0, program.start), (_STEPS, program.end)):
+            lower[flat.node(body, k)[[slack for slack, _ in end.slacks]]] = 0.0
+    lower[~flat.free()], upper[~flat.free()] = -np.inf, np.inf
+    return _compared_bounds(module, flat, lower, upper)
+
+
+def _compared_bounds(module: Any, flat: FlatVector, lower: Values, upper: Values) -> Finding:
+    found, names = module.variable_bounds(module.make_grid(_STEPS)), flat.names()
+    wrong = [
+        f"the {side} bound of {names[i]} is {values[i]:.12g}, expected {wanted[i]:.12g}"
+        for side, values, wanted in (("lower", found[0], lower), ("upper", found[1], upper))
+        for i in range(flat.size)
+        if not _equal(values[i], wanted[i])
+    ]
+    count = np.count_nonzero(np.isfinite(lower)) + np.count_nonzero(np.isfinite(upper))
+    return _finding("bounds", wrong, f"all {count} bounds on {_STEPS} intervals are as written")
+
+
+def _number(
+    value: Expr, program: ControlProgram, body: int, more: Mapping[sympy.Symbol, float] | None = None
+) -> float:
+    """An expression of parameters and of the body's number."""
+    known: dict[sympy.Symbol, float] = dict(program.model.default_values) | dict(more or {})
+    if program.body is not None:
+        known[program.body] = float(body)
+    number = expressions.number_at(sympy.sympify(value), known)
+    return float("nan") if number is None else number
+
+
+def _equal(found: float, wanted: float) -> bool:
+    return bool(found == wanted or abs(found - wanted) <= _EQUAL * max(1.0, abs(wanted)))
+
+
+def _finding(subject: str, wrong: list[str], right: str = "") -> Finding:
+    more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+    return Finding("given values", subject, not wrong, f"{wrong[0]}{more}" if wrong else right)

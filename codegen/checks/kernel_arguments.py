@@ -1,0 +1,39 @@
+"""What the kernels of a control module are called with, and where their entries belong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from sympy import Symbol
+
+from codegen.checks.evaluation import Point
+from codegen.discretise import STEP
+from codegen.transcribe.program import ControlProgram
+
+
+def other_symbols(program: ControlProgram) -> list[Symbol]:
+    """What the shares of the Lagrangian depend on beside unknowns: parameters, boundary values, time and step."""
+    return [*program.model.parameters, *(v.symbol for v in program.boundary_values), program.model.time, STEP]
+
+
+def pattern_of(module: Any, share: str) -> list[tuple[int, int]]:
+    """Rows and columns of the emitted Hessian of the interval, the start or the end; none where there is no kernel."""
+    prefix = "" if share == "interval" else f"{share.upper()}_"
+    rows, columns = (getattr(module, f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
+    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True)]
+
+
+def parameter_vector(point: Point, program: ControlProgram) -> Any:
+    """A row of `grid.parameters`: parameters, boundary values, and behind them the shared unknowns."""
+    boundary = [value.symbol for value in program.boundary_values]
+    return np.array([point[s] for s in (*program.model.parameters, *boundary, *program.shared_symbols)])
+
+
+def all_shared_symbols(program: ControlProgram) -> list[Symbol]:
+    """A symbol for every shared unknown: of each body in turn, then of the whole problem."""
+    first = program.bodies * program.own
+    symbols = [Symbol(f"_shared_{place}", real=True) for place in range(first)]
+    for symbol, body, j in program.coupling_symbols:
+        symbols[body * program.own + j] = symbol
+    return [*symbols, *program.shared_symbols[program.own :]]

@@ -1,0 +1,87 @@
+"""The kernels of a simulation against the scheme's equations, at random points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import mpmath  # type: ignore[import-untyped]
+import numpy as np
+from sympy import Expr, Symbol
+
+from codegen.checks.agreement import Agreement
+from codegen.checks.base import Context, Finding
+from codegen.checks.evaluation import DIGITS, Point, function_of, gradient, random_points
+from codegen.discretise import STEP
+from codegen.transcribe.program import StepProgram
+
+
+def check_step(context: Context, program: StepProgram) -> Iterator[Finding]:
+    """The scheme's equations and the energy as written; the elimination by the equations that a step makes vanish."""
+    interval = [*program.stage_symbols, *program.right_symbols]
+    base = [*program.left_symbols, program.model.time, STEP, *program.model.parameters]
+    equations = function_of([*base, *interval], [value for _, value in program.equations])
+    energy = function_of(base, [program.energy])
+    written, closed, height = Agreement(), Agreement(), Agreement()
+    names = [name for name, _ in program.equations]
+    module, size = context.module, len(interval)
+    for point in random_points([v for _, v in program.equations], [*base, *interval], program.model.default_values):
+        arguments = _step_arguments(point, program)
+        after = np.array([point[symbol] for symbol in interval])
+        emitted = np.empty(size)
+        module.step_equations(arguments[0], after, *arguments[1:], emitted)
+        numbers = [mpmath.mpf(point[symbol]) for symbol in base]
+        with mpmath.workdps(DIGITS):
+            written.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, after)))
+            height.compare(["H"], [module.energy(arguments[0], *_time_and_parameters(arguments))], energy(*numbers))
+            made = np.empty(size)
+            work = module.allocate_work(arguments[2], arguments[3])
+            outcome = module.advance(*arguments, work, made, 1e-14, 50)
+            left_over = equations(*numbers, *map(mpmath.mpf, made)) if outcome >= 0 else [mpmath.inf] * size
+            # One is added on both sides, so that what must vanish is measured on the scale of the state.
+            closed.compare(
+                [f"{name} after a step" for name in names], [1 + r for r in left_over], [mpmath.mpf(1)] * size
+            )
+    yield written.finding("step_equations", "the scheme's equations")
+    yield height.finding("energy", "the Hamiltonian")
+    yield closed.finding("one step", "the scheme's equations")
+    if program.unknowns:
+        yield from _implicit(context, program)
+
+
+def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
+    base = [*program.left_symbols, program.model.time, STEP, *program.model.parameters]
+    symbols = [*program.unknowns, *base]
+    residual = [_expanded(value, program.before) for value in program.residual]
+    functions, size = [function_of(symbols, [value]) for value in residual], len(program.unknowns)
+    values_seen, entries_seen = Agreement(), Agreement()
+    for point in random_points(residual, symbols, program.model.default_values):
+        numbers = [point[symbol] for symbol in symbols]
+        unknowns, arguments = np.array(numbers[:size]), _step_arguments(point, program)
+        alone, beside, matrix = np.empty(size), np.empty(size), np.empty((size, size))
+        context.module.step_residual(unknowns, *arguments, alone)
+        context.module.step_jacobian(unknowns, *arguments, beside, matrix)
+        with mpmath.workdps(DIGITS):
+            for i, function in enumerate(functions):
+                exact = function(*map(mpmath.mpf, numbers)) * 2
+                values_seen.compare([f"residual {i}"] * 2, [alone[i], beside[i]], exact)
+                names = [f"d residual {i}/d{y}" for y in program.unknowns]
+                entries_seen.compare(names, matrix[i], gradient(function, numbers, range(size)))
+    yield values_seen.finding("step_residual", "the reduced equations")
+    yield entries_seen.finding("step_jacobian", "120-digit differences of the residual")
+
+
+def _expanded(value: Expr, assignments: Sequence[tuple[Symbol, Expr]]) -> Expr:
+    for symbol, meaning in reversed(assignments):
+        value = value.xreplace({symbol: meaning})
+    return value
+
+
+def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, float, Any]:
+    state = np.array([point[symbol] for symbol in program.left_symbols])
+    parameters = np.array([point[symbol] for symbol in program.model.parameters])
+    return state, point[program.model.time], point[STEP], parameters
+
+
+def _time_and_parameters(arguments: tuple[Any, float, float, Any]) -> tuple[float, Any]:
+    return arguments[1], arguments[3]

@@ -1,0 +1,91 @@
+"""Solutions carried from one time grid to another: warm starts, and mesh sequences N, 2N, 4N with an error estimate.
+
+Sources: Betts (2010), Practical methods for optimal control, section 4.7, for mesh refinement; Richardson (1911) for
+the extrapolation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from codegen.drivers.result import Result
+from codegen.errors import NumericsError
+from codegen.load import ControlModule, Matrix, Vector
+
+
+def transferred(module: ControlModule, unknowns: Vector, steps: int) -> Vector:
+    """A solution's unknowns on a grid of N intervals, N = `steps`: interpolated in time, without overshoot.
+
+    Nodes are interpolated between nodes, intervals between their midpoints. Raises NumericsError when the vector
+    belongs to another problem.
+    """
+    target = module.make_grid(steps)
+    source = module.make_grid(source_steps(module, unknowns))
+    result = np.zeros(target.is_multiplier.size)
+    places = (lambda grid: np.arange(grid.steps + 1) / grid.steps, lambda grid: (np.arange(grid.steps) + 0.5) / grid.steps)
+    for old, new, place in zip(module.views(source, unknowns), module.views(target, result), places, strict=True):
+        new[:] = _interpolated(place(source), old, place(target))
+    rest = module.ROOT
+    result[result.size - rest :] = unknowns[unknowns.size - rest :]
+    return module.with_pinned_values(target, result)
+
+
+def source_steps(module: ControlModule, unknowns: Vector) -> int:
+    """The number of intervals that a vector of unknowns belongs to."""
+    metadata = module.metadata
+    node, interval = len(metadata["node"]), len(metadata["interval"])
+    steps, rest = divmod((unknowns.size - module.ROOT) // metadata["bodies"] - node, node + interval)
+    if rest or steps < 1 or metadata["bodies"] * (steps * (node + interval) + node) + module.ROOT != unknowns.size:
+        raise NumericsError(
+            f"the start has {unknowns.size} unknowns, which fit no number of steps", "use a solution of this problem"
+        )
+    return steps
+
+
+def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
+    if t.size == 1:
+        return np.repeat(values, at.size, axis=1)
+    return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
+
+
+def refine(
+    solve: Callable[[int, Vector | None], Result],
+    module: ControlModule,
+    steps: int,
+    doublings: int,
+    warm: Vector | None = None,
+) -> Result:
+    """Solve on N, 2N, 4N, ... intervals, each from the solution before; the last result, with an error estimate.
+
+    `solve` takes a number of intervals and a start; `warm` is the first one. The summary gains the sequence's costs, and, with at least one
+    doubling, the cost extrapolated by the scheme's stated order, its distance from the last one as an error estimate,
+    and the order that three grids show. A grid that fails ends the sequence with that result.
+    """
+    result = solve(steps, None if warm is None else transferred(module, warm, steps))
+    costs = [result.cost]
+    for _ in range(doublings):
+        if not result.solved or result.unknowns is None:
+            return result
+        steps *= 2
+        result = solve(steps, transferred(module, result.unknowns, steps))
+        costs.append(result.cost)
+    return replace(result, summary={**result.summary, **_estimates(module, [c for c in costs if c is not None])})
+
+
+def _estimates(module: ControlModule, costs: list[float]) -> dict[str, float]:
+    """What a sequence of costs on halved steps tells of their limit."""
+    order = module.metadata["order"]
+    summary = {}
+    if len(costs) > 1:
+        error = (costs[-1] - costs[-2]) / (2**order - 1)
+        summary |= {"cost_extrapolated": costs[-1] + error, "cost_error_estimate": abs(error)}
+    if len(costs) > 2:
+        before, last = costs[-2] - costs[-3], costs[-1] - costs[-2]
+        # Differences at rounding level show no order.
+        if min(abs(before), abs(last)) > 1e-12 * max(1.0, abs(costs[-1])) and before / last > 0.0:
+            summary["observed_order"] = float(np.log2(before / last))
+    return summary

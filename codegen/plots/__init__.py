@@ -1,0 +1,35 @@
+"""Pictures of a result: everything about an optimum or a simulation on one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+
+from codegen.drawing import Scene
+from codegen.drivers.result import Result
+from codegen.load import GeneratedModule, is_control
+from codegen.plots.control import Drawings, control_figure
+from codegen.plots.simulation import simulation_figure
+from codegen.plots.style import STYLE, label
+
+__all__ = ["Drawings", "control_figure", "label", "save", "simulation_figure"]
+
+
+def save(
+    module: GeneratedModule,
+    result: Result,
+    path: Path,
+    drawings: Drawings | Scene | None = None,
+    unit: str = "",
+) -> None:
+    """Draw a module's result into a file whose ending matplotlib knows; `unit` is that of the time."""
+    with matplotlib.rc_context(STYLE):
+        if is_control(module):
+            assert not isinstance(drawings, Scene)
+            figure = control_figure(module, result, drawings, unit)
+        else:
+            assert not isinstance(drawings, Drawings)
+            figure = simulation_figure(result, drawings, unit)
+        metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
+        figure.savefig(path, dpi=150, metadata=metadata)

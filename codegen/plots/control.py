@@ -1,0 +1,211 @@
+"""The figure of an optimum: drawing, states, momenta, multipliers, controls, path inequalities, iterations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from codegen.drawing import Scene
+from codegen.drivers.result import Result
+from codegen.load import ControlModule
+from codegen.plots import panels, shapes
+from codegen.plots.quantities import Inequality, Quantity, inequalities, quantities
+from codegen.plots.style import MOST_BODY_COLOURS, body_map, title
+
+WIDTH = 12.0
+"""Of the figure, in inches."""
+
+_MOST_ROWS = 12
+_MOST_INEQUALITIES = 4
+_MOST_BESIDE = 4
+_TITLES = {
+    "state": "states",
+    "momentum": "momenta",
+    "multiplier": "multipliers",
+    "control": "controls",
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What a panel shows, the function that draws it, and whether its abscissa is the time."""
+
+    kind: str
+    draw: Callable[[Any], None]
+    over_time: bool = True
+
+
+Row = list[Panel | None]
+
+
+@dataclass(frozen=True)
+class Drawings:
+    """The problem's drawing along the solution and along the first guess."""
+
+    solution: Scene
+    guess: Scene
+
+
+def control_figure(module: ControlModule, result: Result, drawings: Drawings | None = None, unit: str = "") -> Figure:
+    """Everything about an optimum on one page; `unit` is written behind the time.
+
+    A row for every state, with its momentum and multiplier; then controls, path inequalities and the iterations, which
+    stand beside the drawing of a single body where it leaves room. Of several bodies the drawing shows both the first
+    guess and the optimum.
+    """
+    groups, conditions = quantities(module, result), inequalities(module, result)
+    states, others = _state_rows(groups), _others(groups["control"], conditions, result)
+    shape = _shape(drawings)
+    beside = 0.0 < shape.left < 1.0 and len(others) <= _MOST_BESIDE
+    blocks = [states] if beside else [states, _in_rows(others, len(states[0]))]
+    count = sum(map(len, blocks))
+    height = max(1.2, 2.1 - 0.09 * count) * count + 0.6
+    figure = Figure(
+        figsize=(WIDTH, 0.9 + shape.height + height), layout=ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05)
+    )
+    upper, lower = _halves(figure, shape.height, height) if drawings is not None else (None, figure)
+    time, outcome = f"time ({unit})" if unit else "time", "optimum" if result.solved else "last iterate"
+    if drawings is not None and beside:
+        left, right = _halves(upper, shape.left, 1.0 - shape.left, vertically=False)
+        _draw(left, drawings, outcome)
+        _fill(right, [[[panel] for panel in others]], time)
+    elif drawings is not None:
+        _draw(upper, drawings, outcome)
+    axes = _fill(lower, blocks, time)
+    shown = [quantity for group in groups.values() for quantity in group]
+    handles = panels.handles(shown, conditions, outcome)
+    if handles:
+        lower.legend(handles=handles, loc="outside lower center", ncols=12)
+    _body_bar(lower, axes, int(module.metadata["bodies"]))
+    title(figure, result, _notes(result, module, groups))
+    return figure
+
+
+def _state_rows(groups: dict[str, list[Quantity]]) -> list[Row]:
+    """A row for each state with its momentum and multiplier, or for two states where there are no momenta."""
+    states, momenta, multipliers = groups["state"], groups["momentum"], groups["multiplier"]
+    shown = min(len(states), _MOST_ROWS)
+    rows: list[Row] = []
+    for i in range(shown):
+        # A Hamiltonian system has two equations, and two multipliers, for each coordinate.
+        pair = multipliers[i : i + 1] + multipliers[i + len(states) : i + len(states) + 1]
+        own: Row = [_panel(quantity) for quantity in (states[i], *momenta[i : i + 1])]
+        rows.append([*own, _panel(*pair) if pair else None])
+    if not momenta and shown > 2:
+        rows += [[None, None]] * (shown % 2)
+        rows = [left + right for left, right in zip(rows[::2], rows[1::2], strict=True)]
+    return rows
+
+
+def _panel(shown: Quantity, second: Quantity | None = None) -> Panel:
+    return Panel(_TITLES[shown.kind], lambda axes: panels.quantity(axes, shown, second))
+
+
+def _others(controls: Sequence[Quantity], conditions: Sequence[Inequality], result: Result) -> list[Panel]:
+    """What belongs to no state."""
+    found = [_panel(control) for control in controls[:_MOST_ROWS]]
+    if len(conditions) > _MOST_INEQUALITIES:
+        found.append(Panel("", lambda axes: panels.strip(axes, conditions)))
+    else:
+        found += [Panel("", lambda axes, one=one: panels.inequality(axes, one)) for one in conditions]  # type: ignore[misc]
+    if result.log is not None and len(result.log) > 1:
+        log = result.log
+        found.append(Panel("iterations", lambda axes: panels.iterations(axes, log), over_time=False))
+    return found
+
+
+def _in_rows(found: Sequence[Panel], columns: int) -> list[Row]:
+    padded: Row = [*found, *[None] * (-len(found) % columns)]
+    return [padded[first : first + columns] for first in range(0, len(padded), columns)]
+
+
+def _fill(figure: Any, blocks: Sequence[Sequence[Row]], time: str) -> list[Any]:
+    """Draw blocks of rows below each other; titles stand where the kind changes, times below each block."""
+    rows = [row for block in blocks for row in block]
+    grid = figure.add_gridspec(len(rows), len(rows[0]))
+    made, first = [], 0
+    for block in blocks:
+        for i, row in enumerate(block):
+            for j, panel in enumerate(row):
+                if panel is None:
+                    continue
+                # What comes last takes the room that is left.
+                is_last = block is blocks[-1] and i == len(block) - 1 and not any(row[j + 1 :]) and not panel.over_time
+                axes = figure.add_subplot(grid[first + i, j:] if is_last else grid[first + i, j])
+                panel.draw(axes)
+                neighbours = [block[i - 1][j] if i else None, row[j - 1] if j and panel.kind == "controls" else None]
+                if panel.kind and not any(other is not None and other.kind == panel.kind for other in neighbours):
+                    axes.set_title(panel.kind, loc="left")
+                if panel.over_time:
+                    below = block[i + 1][j] if i + 1 < len(block) else None
+                    ends = below is None or not below.over_time
+                    axes.set_xlabel(time if ends else "")
+                    axes.tick_params(labelbottom=ends)
+                made.append(axes)
+        first += len(block)
+    return made
+
+
+def _body_bar(figure: Any, axes: Sequence[Any], bodies: int) -> None:
+    """The colours of bodies, where they are too many for a legend."""
+    if bodies <= MOST_BODY_COLOURS:
+        return
+    colours = ScalarMappable(BoundaryNorm([i - 0.5 for i in range(bodies + 1)], 256), body_map())
+    bar = figure.colorbar(colours, ax=list(axes), location="right", shrink=0.6, aspect=40, pad=0.01, label="body")
+    bar.set_ticks(range(0, bodies, math.ceil(bodies / 10)))
+    bar.minorticks_off()
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Height of the drawing's band in inches, and which part of its width the drawing needs."""
+
+    height: float
+    left: float
+
+
+def _shape(drawings: Drawings | None) -> _Shape:
+    if drawings is None:
+        return _Shape(0.0, 0.0)
+    if shapes.bodies_of(drawings.solution) > 1:
+        left, right, bottom, top = shapes.extent([drawings.solution, drawings.guess])
+        return _Shape(min(5.6, max(2.4, (top - bottom) / (right - left) * (WIDTH / 2 - 0.6))) + 0.8, 1.0)
+    left, right, bottom, top = shapes.extent([drawings.solution])
+    ratio = (top - bottom) / (right - left)
+    if ratio < 0.5:
+        return _Shape(max(2.4, ratio * (WIDTH - 0.6)) + 0.8, 1.0)
+    height = min(5.2, max(4.0, 0.62 * WIDTH * ratio))
+    return _Shape(height + 0.8, min(0.66, max(0.4, (height / ratio + 0.6) / WIDTH)))
+
+
+def _halves(figure: Any, first: float, second: float, vertically: bool = True) -> tuple[Any, Any]:
+    """Two parts of a figure, above each other or side by side."""
+    ratios = {"height_ratios": [first, second]} if vertically else {"width_ratios": [first, second]}
+    one, other = figure.subfigures(2 if vertically else 1, 1 if vertically else 2, **ratios)
+    return one, other
+
+
+def _draw(figure: Any, drawings: Drawings, outcome: str) -> None:
+    """The drawing; of several bodies the first guess beside the optimum."""
+    if shapes.bodies_of(drawings.solution) == 1:
+        shapes.course(figure.add_subplot(), drawings.solution, shapes.extent([drawings.solution]))
+        return
+    room = shapes.extent([drawings.guess, drawings.solution])
+    scenes = {"initial guess": drawings.guess, outcome: drawings.solution}
+    for axes, (name, scene) in zip(figure.subplots(1, 2), scenes.items(), strict=True):
+        shapes.course(axes, scene, room)
+        axes.set_title(name, fontsize=11)
+
+
+def _notes(result: Result, module: ControlModule, groups: dict[str, list[Quantity]]) -> list[str]:
+    """Further words of the title: free parameters, and what the figure has no room for."""
+    free = [f"{name} = {result.summary[name]:.6g}" for name in module.metadata["free_parameters"]]
+    many = {"states": len(groups["state"]), "controls": len(groups["control"])}
+    return free + [f"{n - _MOST_ROWS} further {kind} not shown" for kind, n in many.items() if n > _MOST_ROWS]

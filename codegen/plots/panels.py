@@ -1,0 +1,169 @@
+"""Single panels of a figure: curves, steps, bounds and where they are active, path inequalities, the iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from codegen.load import Matrix, Vector
+from codegen.plots.quantities import Inequality, Quantity
+from codegen.plots.style import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, label, relation
+
+KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
+"""The colour of each kind of quantity, where there is one body."""
+
+_DOTTED = (0, (1, 1.5))
+_DASHED = (0, (5, 3))
+_ACTIVE: dict[str, Any] = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}
+_GUESS: dict[str, Any] = {"color": GREY, "linestyle": _DOTTED, "linewidth": 1.3, "zorder": 1.9}
+_BOUND: dict[str, Any] = {"color": GREY, "linestyle": _DASHED, "linewidth": 1.0, "zorder": 1.2}
+
+
+def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None:
+    """A quantity of every body over time, with its bounds and, for a single body, its first guess.
+
+    A `second` quantity is drawn dashed in the same panel.
+    """
+    single = shown.values.shape[1] == 1
+    colours = body_colours(shown.values.shape[1], KINDS[shown.kind])
+    width = 1.6 if single else 1.2
+    for values, colour in zip(shown.values.T, colours, strict=True):
+        _line(axes, shown.t, values, color=colour, linewidth=width)
+    if second is not None:
+        for values, colour in zip(second.values.T, colours, strict=True):
+            _line(axes, second.t, values, color=colour, linewidth=width, linestyle=_DASHED)
+    if shown.guess is not None and single:
+        _line(axes, shown.t, shown.guess[:, 0], **_GUESS)
+    if shown.kind == "state":
+        for values, colour in zip(shown.values.T, colours, strict=True):
+            axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
+    _highlight(axes, shown.t, shown.values, shown.active())
+    axes.set_ylabel(label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}")
+    axes.margins(x=0.02)
+    _widen_if_flat(axes, shown.values)
+    _bounds(axes, shown)
+
+
+def inequality(axes: Any, shown: Inequality) -> None:
+    """The distance from equality of a path inequality over time; what lies below zero is forbidden."""
+    single = shown.distance.shape[1] == 1
+    for values, colour in zip(shown.distance.T, body_colours(shown.distance.shape[1], BLUE), strict=True):
+        axes.plot(shown.t, values, color=colour, linewidth=1.5 if single else 1.2)
+    _highlight(axes, shown.t, shown.distance, shown.active())
+    highest = float(np.nanmax(shown.distance, initial=0.0))
+    axes.axhline(0.0, **_BOUND)
+    axes.margins(x=0.02)
+    axes.set_ylabel("distance")
+    axes.set_title(relation(shown.name), loc="left", fontsize=8.5)
+    if highest > 0.0:
+        axes.set_ylim(-0.12 * max(highest, 1e-3), 1.1 * max(highest, 1e-3))
+    axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+
+
+def strip(axes: Any, shown: Sequence[Inequality]) -> None:
+    """When each of many path inequalities is active, for any body."""
+    for row, one in enumerate(shown):
+        where = one.active().any(axis=1)
+        axes.plot(one.t, np.where(where, row, np.nan), **_ACTIVE | {"marker": "|", "markersize": 5.5})
+    axes.set_yticks(range(len(shown)), [relation(one.name, 30) for one in shown], fontsize=7.5)
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.margins(x=0.02)
+    axes.set_title("path inequalities that are active", loc="left", fontsize=8.5)
+
+
+def iterations(axes: Any, log: Matrix) -> None:
+    """Errors of the iterates, and the weight of the logarithmic barrier where there was one."""
+    numbers = np.arange(len(log))
+    columns: list[tuple[str, int, str, Any]] = [("residual", 1, BLUE, "-"), ("stationarity", 2, RED, "-")]
+    columns += [("barrier", 5, GREY, _DOTTED)] if log.shape[1] > 5 else []
+    for name, column, colour, dashes in columns:
+        values = np.where(log[:, column] > 0.0, log[:, column], np.nan)
+        axes.semilogy(numbers, values, color=colour, linestyle=dashes, marker=".", markersize=4, label=name)
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("max-norm")
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.legend(loc="best", fontsize=8)
+
+
+def handles(quantities: Sequence[Quantity], inequalities: Sequence[Inequality], outcome: str) -> list[Any]:
+    """Entries of the figure's legend, only for what occurs in it; `outcome` says what the curves of one body are."""
+    bodies = quantities[0].values.shape[1]
+    bounded = any(np.isfinite(q.lower).any() or np.isfinite(q.upper).any() for q in quantities) or bool(inequalities)
+    active = any(q.active().any() for q in quantities) or any(g.active().any() for g in inequalities)
+    out: list[Any] = []
+    if bodies == 1 and any(q.guess is not None for q in quantities):
+        out += [Line2D([], [], label=outcome, color=DARK), Line2D([], [], label="initial guess", **_GUESS)]
+    elif 1 < bodies <= 7:
+        colours = body_colours(bodies, BLUE)
+        out += [Line2D([], [], color=colours[i], label=f"body {i}") for i in range(bodies)]
+    if bounded:
+        out += [Line2D([], [], label="bound", **_BOUND), Patch(color=FORBIDDEN, label="forbidden")]
+    return out + ([Line2D([], [], label="active", **_ACTIVE)] if active else [])
+
+
+def _line(axes: Any, t: Vector, values: Vector, **style: Any) -> None:
+    """A polygon through the nodes, or a step for every interval."""
+    if values.size == t.size:
+        axes.plot(t, values, **style)
+    else:
+        axes.stairs(values, t, baseline=None, **style)
+
+
+def _highlight(axes: Any, t: Vector, values: Matrix, where: np.ndarray) -> None:
+    """A broad line behind the parts of curves that lie on a limit."""
+    for column, active in zip(values.T, where.T, strict=True):
+        if not active.any():
+            continue
+        if column.size == t.size:
+            axes.plot(t, np.where(active, column, np.nan), solid_capstyle="butt", **_ACTIVE)
+            alone = active & ~np.r_[False, active[:-1]] & ~np.r_[active[1:], False]
+            axes.plot(t[alone], column[alone], "o", color=AMBER, alpha=0.75, markersize=5.5, zorder=1.5)
+        else:
+            axes.hlines(column[active], t[:-1][active], t[1:][active], **_ACTIVE)
+
+
+def _bounds(axes: Any, shown: Quantity) -> None:
+    """Dashed lines and shaded sides of bounds near the curves; bounds far away are named above the panel."""
+    finite = shown.values[np.isfinite(shown.values)]
+    if finite.size == 0:
+        return
+    low, high = axes.get_ylim()
+    reach = 0.6 * (high - low)
+    far = []
+    for bounds, side, sign in ((shown.lower, -1, "≥"), (shown.upper, 1, "≤")):
+        for bound in np.unique(bounds[np.isfinite(bounds)]):
+            if low - reach <= bound <= high + reach:
+                edge = low if side < 0 else high
+                if side * (bound - edge) > -0.04 * (high - low):
+                    low, high = (bound - 0.08 * (high - low), high) if side < 0 else (low, bound + 0.08 * (high - low))
+                axes.axhline(bound, **_BOUND)
+            else:
+                far.append(f"{sign} {bound:.4g}")
+    axes.set_ylim(low, high)
+    _shade(axes, shown)
+    if far:
+        axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=7.5, color=GREY)
+
+
+def _shade(axes: Any, shown: Quantity) -> None:
+    """Colour what no body may enter."""
+    low, high = axes.get_ylim()
+    least, greatest = float(shown.lower.min()), float(shown.upper.max())
+    if low < least < high:
+        axes.axhspan(low, least, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+    if low < greatest < high:
+        axes.axhspan(greatest, high, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+
+
+def _widen_if_flat(axes: Any, values: Matrix) -> None:
+    """Do not blow rounding errors of a constant up to the height of the panel."""
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return
+    middle, spread = float(np.mean(finite)), float(np.ptp(finite))
+    if spread <= 1e-9 * max(1.0, abs(middle)):
+        axes.set_ylim(middle - 0.5 * max(1.0, abs(middle)), middle + 0.5 * max(1.0, abs(middle)))

@@ -1,0 +1,185 @@
+"""What a figure of an optimum shows, as arrays: every quantity with its bounds and first guess, path inequalities."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from codegen.drivers.result import Result
+from codegen.load import ControlModule, Matrix, Vector
+
+CLOSE = 1e-3
+"""Relative distance from a limit that the eye takes for none: an interior point method ends a little inside."""
+
+_SLACK = re.compile(r"slack of (?P<name>.*) at (?P<place>\S.*?) of an interval")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity over time, a column for every body.
+
+    `values` belong to the nodes `t`, or to the intervals between them when there is one row less. Bounds are infinite
+    where there are none. `kind` is state, momentum, multiplier or control.
+    """
+
+    name: str
+    kind: str
+    t: Vector
+    values: Matrix
+    lower: Vector
+    upper: Vector
+    guess: Matrix | None = None
+
+    @property
+    def on_intervals(self) -> bool:
+        """Whether the quantity is constant on every interval."""
+        return len(self.values) == self.t.size - 1
+
+    def active(self) -> np.ndarray:
+        """Which values lie on a bound."""
+        size = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, 1.0)
+        size = np.maximum(size, np.abs(self.values).max(axis=0, initial=0.0))
+        distance = np.minimum(self.values - self.lower, self.upper - self.values)
+        return np.asarray(distance <= CLOSE * size)
+
+
+@dataclass(frozen=True)
+class Inequality:
+    """A path inequality g <= 0 as its distance -g from equality (times, bodies), at its own times."""
+
+    name: str
+    t: Vector
+    distance: Matrix
+
+    def active(self) -> np.ndarray:
+        """Where the inequality holds with equality."""
+        return np.asarray(self.distance <= CLOSE * max(1.0, float(np.abs(self.distance).max(initial=0.0))))
+
+
+def first_guess(module: ControlModule, result: Result) -> Result:
+    """The result as it would be if the solver had not moved from the problem's first guess."""
+    grid = module.make_grid(result.steps)
+    t, q, p, u, multipliers = module.unpack(grid, module.initial_guess(grid))
+    return replace(result, t=t, q=q, p=p, u=u, multipliers=multipliers, log=None)
+
+
+def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity]]:
+    """States, momenta, multipliers and controls of a result, each list in the order of declaration.
+
+    The multiplier at a place belongs to the state of the same place; those of momenta follow.
+    """
+    assert result.u is not None
+    assert result.multipliers is not None
+    metadata, guess, bodies = module.metadata, first_guess(module, result), module.metadata["bodies"]
+    coordinates, form = tuple(metadata["coordinates"]), metadata["form"]
+    momenta = tuple(metadata["rates"]) if form == "hamiltonian" else tuple(f"p_{q}" for q in coordinates)
+    momenta = () if form == "first-order" else momenta
+    lower, upper = _bounds(module, result)
+    assert guess.u is not None
+    groups: dict[str, tuple[tuple[str, ...], Matrix, Matrix, int]] = {
+        "state": (coordinates, result.q, guess.q, 1),
+        "momentum": (momenta, result.p, guess.p, 2),
+        "control": (tuple(metadata["control_names"]), result.u, guess.u, 3),
+    }
+    out: dict[str, list[Quantity]] = {}
+    for kind, (names, values, guessed, place) in groups.items():
+        # Bounds of momenta mean something only where momenta are unknowns of their own.
+        is_bounded = kind != "momentum" or metadata["method"] == "hamiltonian"
+        tables = [_by_body(table, bodies) for table in (values, guessed, lower[place], upper[place])]
+        none = np.full(bodies, np.inf)
+        out[kind] = [
+            Quantity(
+                name,
+                kind,
+                result.t,
+                tables[0][:, :, i],
+                _constant(tables[2][:, :, i], -np.inf) if is_bounded else -none,
+                _constant(tables[3][:, :, i], np.inf) if is_bounded else none,
+                tables[1][:, :, i] if kind != "momentum" else None,
+            )
+            for i, name in enumerate(names)
+        ]
+    out["multiplier"] = list(_multipliers(module, result, (*coordinates, *momenta)))
+    return out
+
+
+def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
+    """The path inequalities of a result, one for every condition that the author wrote, as they were discretised."""
+    metadata = module.metadata
+    generated: Any = module
+    if result.unknowns is None or not hasattr(generated, "SLACKS"):
+        return []
+    grid = module.make_grid(result.steps)
+    _, intervals = generated.views(grid, result.unknowns)
+    _, residuals = generated.views(grid, generated.evaluate(grid, result.unknowns).gradient)
+    columns: dict[str, list[tuple[str, Matrix]]] = {}
+    first = len(metadata["node"])
+    for slack, multiplier in zip(generated.SLACKS - first, generated.SLACK_MULTIPLIERS - first, strict=True):
+        found = _SLACK.fullmatch(metadata["meanings"][metadata["interval"][slack]])
+        assert found is not None, "a slack's meaning names its inequality"
+        # The equation g + s = 0 may have a residual, so that the slack alone would hide a violation.
+        distance = intervals[:, :, slack] - residuals[:, :, multiplier]
+        columns.setdefault(found["name"], []).append((found["place"], distance.T))
+    out = []
+    for name, parts in columns.items():
+        steps = np.diff(result.t)
+        times = np.array([result.t[:-1] + c * steps for c in _places([place for place, _ in parts])])
+        order = np.argsort(times.ravel(), kind="stable")
+        distances = np.concatenate([values for _, values in parts])
+        out.append(Inequality(name, times.ravel()[order], distances[order]))
+    return out
+
+
+def _places(texts: list[str]) -> list[float]:
+    """Places within an interval; those that are no fractions stand evenly, in their order."""
+    try:
+        return [float(Fraction(text)) for text in texts]
+    except ValueError:
+        return [(i + 0.5) / len(texts) for i in range(len(texts))]
+
+
+def _bounds(module: ControlModule, result: Result) -> tuple[tuple[Matrix, ...], tuple[Matrix, ...]]:
+    """Least and greatest (t, q, p, u, multipliers), infinite where there are none."""
+    grid = module.make_grid(result.steps)
+    if not module.metadata["inequalities"]:
+        blank = np.zeros(grid.is_multiplier.size)
+        shapes = module.unpack(grid, blank)
+        return tuple(np.full(np.shape(a), -np.inf) for a in shapes), tuple(np.full(np.shape(a), np.inf) for a in shapes)
+    with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns mean nothing
+        lower, upper = (module.unpack(grid, bounds) for bounds in module.variable_bounds(grid))
+    return lower, upper
+
+
+def _by_body(table: Matrix, bodies: int) -> Matrix:
+    """Columns that stand body by body, as (times, bodies, quantities)."""
+    return table.reshape(len(table), bodies, -1)
+
+
+def _constant(table: Matrix, none: float) -> Vector:
+    """The bound of every body: it is the same at all times, but missing where a boundary value takes its place."""
+    finite = np.isfinite(table)
+    found = np.where(finite, table, -np.inf if none < 0 else np.inf)
+    return np.asarray(found.max(axis=0) if none < 0 else found.min(axis=0), dtype=float)
+
+
+def _multipliers(module: ControlModule, result: Result, names: tuple[str, ...]) -> Iterator[Quantity]:
+    """Multipliers of the equations of motion, in the order of the quantities that they belong to."""
+    metadata, bodies = module.metadata, module.metadata["bodies"]
+    assert result.multipliers is not None
+    table = _by_body(result.multipliers, bodies)
+    none = np.full(bodies, np.inf)
+    if metadata["method"] == "variational":
+        columns = [f"lambda_{name}" for name in metadata["coordinates"]]
+    else:
+        own = metadata["interval"]
+        first = next(i for i, name in enumerate(own) if name.startswith("mu_") and name[3:] in {*names, *own})
+        columns = list(own[first : first + table.shape[2]])
+    wanted = {f"{stem}_{name}" for stem in ("lambda", "mu") for name in names}
+    for i, column in enumerate(columns):
+        if column in wanted:
+            yield Quantity(column, "multiplier", result.t, table[:, :, i], -none, none)

@@ -1,0 +1,227 @@
+"""The items of a drawing as matplotlib artists: one instant of a scene, or its whole course in one picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import patches
+from matplotlib.lines import Line2D
+
+from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
+from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
+
+SHOTS, MANY_SHOTS = 9, 7
+"""Instants at which a picture shows one body, and the arrows of several bodies."""
+
+_FAINT = 0.18
+_PALE, _SHADOW = "#DCE6EE", "#A8A8A8"
+Extent = tuple[float, float, float, float]
+
+
+def bodies_of(scene: Scene) -> int:
+    """The number of bodies that a scene shows."""
+    return max(len(array) for item in scene.items for _, array in item.expressions())
+
+
+def is_moving(item: Item) -> bool:
+    """Whether an item changes with time."""
+    return any(array.shape[1] > 1 for _, array in item.expressions())
+
+
+def extent(scenes: Sequence[Scene]) -> Extent:
+    """Left, right, bottom and top of all that is finite in some scenes, with a margin."""
+    xs, ys = [np.zeros(0)], [np.zeros(0)]
+    for item in (item for scene in scenes for item in scene.items):
+        for x, y in _corners(item):
+            finite = np.isfinite(x) & np.isfinite(y)
+            xs.append(x[finite])
+            ys.append(y[finite])
+    x, y = np.concatenate(xs), np.concatenate(ys)
+    if x.size == 0:
+        return -1.0, 1.0, -1.0, 1.0
+    left, right, bottom, top = float(x.min()), float(x.max()), float(y.min()), float(y.max())
+    longest = max(right - left, top - bottom) or 1.0
+    # A path along a line still needs room beside it.
+    wide, high = (max(0.05 * longest, (0.25 * longest - side) / 2) for side in (right - left, top - bottom))
+    return left - wide, right + wide, bottom - high, top + high
+
+
+def prepare(axes: Any, room: Extent) -> None:
+    """Equal scales on both axes, and fixed limits."""
+    axes.set_xlim(room[0], room[1])
+    axes.set_ylim(room[2], room[3])
+    axes.set_aspect("equal")
+    axes.tick_params(length=0, labelsize=8, colors=GREY)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def instant(scene: Scene, place: int, room: Extent, *, moving: bool, alpha: float = 1.0) -> Iterator[Any]:
+    """The artists of what moves, or of what does not, at one of the scene's times; trails end there."""
+    for item in scene.items:
+        if is_moving(item) is moving:
+            for body, colour in enumerate(_colours(scene, item)):
+                yield from _artists(item, body, place, room, colour, alpha)
+
+
+def course(axes: Any, scene: Scene, room: Extent) -> None:
+    """The whole motion in one picture: trails, and a few instants, the last one in full colour.
+
+    Of several bodies, only arrows are repeated; their places at the end are black squares.
+    """
+    prepare(axes, room)
+    count, last = bodies_of(scene), scene.t.size - 1
+    shots = np.unique(np.linspace(0, last, SHOTS if count == 1 else MANY_SHOTS).round().astype(int))
+    for artist in instant(scene, last, room, moving=False):
+        axes.add_artist(artist)
+    for item in filter(is_moving, scene.items):
+        for body, colour in enumerate(_colours(scene, item)):
+            for shot in _shots(item, count, shots):
+                alpha = 1.0 if shot == last or count > 1 else _FAINT + 0.3 * shot / last
+                for artist in _artists(item, body, shot, room, colour, alpha):
+                    axes.add_artist(artist)
+        if isinstance(item, Trail) and count > 1:
+            _mark_ends(axes, item)
+    legend(axes, scene, ends=True)
+
+
+def _colours(scene: Scene, item: Item) -> list[Any]:
+    """A colour for each body that has the item: bodies differ; of one body, the first trail from the others."""
+    count = bodies_of(scene)
+    if not is_moving(item):
+        single = GREY
+    elif isinstance(item, Trail):
+        single = SKY if item is next(other for other in scene.items if isinstance(other, Trail)) else _SHADOW
+    else:
+        single = BLUE
+    return body_colours(count, single)[: max(len(array) for _, array in item.expressions())]
+
+
+def _shots(item: Item, bodies: int, shots: np.ndarray) -> list[int]:
+    """At which instants an item is shown."""
+    if isinstance(item, Trail):
+        return [int(shots[-1])]
+    if bodies > 1 and isinstance(item, Mass):
+        return []  # the marks at the ends of its trail show it
+    if bodies > 1 and not isinstance(item, Arrow):
+        return [int(shots[0]), int(shots[-1])]
+    return [int(shot) for shot in shots]
+
+
+def _mark_ends(axes: Any, trail: Trail) -> None:
+    x, y = trail.point
+    axes.plot(x[:, 0], y[:, 0], "o", color=DARK, markersize=4, markerfacecolor="white", zorder=4)
+    axes.plot(x[:, -1], y[:, -1], "s", color="black", markersize=5, zorder=4)
+
+
+def legend(axes: Any, scene: Scene, *, ends: bool) -> None:
+    """Name the labelled items below the axes and, with `ends`, what marks the ends of several bodies' trails."""
+    handles: dict[str, Any] = {}
+    for item in scene.items:
+        if item.label:
+            handles.setdefault(item.label, _handle(item, _colours(scene, item)[0]))
+    if ends and bodies_of(scene) > 1 and any(isinstance(item, Trail) for item in scene.items):
+        handles["start"] = Line2D([], [], color=DARK, marker="o", markersize=4, markerfacecolor="white", linestyle="")
+        handles["end"] = Line2D([], [], color="black", marker="s", markersize=5, linestyle="")
+    if handles:
+        place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": 5, "columnspacing": 1.4}
+        axes.legend(list(handles.values()), list(handles), fontsize=8.5, **place)
+
+
+def _handle(item: Item, colour: Any) -> Any:
+    if isinstance(item, Arrow):
+        return Line2D([], [], color=CRIMSON, marker=r"$\rightarrow$", markersize=11, linestyle="")
+    if isinstance(item, Circle):
+        return Line2D([], [], color=DARK, linestyle=(0, (5, 3)), linewidth=1.0)
+    if isinstance(item, Trail):
+        return Line2D([], [], color=colour, linewidth=1.6)
+    if isinstance(item, Mass):
+        return Line2D([], [], color=colour, marker="o", markersize=7, linestyle="")
+    if isinstance(item, Mark):
+        return Line2D([], [], color="black", marker="*", markersize=8, linestyle="")
+    return patches.Patch(facecolor=_PALE, edgecolor=DARK)
+
+
+def _artists(item: Item, body: int, place: int, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
+    """What shows one item of one body at one time; nothing where a number is not finite."""
+
+    def at(array: np.ndarray) -> float:
+        return float(array[min(body, len(array) - 1), min(place, array.shape[1] - 1)])
+
+    if isinstance(item, Trail):
+        yield _trail(item, body, place, colour)
+        return
+    here = item.mapped(at)
+    if all(np.isfinite(number) for _, number in here.expressions()):
+        yield from _solid(here, room, colour, alpha)
+
+
+def _trail(item: Trail, body: int, place: int, colour: Any) -> Line2D:
+    x, y = (array[min(body, len(array) - 1), : place + 1] for array in item.point)
+    return Line2D(x, y, color=colour, linewidth=1.5, zorder=2)
+
+
+def _solid(item: Item, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
+    """The artist of an item whose parts are numbers."""
+    if isinstance(item, Rod):
+        x, y = zip(item.start, item.end, strict=True)
+        yield Line2D(x, y, color=DARK, linewidth=2.4, alpha=alpha, solid_capstyle="round", zorder=3)
+    elif isinstance(item, Mass):
+        style = {"facecolor": colour, "edgecolor": "white", "linewidth": 0.8}
+        yield patches.Circle(item.centre, item.radius, alpha=alpha, zorder=3.6, **style)
+    elif isinstance(item, Box):
+        style = {"facecolor": _PALE, "edgecolor": DARK, "linewidth": 1.2}
+        yield patches.Polygon(_box(item), closed=True, alpha=alpha, zorder=2.8, **style)
+    elif isinstance(item, Arrow):
+        if np.hypot(*item.vector) > 4e-3 * max(room[1] - room[0], room[3] - room[2]):
+            tip = item.start[0] + item.vector[0], item.start[1] + item.vector[1]
+            style = {"arrowstyle": "-|>", "mutation_scale": 8.0, "shrinkA": 0.0, "shrinkB": 0.0, "linewidth": 1.3}
+            yield patches.FancyArrowPatch(item.start, tip, color=CRIMSON, alpha=max(alpha, 0.45), zorder=3.8, **style)
+    elif isinstance(item, Circle):
+        style = {"fill": False, "edgecolor": DARK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
+        yield patches.Circle(item.centre, item.radius, alpha=alpha, zorder=1.6, **style)
+    elif isinstance(item, Mark):
+        yield Line2D([item.place[0]], [item.place[1]], color="black", marker="*", markersize=8, alpha=alpha, zorder=3.9)
+    elif isinstance(item, Ground):
+        yield from _ground(item, room)
+
+
+def _box(item: Box) -> np.ndarray:
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (item.width / 2, item.height / 2)
+    c, s = np.cos(item.angle), np.sin(item.angle)
+    return np.asarray(corners @ np.array([[c, s], [-s, c]]) + item.centre)
+
+
+def _ground(item: Ground, room: Extent) -> Iterator[Any]:
+    """A line with a hatched band to its right."""
+    start, end = np.array(item.start), np.array(item.end)
+    length = float(np.hypot(*(end - start))) or 1.0
+    right = np.array([end[1] - start[1], start[0] - end[0]]) / length
+    depth = 0.025 * max(room[1] - room[0], room[3] - room[2])
+    band = [start, end, end + depth * right, start + depth * right]
+    yield patches.Polygon(band, closed=True, fill=False, hatch="//////", edgecolor="#b0b0b0", linewidth=0.0, zorder=1.0)
+    yield Line2D([start[0], end[0]], [start[1], end[1]], color=DARK, linewidth=1.4, zorder=1.1)
+
+
+def _corners(item: Item) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Points that an item reaches, as pairs of arrays."""
+    if isinstance(item, Rod | Ground):
+        yield item.start
+        yield item.end
+    elif isinstance(item, Arrow):
+        yield item.start
+        yield item.start[0] + item.vector[0], item.start[1] + item.vector[1]
+    elif isinstance(item, Trail):
+        yield item.point
+    elif isinstance(item, Mark):
+        yield item.place
+    elif isinstance(item, Mass | Circle):
+        for sign in (-1.0, 1.0):
+            yield item.centre[0] + sign * item.radius, item.centre[1] + sign * item.radius
+    elif isinstance(item, Box):
+        for sign in (-1.0, 1.0):
+            c, s = np.abs(np.cos(item.angle)), np.abs(np.sin(item.angle))
+            wide, high = (c * item.width + s * item.height) / 2, (s * item.width + c * item.height) / 2
+            yield item.centre[0] + sign * wide, item.centre[1] + sign * high

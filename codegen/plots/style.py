@@ -1,0 +1,98 @@
+"""What all pictures share: colours, fonts, symbols as mathematics, titles."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from codegen.drivers.result import Result
+
+BLUE, RED, GREEN, PINK, AMBER, SKY = "#0072B2", "#D55E00", "#009E73", "#B8578F", "#E69F00", "#56B4E9"
+"""Colours that remain distinct for colour-blind readers: Okabe and Ito (2008), Color universal design."""
+GREY, DARK = "#707070", "#303030"
+CRIMSON = "#BE1E2D"
+"""Arrows."""
+FORBIDDEN = "#F6DFD3"
+"""The side of a bound that must not be entered."""
+
+MOST_BODY_COLOURS = 7
+"""As many bodies have colours of their own; more are graded."""
+
+STYLE: dict[Any, Any] = {
+    "font.size": 9.5,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 10.5,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.use_mathtext": True,
+    "axes.formatter.limits": (-3, 4),
+    "grid.color": "#e2e2e2",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.5,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "svg.hashsalt": "codegen",
+}
+"""Settings of matplotlib, to be used in a context."""
+
+_GREEK = set(
+    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi "
+    "omega".split()
+)
+_SIGNS = (("**", "^"), ("<=", "≤"), (">=", "≥"), ("*", "·"))
+
+
+def body_colours(bodies: int, single: str) -> list[Any]:
+    """A colour for every body; that of a `single` one is given."""
+    if bodies == 1:
+        return [single]
+    if bodies <= MOST_BODY_COLOURS:
+        return [BLUE, GREEN, PINK, AMBER, SKY, DARK, GREY][:bodies]
+    return [body_map()(place / (bodies - 1)) for place in range(bodies)]
+
+
+def body_map() -> Any:
+    """The colour map along which many bodies are graded; its palest end is left out."""
+    whole = matplotlib.colormaps["viridis"]
+    return matplotlib.colors.ListedColormap(whole([0.92 * i / 255 for i in range(256)]))
+
+
+def label(name: str) -> str:
+    """A symbol's name as mathematics: phi1 becomes a Greek letter with an index."""
+    parts = re.sub(r"(?<=[A-Za-z])(\d+)$", r"_\1", name).split("_")
+    letters = [_letter(part) for part in parts if part]
+    return "$" + letters[0] + ("_{" + ",".join(letters[1:]) + "}" if len(letters) > 1 else "") + "$"
+
+
+def _letter(name: str) -> str:
+    if name.lower() in _GREEK:
+        return rf"\{name}"
+    if name.startswith("d") and (len(name) == 2 or name[1:].lower() in _GREEK) and not name[1:].isdigit():
+        return rf"\dot{{{_letter(name[1:])}}}"
+    return name if len(name) == 1 else rf"\mathrm{{{name}}}"
+
+
+def relation(text: str, longest: int = 46) -> str:
+    """A relation as its author wrote it, with the signs of mathematics, no longer than that many characters."""
+    for sign, better in _SIGNS:
+        text = text.replace(sign, better)
+    return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
+def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
+    """What was solved, how, and with what outcome; `notes` come last."""
+    outcome = [f"{result.method}, {result.scheme}, {result.steps} steps"]
+    outcome += [f"cost {result.cost:.6g}"] if result.cost is not None else []
+    outcome += [] if result.solved else [f"NOT SOLVED: {result.status}"]
+    letters = int(10.0 * figure.get_figwidth())
+    texts = result.title.rstrip("."), ", ".join([*outcome, *notes])
+    figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)
