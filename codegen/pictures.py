@@ -42,13 +42,14 @@ class Pictures:
         from codegen import plots
         from codegen.load import is_control
         from codegen.plots.quantities import first_guess
-        from codegen.scene import scene
+        from codegen.scene import fine_times, scene
 
         drawings: Any = None
         if self.model is not None and self.model.drawing:
-            drawings = scene(self.model, result)
+            drawings = scene(self.model, result, fine_times(result.t))
             if is_control(module):
-                drawings = plots.Drawings(drawings, scene(self.model, first_guess(module, result)))
+                guess = first_guess(module, result)
+                drawings = plots.Drawings(drawings, scene(self.model, guess, fine_times(guess.t)))
         with replacing(path) as temporary:
             plots.save(module, result, temporary, drawings, self.unit)
 

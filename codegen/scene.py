@@ -38,6 +38,12 @@ def scene(model: Model, result: Result, times: Array | None = None) -> Scene:
     return Scene(times, tuple(evaluate(item) for item in model.drawing))
 
 
+def fine_times(t: Array, least: int = 400) -> Array:
+    """The times of the nodes and as many between them that a curve in the plane looks smooth."""
+    parts = max(1, -(-least // max(t.size - 1, 1)))
+    return np.interp(np.arange((t.size - 1) * parts + 1) / parts, np.arange(t.size), t)
+
+
 def _values(model: Model, result: Result, times: Array) -> dict[sympy.Symbol, Any]:
     """Numbers of every symbol: scalars, and arrays that broadcast to (bodies, times)."""
     bodies = np.arange(float(model.bodies))

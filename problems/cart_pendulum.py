@@ -43,5 +43,5 @@ def problem(form: Literal["plain", "holonomic"] = "plain") -> Control:
         bounds={y: (-1, 5), theta: (-6.283185307179586, 6.283185307179586), u: (-100, 100)},
         constraint=heights,
         steps=20,
-        drawing=[Ground((-1, -0.1), (1.5, -0.1)), Trail(centre), *cart, Rod((y, z), centre), Mass(centre, 0.07)],
+        drawing=[Ground((-1.2, -0.1), (1, -0.1)), Trail(centre), *cart, Rod((y, z), centre), Mass(centre, 0.07)],
     )

@@ -52,18 +52,9 @@ def held_by_bounds(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDA
 
 def _judged(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64]) -> tuple[bool, str]:
     equations = module.multiplier_unknowns(grid).size
-    excess = _excess(module, grid, unknowns, diagonal)
+    excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, module.allocate_system(grid))
     if excess == 0:
         return True, f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     if excess is not None and excess > 0:
         return False, f"no minimum: the cost decreases to second order in {excess} independent directions"
     return False, "undecided: the KKT matrix is singular, so that the optimum is not isolated"
-
-
-def _excess(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64]) -> int | None:
-    """Negative eigenvalues beyond one for every equation; None where the matrix is singular."""
-    system = module.allocate_system(grid)
-    if not module.factor_kkt(grid, unknowns, 1.0, diagonal, system):
-        return None
-    excess = module.excess_negative(grid, unknowns, diagonal, system)
-    return None if excess is None else int(excess)

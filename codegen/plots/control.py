@@ -117,7 +117,7 @@ def _others(controls: Sequence[Quantity], conditions: Sequence[Inequality], resu
         found += [Panel("", lambda axes, one=one: panels.inequality(axes, one)) for one in conditions]  # type: ignore[misc]
     if result.log is not None and len(result.log) > 1:
         log = result.log
-        found.append(Panel("iterations", lambda axes: panels.iterations(axes, log), over_time=False))
+        found.append(Panel("", lambda axes: panels.iterations(axes, log), over_time=False))
     return found
 
 

@@ -44,7 +44,7 @@ def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None
     _highlight(axes, shown.t, shown.values, shown.active())
     axes.set_ylabel(label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}")
     axes.margins(x=0.02)
-    _widen_if_flat(axes, shown.values)
+    _widen_if_flat(axes, shown.values if second is None else np.vstack([shown.values, second.values]))
     _bounds(axes, shown)
 
 
@@ -86,7 +86,8 @@ def iterations(axes: Any, log: Matrix) -> None:
     axes.set_xlabel("iteration")
     axes.set_ylabel("max-norm")
     axes.xaxis.get_major_locator().set_params(integer=True)
-    axes.legend(loc="best", fontsize=8)
+    # Above the panel, where no curve can be.
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=8, columnspacing=1.0, handlelength=1.5)
 
 
 def handles(quantities: Sequence[Quantity], inequalities: Sequence[Inequality], outcome: str) -> list[Any]:

@@ -13,8 +13,8 @@ import numpy as np
 from codegen.drivers.result import Result
 from codegen.load import ControlModule, Matrix, Vector
 
-CLOSE = 1e-3
-"""Relative distance from a limit that the eye takes for none: an interior point method ends a little inside."""
+CLOSE, LEAST = 2e-4, 1e-6
+"""Relative and absolute distance from a limit that count as none: an interior point method ends a little inside."""
 
 _SLACK = re.compile(r"slack of (?P<name>.*) at (?P<place>\S.*?) of an interval")
 
@@ -42,10 +42,10 @@ class Quantity:
 
     def active(self) -> np.ndarray:
         """Which values lie on a bound."""
-        size = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, 1.0)
-        size = np.maximum(size, np.abs(self.values).max(axis=0, initial=0.0))
+        room = self.upper - self.lower
+        size = np.where(np.isfinite(room), room, np.ptp(self.values, axis=0))
         distance = np.minimum(self.values - self.lower, self.upper - self.values)
-        return np.asarray(distance <= CLOSE * size)
+        return np.asarray(distance <= CLOSE * size + LEAST)
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Inequality:
 
     def active(self) -> np.ndarray:
         """Where the inequality holds with equality."""
-        return np.asarray(self.distance <= CLOSE * max(1.0, float(np.abs(self.distance).max(initial=0.0))))
+        return np.asarray(self.distance <= CLOSE * np.abs(self.distance).max(initial=0.0) + LEAST)
 
 
 def first_guess(module: ControlModule, result: Result) -> Result:

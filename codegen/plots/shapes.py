@@ -66,14 +66,14 @@ def instant(scene: Scene, place: int, room: Extent, *, moving: bool, alpha: floa
                 yield from _artists(item, body, place, room, colour, alpha)
 
 
-def course(axes: Any, scene: Scene, room: Extent) -> None:
+def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None:
     """The whole motion in one picture: trails, and a few instants, the last one in full colour.
 
     Of several bodies, only arrows are repeated; their places at the end are black squares.
     """
     prepare(axes, room)
     count, last = bodies_of(scene), scene.t.size - 1
-    shots = np.unique(np.linspace(0, last, SHOTS if count == 1 else MANY_SHOTS).round().astype(int))
+    shots = np.unique(np.linspace(0, last, instants if count == 1 else MANY_SHOTS).round().astype(int))
     for artist in instant(scene, last, room, moving=False):
         axes.add_artist(artist)
     for item in filter(is_moving, scene.items):

@@ -30,7 +30,8 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
     for i in range(shown):
         _phase_portrait(panels[f"phase{i}"], result, i, stride)
     if drawing is not None:
-        shapes.course(panels["drawing"], drawing, shapes.extent([drawing]))
+        # Instants of an oscillation, taken at long intervals, would show another one.
+        shapes.course(panels["drawing"], drawing, shapes.extent([drawing]), instants=2)
     axes = panels["energy"]
     axes.plot(result.t[::stride], (result.energy - result.energy[0])[::stride], color=RED, linewidth=1.2)
     axes.set_xlabel(f"time ({unit})" if unit else "time")

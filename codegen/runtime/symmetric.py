@@ -30,7 +30,7 @@ def eliminate_symmetric(matrix, count, rows, lower, inverse, places):
         if not 0.0 < max(largest, beside) < np.inf:
             return -1
         if largest >= BALANCE * beside:
-            exchange(matrix, c, place, count, rows)
+            exchange(matrix, c, c, place, count, rows)
             places[c] = place
             negative += matrix[c, c] < 0.0
             inverse[c, 0] = 1.0 / matrix[c, c]
@@ -41,8 +41,8 @@ def eliminate_symmetric(matrix, count, rows, lower, inverse, places):
                     matrix[i, j] -= lower[i, c] * matrix[c, j]
             c += 1
         else:
-            exchange(matrix, c, column, count, rows)
-            exchange(matrix, c + 1, row, count, rows)
+            exchange(matrix, c, c, column, count, rows)
+            exchange(matrix, c, c + 1, row, count, rows)
             places[c], places[c + 1] = column, -1 - row
             negative += 1
             a, b, d = matrix[c, c], matrix[c + 1, c], matrix[c + 1, c + 1]
@@ -67,12 +67,12 @@ def eliminate_symmetric(matrix, count, rows, lower, inverse, places):
 
 
 @njit(error_model="numpy")
-def exchange(matrix, i, j, count, rows):
-    """Exchange two of the first `count` unknowns, i before j, which are not eliminated yet."""
+def exchange(matrix, first, i, j, count, rows):
+    """Exchange two of the unknowns `first` to `count`, which are not eliminated yet."""
     if i != j:
-        for k in range(i, count):
+        for k in range(first, count):
             matrix[i, k], matrix[j, k] = matrix[j, k], matrix[i, k]
-        for k in range(i, rows):
+        for k in range(first, rows):
             matrix[k, i], matrix[k, j] = matrix[k, j], matrix[k, i]
 
 
