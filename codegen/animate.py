@@ -28,6 +28,8 @@ RATE = 25
 """Frames per second; a GIF counts hundredths of a second, and can keep this rate exactly."""
 SHORTEST, LONGEST, PAUSE = 2.0, 8.0, 1.0
 """Seconds that a film lasts: as long as the motion within these limits, then a pause at the end."""
+FINE = 6
+"""Parts of the time between two frames, at which trails have points."""
 
 Frame: TypeAlias = NDArray[np.uint8]
 """An image (height, width, 3)."""
@@ -35,25 +37,28 @@ Frame: TypeAlias = NDArray[np.uint8]
 Progress: TypeAlias = Callable[[Iterable[Frame], int], Iterable[Frame]]
 """Hands on as many frames as it is told, and may show how far they are."""
 
-_DPI, _LONG_SIDE = 100, 6.4
+_DPI = 100
 _COLOURS = 128
 
 
-def frame_times(t: NDArray[np.float64], rate: int = RATE) -> NDArray[np.float64]:
-    """The times at which to draw a motion that has nodes at the times t: evenly spaced, both ends included."""
-    duration = float(t[-1] - t[0])
-    length = min(max(duration, SHORTEST), LONGEST)
-    return np.linspace(t[0], t[-1], round(rate * length) + 1)
+def scene_times(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The times at which `save` needs the scene of a motion with nodes t: evenly spaced, both ends included.
+
+    A frame is drawn for every `FINE`-th of them; the others make trails smooth.
+    """
+    length = min(max(float(t[-1] - t[0]), SHORTEST), LONGEST)
+    return np.linspace(t[0], t[-1], FINE * round(RATE * length) + 1)
 
 
 def save(scene: Scene, title: str, path: Path, progress: Progress = lambda frames, count: frames) -> None:
-    """Film a scene, a frame for each of its times; the ending of the path, .gif or .mp4, decides the kind of file.
+    """Film a scene at the times `scene_times`; the ending of the path, .gif or .mp4, decides the kind of file.
 
     Raises ArgumentError when ffmpeg is missing or fails.
     """
     write = _write_mp4 if path.suffix.lower() == ".mp4" else _write_gif
+    count = len(scene.t[::FINE])
     with matplotlib.rc_context(STYLE):
-        write(progress(frames(scene, title), scene.t.size), scene.t.size, path)
+        write(progress(frames(scene, title), count), count, path)
 
 
 def require_ffmpeg(path: Path) -> str:
@@ -65,18 +70,18 @@ def require_ffmpeg(path: Path) -> str:
 
 
 def frames(scene: Scene, title: str) -> Iterator[Frame]:
-    """Draw one frame for each time of a scene: what stands still once, what moves every time."""
+    """Draw a frame for every `FINE`-th time of a scene: what stands still once, what moves every time."""
     room = shapes.extent([scene])
     figure, axes, clock = _stage(scene, title, room)
     canvas: Any = figure.canvas
     background = canvas.copy_from_bbox(figure.bbox)
-    for place, t in enumerate(scene.t):
+    for place in range(0, scene.t.size, FINE):
         canvas.restore_region(background)
         moving = [axes.add_artist(artist) for artist in shapes.instant(scene, place, room, moving=True)]
         for artist in sorted(moving, key=lambda artist: artist.get_zorder()):
             axes.draw_artist(artist)
             artist.remove()
-        clock.set_text(_clock(t, scene.t))
+        clock.set_text(_clock(scene.t[place], scene.t))
         axes.draw_artist(clock)
         yield np.array(canvas.buffer_rgba())[:, :, :3]
 
@@ -101,11 +106,13 @@ def _stage(scene: Scene, title: str, room: shapes.Extent) -> tuple[Figure, Any, 
 
 
 def _size(room: shapes.Extent) -> tuple[float, float]:
-    """Width and height in inches that suit a scene, with room for title and legend; whole, even numbers of pixels."""
+    """Width and height in inches that suit a scene, with room for title and legend."""
     ratio = (room[3] - room[2]) / (room[1] - room[0])
-    width = _LONG_SIDE if ratio <= 1.0 else max(_LONG_SIDE / ratio, 0.6 * _LONG_SIDE)
-    height = min(_LONG_SIDE, max(0.25 * _LONG_SIDE, ratio * width)) + 1.1
-    return tuple(2 * round(side * _DPI / 2) / _DPI for side in (width, height))  # type: ignore[return-value]
+    longest = 8.0 if ratio < 0.6 else 6.4
+    width = longest if ratio <= 1.0 else max(longest / ratio, 0.6 * longest)
+    height = min(longest, max(0.25 * longest, ratio * width)) + 1.0
+    # Encoders of films want even numbers of pixels.
+    return 2 * round(width * _DPI / 2) / _DPI, 2 * round(height * _DPI / 2) / _DPI
 
 
 def _clock(t: float, times: NDArray[np.float64]) -> str:
@@ -122,6 +129,9 @@ def _write_gif(pictures: Iterable[Frame], count: int, path: Path) -> None:
     sample.paste(images[0], (0, 0))
     sample.paste(images[-1], (0, images[0].height))
     palette = sample.quantize(_COLOURS)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[(colours > 242).all(axis=1)] = 255  # paper stays white
+    palette.putpalette(colours.ravel().tolist())
     first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
     durations = [1000 // RATE] * (count - 1) + [round(1000 * PAUSE)]
     first.save(path, format="GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=False)

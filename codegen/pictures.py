@@ -60,7 +60,7 @@ class Pictures:
         assert self.model is not None
         title = result.title if result.solved else f"{result.title.rstrip('.')} (NOT SOLVED: {result.status})"
         with replacing(path) as temporary:
-            film = scene(self.model, result, animate.frame_times(result.t))
+            film = scene(self.model, result, animate.scene_times(result.t))
             animate.save(film, title, temporary, _with_progress)
 
 

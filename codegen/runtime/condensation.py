@@ -40,6 +40,28 @@ SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
 
 
 @njit(error_model="numpy")
+def invert_positive_definite(block, inverse):
+    """Invert a small symmetric matrix by Gauss-Jordan elimination in place; False when it is not positive definite."""
+    for k in range(CONDENSED):
+        pivot = block[k, k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        block[k, k] = 1.0
+        for j in range(CONDENSED):
+            block[k, j] /= pivot
+        for i in range(CONDENSED):
+            if i != k:
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(CONDENSED):
+                    block[i, j] -= factor * block[k, j]
+    for a in range(CONDENSED):
+        for b in range(CONDENSED):
+            inverse[a, b] = block[a, b]
+    return True
+
+
+@njit(error_model="numpy")
 def condense(gradient, condensed, steps, reduced, root):
     """Fill the right-hand sides -(g - B' inverse(C) g_u) of the unknowns that stay; `root` holds -g already."""
     _, inverses, couplings = condensed

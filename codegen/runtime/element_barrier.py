@@ -19,6 +19,7 @@ from codegen.runtime.condensation import (
     KEPT_ROWS,
     SLOTS,
     TOUCHED,
+    invert_positive_definite,
 )
 from codegen.runtime.elements import BLOCK
 from codegen.runtime.example import BODIES, CONDENSED
@@ -34,7 +35,8 @@ def allocate_condensed(grid):
     )
 
 
-def prepare_condensed(grid, weight, diagonal, condensed):
+@njit(error_model="numpy", inline="always")
+def prepare_condensed(weight, diagonal, condensed):
     """True: blocks are inverted interval by interval."""
     return True
 
@@ -68,26 +70,4 @@ def add_element(hessian, diagonal, condensed, interval, element):
                 weighted = couplings[interval, a, i] * inverses[interval, a, b]
                 for j in range(TOUCHED.size):
                     element[TOUCHED[i], TOUCHED[j]] -= weighted * couplings[interval, b, j]
-    return True
-
-
-@njit(error_model="numpy")
-def invert_positive_definite(block, inverse):
-    """Invert a small symmetric matrix by Gauss-Jordan elimination in place; False when it is not positive definite."""
-    for k in range(CONDENSED):
-        pivot = block[k, k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        block[k, k] = 1.0
-        for j in range(CONDENSED):
-            block[k, j] /= pivot
-        for i in range(CONDENSED):
-            if i != k:
-                factor = block[i, k]
-                block[i, k] = 0.0
-                for j in range(CONDENSED):
-                    block[i, j] -= factor * block[k, j]
-    for a in range(CONDENSED):
-        for b in range(CONDENSED):
-            inverse[a, b] = block[a, b]
     return True

@@ -16,6 +16,7 @@ from codegen.runtime.condensation import (
     KEPT_ROWS,
     SLOTS,
     TOUCHED,
+    invert_positive_definite,
 )
 from codegen.runtime.elements import BLOCK
 from codegen.runtime.example import BODIES, CONDENSED, control_hessian
@@ -30,32 +31,16 @@ def allocate_condensed(grid):
     return block, np.empty((1, CONDENSED, CONDENSED)), couplings
 
 
-def prepare_condensed(grid, weight, diagonal, condensed):
+@njit(error_model="numpy", inline="always")
+def prepare_condensed(weight, diagonal, condensed):
     """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
-    block, inverse, _ = condensed
-    shifted = weight * block
-    shifted.flat[:: CONDENSED + 1] += diagonal[BLOCK : BLOCK + CONDENSED]
-    return invert_positive_definite(shifted.tolist(), inverse[0])
-
-
-def invert_positive_definite(rows, inverse):
-    """Invert a small symmetric matrix, given as lists, by Gauss-Jordan elimination; False when it is not positive.
-
-    Plain Python is faster here than numpy, whose calls cost more than the arithmetic of a few controls.
-    """
-    size = len(rows)
-    for k, pivot_row in enumerate(rows):
-        pivot = pivot_row[k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        pivot_row[k] = 1.0
-        pivot_row[:] = [value / pivot for value in pivot_row]
-        for i in range(size):
-            if i != k:
-                factor, rows[i][k] = rows[i][k], 0.0
-                rows[i][:] = [value - factor * above for value, above in zip(rows[i], pivot_row, strict=True)]
-    inverse[:] = rows
-    return True
+    block, inverses, _ = condensed
+    shifted = np.empty((CONDENSED, CONDENSED))
+    for a in range(CONDENSED):
+        for b in range(CONDENSED):
+            shifted[a, b] = weight * block[a, b]
+        shifted[a, a] += diagonal[BLOCK + a]
+    return invert_positive_definite(shifted, inverses[0])
 
 
 @njit(error_model="numpy", inline="always")

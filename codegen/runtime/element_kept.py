@@ -10,7 +10,8 @@ def allocate_condensed(grid):
     return ()
 
 
-def prepare_condensed(grid, weight, diagonal, condensed):
+@njit(error_model="numpy", inline="always")
+def prepare_condensed(weight, diagonal, condensed):
     """True: there is no block that could be indefinite."""
     return True
 

@@ -47,7 +47,7 @@ def allocate_system(grid):
     The factors of all blocks, of the last nodes and of the shared unknowns are a lower factor, the inverse of the
     pivots and the exchanges each.
     """
-    return (
+    factors = (
         np.zeros((BODIES, grid.steps, FRONT, BLOCK)),
         np.zeros((BODIES, grid.steps, BLOCK, 2)),
         np.zeros((BODIES, grid.steps, BLOCK), np.int64),
@@ -58,8 +58,8 @@ def allocate_system(grid):
         np.zeros((ROOT, 2)),
         np.zeros(ROOT, np.int64),
         allocate_condensed(grid),
-        multiplier_unknowns(grid).size,
     )
+    return factors, multiplier_unknowns(grid).size
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system):
@@ -69,19 +69,19 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     or that a block that is condensed is not positive definite. The Hessian by primal unknowns is multiplied by
     `weight`; then `diagonal`, an array as long as the unknowns, is added to the diagonal of the whole matrix.
     """
-    condensed, equations = system[-2:]
-    if not prepare_condensed(grid, weight, diagonal, condensed):
-        return None
-    negative = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, system[:-1])
+    factors, equations = system
+    negative = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, factors)
     return None if negative < 0 else negative - equations
 
 
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def factor(unknowns, steps, h, parameters, weight, diagonal, system):
-    """Run the front over all intervals of all bodies; the number of negative pivots, or -1 if one vanishes."""
-    lower, inverse, places, last_lower, last_inverse, last_places, root_lower, root_inverse, root_places = system[:9]
-    condensed = system[9]
+def factor(unknowns, steps, h, parameters, weight, diagonal, factors):
+    """Run the front over all intervals of all bodies; the number of negative pivots, or -1 where it cannot go on."""
+    lower, inverse, places, last_lower, last_inverse, last_places, root_lower, root_inverse, root_places = factors[:9]
+    condensed = factors[9]
+    if not prepare_condensed(weight, diagonal, condensed):
+        return -1
     chain, negative = steps * STRIDE + NODE, 0
     front, element = np.empty((FRONT, FRONT)), np.empty((SIZE + SHARED, SIZE + SHARED))
     last, root, hessian = np.empty((LAST + SHARED, LAST + SHARED)), np.zeros((ROOT, ROOT)), np.empty(HESSIAN_ROWS.size)
@@ -212,14 +212,14 @@ def end_front(front, last):
 
 def solve_kkt(grid, system, gradient, step):
     """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt."""
-    substitute(gradient, grid.steps, system[:-1], step)
+    substitute(gradient, grid.steps, system[0], step)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def substitute(gradient, steps, system, step):
+def substitute(gradient, steps, factors, step):
     """Solve with the factors: forward over all bodies, the shared unknowns, backward over all bodies."""
-    lower, inverse, places, last_lower, last_inverse, last_places, root_lower, root_inverse, root_places = system[:9]
-    condensed = system[9]
+    lower, inverse, places, last_lower, last_inverse, last_places, root_lower, root_inverse, root_places = factors[:9]
+    condensed = factors[9]
     reduced, last = np.zeros((BODIES, steps * BLOCK + NODE)), np.empty((BODIES, LAST))
     shared = np.empty(ROOT)
     for i in range(ROOT):

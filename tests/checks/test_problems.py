@@ -66,9 +66,20 @@ def test_alternating_control_is_named(prepared, method):
 
 
 def test_alternating_control_that_acts(prepared):
-    (failure,) = failures("null controls", prepared("orbital_transfer", {}, controls="nodal"))
+    failure, optimum = failures("null controls", prepared("orbital_transfer", {}, controls="nodal"))
     assert "alternating nodal control u" in failure.detail
     assert "acts on the motion" in failure.detail
+    assert "a false optimum" in optimum.detail
+
+
+def test_false_optimum_of_the_hovercraft(prepared):
+    """The thesis's discretisation finds 22.36, where the true optimum is 1034 (measured with three programs)."""
+    *modes, optimum = failures("null controls", prepared("hovercraft", {}, controls="nodal"))
+    assert [mode.subject for mode in modes] == ["nodal control f1", "nodal control f2"]
+    assert all("acts on the motion" in mode.detail for mode in modes)
+    assert optimum.subject == "optimum with nodal controls"
+    assert "a false optimum" in optimum.detail
+    assert "discrete cost 22.3601," in optimum.detail
 
 
 def test_nodal_controls_are_harmless_with_the_trapezoidal_rule(prepared):
@@ -105,3 +116,126 @@ def test_convergence_to_the_published_optimum(prepared):
     # Thesis, section 3.2.
     (finding,) = checks.apply("optimum", prepared("linear_pendulum"))
     assert "J* = 4.53076098108 " in finding.detail
+
+
+# ---- Conditions between bodies ----
+
+ROW = '''"""Points on a line, pushed to places that depend on each other."""
+from codegen import Control, body_number, control, coordinate
+def problem() -> Control:
+    x, v = coordinate("x")
+    f, i = control("f"), body_number()
+    return Control(lagrangian=v**2 / 2, force={x: f}, cost=f**2, duration=1, bodies=3, start={x: 0, v: 0},
+                   end_conditions=[CONDITIONS], guess={x: GUESS}, steps=8)
+'''
+
+
+def row(folder: Path, *conditions: str, guess: str = "i") -> Path:
+    path = folder / "row.py"
+    path.write_text(ROW.replace("CONDITIONS", ", ".join(conditions)).replace("GUESS", guess))
+    return path
+
+
+def couplings(context):
+    return [f for f in checks.apply("boundary rank", context) if f.subject != "all equations"]
+
+
+def test_redundant_coupling_is_named_and_left_out(prepared, tmp_path: Path):
+    context = prepared(row(tmp_path, "x.of(1) - x.of(0) - 1", "x.of(2) - x.of(1) - 1", "x.of(2) - x.of(0) - 2"))
+    summary, redundant = couplings(context)
+    assert summary.detail == "2 of 3 are independent"
+    assert redundant.subject == "-x_0 + x_2 - 2 = 0"
+    assert "redundant, and left out" in redundant.detail
+    assert "-x_0 + x_1 - 1 = 0; -x_1 + x_2 - 1 = 0" in redundant.detail
+    assert summary.passed
+    assert redundant.passed
+    assert failures("boundary rank", context) == []
+    assert failures("derivatives", context) == []
+
+
+def test_coupling_that_only_seems_redundant(prepared, tmp_path: Path):
+    """Of the two distances that the first condition allows, the second wants one and the guess leads to the other."""
+    context = prepared(row(tmp_path, "(x.of(1) - x.of(0))**2 - 1", "x.of(1) - x.of(0) + 1", guess="i"))
+    (failure,) = failures("boundary rank", context)
+    assert failure.subject == "-x_0 + x_1 + 1 = 0"
+    assert "the solution violates it by 2" in failure.detail
+
+
+def test_contradicting_couplings(prepared, tmp_path: Path):
+    context = prepared(row(tmp_path, "x.of(1) - x.of(0) - 1", "x.of(1) - x.of(0) - 2"))
+    (failure,) = failures("boundary rank", context)
+    assert "they contradict each other" in failure.detail
+    assert "x_1 - " in failure.detail
+
+
+# ---- Solutions ----
+
+
+def with_solution(context, **changes):
+    """The context with a solution that differs from the solver's."""
+    changed = replace(context)
+    changed.__dict__["solution"] = context.solution._replace(**changes)
+    return changed
+
+
+def test_motion_that_drifts_off_its_constraint(prepared):
+    context = prepared("spherical_pendulum")
+    q = context.solution.q.copy()
+    q[7, 1] += 1e-6
+    (failure,) = failures("holonomic drift", with_solution(context, q=q))
+    assert "the motion leaves the constraint" in failure.detail
+    assert "at node 7" in failure.detail
+
+
+def test_saddle_point_is_no_minimum(prepared, tmp_path: Path):
+    """Both ways round a hill of the cost are minima, and the straight way over it is a saddle point."""
+    path = tmp_path / "hill.py"
+    path.write_text(HILL)
+    context = prepared(path)
+    assert context.solution.status == "saddle point"
+    (failure,) = failures("second-order condition", context)
+    assert "no solution to judge" in failure.detail
+    (failure,) = failures("second-order condition", with_solution(context, status="solved"))
+    assert "no minimum: the cost decreases to second order in 3 independent directions" in failure.detail
+
+
+HILL = '''"""Stay at zero, where the cost is greatest."""
+from codegen import Control, control, coordinate
+def problem() -> Control:
+    q, dq = coordinate("q")
+    u = control("u")
+    return Control(lagrangian=dq**2 / 2, force={q: u}, cost=u**2 - 1000 * q**2 + q**4, duration=2,
+                   start={q: 0, dq: 0}, end={q: 0, dq: 0}, steps=40)
+'''
+
+
+# ---- First-order systems and free durations ----
+
+
+def test_sign_in_a_first_order_system(prepared):
+    context = prepared("van_der_pol")
+    opposite = replace(context.model, dynamics=(-context.model.dynamics[0], context.model.dynamics[1]))
+    (failure,) = failures("discrete equations", replace(context, model=opposite))
+    assert failure.subject == "step of x1"
+
+
+def test_duration_that_the_discretisation_does_not_see(prepared):
+    context = prepared("double_integrator")
+    assert failures("discrete equations", context) == []
+    program = replace(context.program, scaled_time=False)
+    (failure,) = failures("discrete equations", replace(context, program=program))
+    assert failure.subject == "equation of motion of x"
+
+
+def test_checks_that_do_not_apply_say_why(prepared):
+    reasons = {
+        "optimum": "this one has a first-order system, bounds",
+        "momentum matching": "the one-step method has no discrete Lagrangian",
+        "symplecticity": "a first-order system has no symplectic form",
+        "discrete Noether": "a first-order system has no momenta",
+    }
+    for name, reason in reasons.items():
+        (finding,) = checks.apply(name, prepared("van_der_pol"))
+        assert finding.passed
+        assert not finding.applies
+        assert reason in finding.detail

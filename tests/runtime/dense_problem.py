@@ -73,15 +73,20 @@ def allocate_system(grid: Dense) -> list[Any]:
     return [None, None]
 
 
-def factor_kkt(grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any]) -> bool:
+def factor_kkt(grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any]) -> int | None:
+    """Excess of negative eigenvalues, or None; rows and columns are scaled alike for it, which keeps their signs."""
     matrix = kkt_matrix(grid, unknowns)
     primal = ~grid.is_multiplier
     matrix[np.ix_(primal, primal)] *= weight
     matrix[np.diag_indices_from(matrix)] += np.where(grid.free, diagonal, 1.0)
     if not np.isfinite(matrix).all():
-        return False
+        return None
     system[0], system[1], place = dgetrf(matrix)
-    return place == 0
+    if place:
+        return None
+    scale = 1.0 / np.sqrt(np.abs(matrix).max(axis=0))
+    eigenvalues = np.linalg.eigvalsh(matrix * np.outer(scale, scale))
+    return int(np.count_nonzero(eigenvalues < 0.0) - np.count_nonzero(grid.is_multiplier & grid.free))
 
 
 def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:
