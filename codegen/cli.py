@@ -165,7 +165,9 @@ def solve(
     json: Json = False,
     log: Log = False,
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
-    doublings: Annotated[int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")] = 0,
+    doublings: Annotated[
+        int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
+    ] = 0,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
     animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
@@ -186,9 +188,7 @@ def solve(
         module = load(made.path)
         load_seconds = time.perf_counter() - begin
         _require_fitting(module.metadata["task"], driver, every, log)
-        result = drivers.solve(
-            module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings
-        )
+        result = drivers.solve(module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings)
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
     record = output.as_record(result, made.seconds + compile_seconds, load_seconds + read_seconds)
     if save is not None:

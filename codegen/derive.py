@@ -29,7 +29,8 @@ class ControlDerivatives:
     """Everything that the structured Newton method of a control problem needs.
 
     `condensed` is how many of an interval's last unknowns can be eliminated inside it: slacks always, because their
-    barrier terms are positive, and controls when their block of the Hessian is constant and regular; `linear_quadratic` that no Hessian entry depends on an unknown and one Newton step
+    barrier terms are positive, and controls when their block of the Hessian is constant and regular; `linear_quadratic` says
+    that no Hessian entry depends on an unknown and one Newton step
     suffices (not so with nodal controls, which can make the system singular).
     """
 

@@ -58,8 +58,8 @@ def motion(model: Model, t: Any, q: Any, u: Any, **summary: float) -> Any:
 class TestItems:
     @pytest.mark.parametrize("kind", ITEMS)
     def test_every_expression_is_seen_and_replaced_once(self, kind):
-        numbers = iter(range(1, 20))
-        item = kind(*((next(numbers), next(numbers)) for _ in range(2))) if kind in (Rod,) else _example(kind)
+        points, names = {"start", "end", "centre", "vector", "point", "place"}, kind.__dataclass_fields__
+        item = kind(*((1.0, 2.0) if name in points else 3.0 for name in names if name != "label"))
         values = [value for _, value in item.expressions()]
         doubled = item.mapped(lambda value: 2 * value)
         assert [value for _, value in doubled.expressions()] == [2 * value for value in values]
@@ -70,11 +70,6 @@ class TestItems:
         rod = Rod((0, 1), (2, 3), label="boom")
         assert [name for name, _ in rod.expressions()] == ["start", "start", "end", "end"]
         assert rod.mapped(float).label == "boom"
-
-
-def _example(kind: type[Item]) -> Item:
-    points, names = {"start", "end", "centre", "vector", "point", "place"}, kind.__dataclass_fields__
-    return kind(*((1.0, 2.0) if name in points else 3.0 for name in names if name != "label"))
 
 
 class TestModel:
@@ -134,16 +129,10 @@ class TestModel:
             oscillator(drawing)
 
     def test_one_time_only(self):
-        t, other = time(), time("tau")
+        (q, dq), u, t, other = coordinate("q"), control("u"), time(), time("tau")
+        arguments = {"lagrangian": dq**2 / 2 + t * q, "force": {q: u}, "cost": u**2, "duration": 1}
         with pytest.raises(SymbolError, match="two times"):
-            oscillator(lambda q, dq, u, k: [Trail((q, other))], guess={}, path=[], duration=2, terminal_cost=0) and None
-            q, dq = coordinate("q")
-            u = control("u")
-            normalise(
-                Control(
-                    lagrangian=dq**2 / 2 + t * q, force={q: u}, cost=u**2, duration=1, drawing=[Trail((q, other))]
-                )
-            )
+            normalise(Control(**arguments, drawing=[Trail((q, other))]))
 
     def test_it_changes_nothing_that_is_derived(self):
         model = oscillator(lambda q, dq, u, k: [Rod((0, 0), (q, k)), Arrow((q, 0), (u, 0))])

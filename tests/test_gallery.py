@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
+from gallery_references import REFERENCES, Reference
 
 from codegen import drivers
 from codegen.compiler import build
 from codegen.load import load
-from gallery_references import REFERENCES, Reference
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 

@@ -11,7 +11,11 @@ from codegen.load import ControlModule, Entries, Grid, Vector
 def control_result(module: ControlModule, driver: str, request: Request, attempt: ControlAttempt) -> Result:
     """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
     metadata, unknowns, grid = module.metadata, attempt.unknowns, module.make_grid(request.steps)
-    wrong = (module.constraints(grid, unknowns), _pinned_error(module, grid, unknowns), _beyond_bounds(module, grid, unknowns))
+    wrong = (
+        module.constraints(grid, unknowns),
+        _pinned_error(module, grid, unknowns),
+        _beyond_bounds(module, grid, unknowns),
+    )
     residual = max(max_norm(values) for values in wrong)
     stationarity = max_norm(_unbalanced(module, grid, unknowns))
     status, message = attempt.status, attempt.message

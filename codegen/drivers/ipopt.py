@@ -25,7 +25,7 @@ _STATUSES = {0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", -1: "ite
 def control(module: ControlModule, request: Request) -> ControlAttempt:
     """Minimise the cost; bounds are not relaxed. Raises ArgumentError when cyipopt is not installed."""
     try:
-        import cyipopt
+        import cyipopt  # type: ignore[import-not-found, unused-ignore]
     except ImportError:
         raise ArgumentError(
             "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"

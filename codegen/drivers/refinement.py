@@ -26,9 +26,10 @@ def transferred(module: ControlModule, unknowns: Vector, steps: int) -> Vector:
     target = module.make_grid(steps)
     source = module.make_grid(source_steps(module, unknowns))
     result = np.zeros(target.is_multiplier.size)
-    places = (lambda grid: np.arange(grid.steps + 1) / grid.steps, lambda grid: (np.arange(grid.steps) + 0.5) / grid.steps)
-    for old, new, place in zip(module.views(source, unknowns), module.views(target, result), places, strict=True):
-        new[:] = _interpolated(place(source), old, place(target))
+    old_nodes, old_intervals = module.views(source, unknowns)
+    new_nodes, new_intervals = module.views(target, result)
+    new_nodes[:] = _interpolated(_times(source.steps, 0.0), old_nodes, _times(steps, 0.0))
+    new_intervals[:] = _interpolated(_times(source.steps, 0.5), old_intervals, _times(steps, 0.5))
     rest = module.ROOT
     result[result.size - rest :] = unknowns[unknowns.size - rest :]
     return module.with_pinned_values(target, result)
@@ -38,12 +39,18 @@ def source_steps(module: ControlModule, unknowns: Vector) -> int:
     """The number of intervals that a vector of unknowns belongs to."""
     metadata = module.metadata
     node, interval = len(metadata["node"]), len(metadata["interval"])
+    steps: int
     steps, rest = divmod((unknowns.size - module.ROOT) // metadata["bodies"] - node, node + interval)
     if rest or steps < 1 or metadata["bodies"] * (steps * (node + interval) + node) + module.ROOT != unknowns.size:
         raise NumericsError(
             f"the start has {unknowns.size} unknowns, which fit no number of steps", "use a solution of this problem"
         )
     return steps
+
+
+def _times(steps: int, place: float) -> Vector:
+    """Times as fractions of the duration: of nodes (place 0), or at a place inside every interval."""
+    return (np.arange(steps + (place == 0.0)) + place) / steps
 
 
 def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
@@ -61,8 +68,8 @@ def refine(
 ) -> Result:
     """Solve on N, 2N, 4N, ... intervals, each from the solution before; the last result, with an error estimate.
 
-    `solve` takes a number of intervals and a start; `warm` is the first one. The summary gains the sequence's costs, and, with at least one
-    doubling, the cost extrapolated by the scheme's stated order, its distance from the last one as an error estimate,
+    `solve` takes a number of intervals and a start; `warm` is the first one. The summary gains,
+    with at least one doubling, the cost extrapolated by the scheme's stated order, its distance from the last one as an error estimate,
     and the order that three grids show. A grid that fails ends the sequence with that result.
     """
     result = solve(steps, None if warm is None else transferred(module, warm, steps))
@@ -79,7 +86,7 @@ def refine(
 def _estimates(module: ControlModule, costs: list[float]) -> dict[str, float]:
     """What a sequence of costs on halved steps tells of their limit."""
     order = module.metadata["order"]
-    summary = {}
+    summary: dict[str, float] = {}
     if len(costs) > 1:
         error = (costs[-1] - costs[-2]) / (2**order - 1)
         summary |= {"cost_extrapolated": costs[-1] + error, "cost_error_estimate": abs(error)}

@@ -199,7 +199,9 @@ def _size_lines(program: ControlProgram) -> list[Line]:
         Line("OWN", str(number["OWN"]), f"shared unknowns of a body: {_names(program.shared[: program.own])}"),
         Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
-        Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, of all bodies, with the conditions' multipliers"),
+        Line(
+            "ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"
+        ),
     ]
 
 
@@ -247,9 +249,7 @@ def _interval_guess(program: ControlProgram) -> tuple[Line, ...]:
 
 def _common_guess(program: ControlProgram, common: Sequence[Expr]) -> tuple[Line, ...]:
     names = [unknown.name for unknown in program.shared[program.own :]]
-    return tuple(
-        Line(f"common[{j}]", scalar_code(sympy.sympify(value)), names[j]) for j, value in enumerate(common)
-    )
+    return tuple(Line(f"common[{j}]", scalar_code(sympy.sympify(value)), names[j]) for j, value in enumerate(common))
 
 
 def _own_guess(program: ControlProgram) -> tuple[Line, ...]:

@@ -37,7 +37,9 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
     idle = [str(q) for q, f in zip(model.coordinates, model.force, strict=False) if f == 0]
     if idle:
         out.append(f"forces on {', '.join(idle)}: there are none")
-    if not any(e.has(model.time) for e in (*functions, model.cost or sympy.S.Zero, *(c.expression for c in model.path))):
+    if not any(
+        e.has(model.time) for e in (*functions, model.cost or sympy.S.Zero, *(c.expression for c in model.path))
+    ):
         out.append("time in the kernels: nothing depends on it explicitly")
     size = len(program.element_symbols)
     zeros = size * (size + 1) // 2 - len(derivatives.element.hessian)
@@ -82,7 +84,9 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
     """Entries of the module's metadata, as code."""
     model = program.model
     own, common = program.shared[: program.own], program.shared[program.own :]
-    shared = [f"{u.name} of body {body}" if program.bodies > 1 else u.name for body in range(program.bodies) for u in own]
+    shared = [
+        f"{u.name} of body {body}" if program.bodies > 1 else u.name for body in range(program.bodies) for u in own
+    ]
     shared += [u.name for u in common] + [c.multiplier.name for c in program.couplings]
     return [
         ("task", repr("control")),

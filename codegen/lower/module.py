@@ -30,8 +30,8 @@ class Origin:
 class Module:
     """A generated module before rendering; `template` names the file that lays it out.
 
-    `constants` are sizes, index arrays and names; `runtime` lists the files of `codegen/runtime` to include, and `sizes`
-    are those constants on which it depends what of them is included.
+    `constants` are sizes, index arrays and names; `runtime` lists the files of `codegen/runtime` to include, and
+    `sizes` are those constants on which it depends what of them is included.
     """
 
     template: str

@@ -79,12 +79,12 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     coordinates, form = tuple(metadata["coordinates"]), metadata["form"]
     momenta = tuple(metadata["rates"]) if form == "hamiltonian" else tuple(f"p_{q}" for q in coordinates)
     momenta = () if form == "first-order" else momenta
-    lower, upper = _bounds(module, result)
+    lower, upper = _bounds(module, guess)
     assert guess.u is not None
     groups: dict[str, tuple[tuple[str, ...], Matrix, Matrix, int]] = {
-        "state": (coordinates, result.q, guess.q, 1),
-        "momentum": (momenta, result.p, guess.p, 2),
-        "control": (tuple(metadata["control_names"]), result.u, guess.u, 3),
+        "state": (coordinates, result.q, guess.q, 0),
+        "momentum": (momenta, result.p, guess.p, 1),
+        "control": (tuple(metadata["control_names"]), result.u, guess.u, 2),
     }
     out: dict[str, list[Quantity]] = {}
     for kind, (names, values, guessed, place) in groups.items():
@@ -143,16 +143,15 @@ def _places(texts: list[str]) -> list[float]:
         return [(i + 0.5) / len(texts) for i in range(len(texts))]
 
 
-def _bounds(module: ControlModule, result: Result) -> tuple[tuple[Matrix, ...], tuple[Matrix, ...]]:
-    """Least and greatest (t, q, p, u, multipliers), infinite where there are none."""
-    grid = module.make_grid(result.steps)
+def _bounds(module: ControlModule, like: Result) -> tuple[list[Matrix], list[Matrix]]:
+    """Least and greatest (q, p, u), infinite where there are none."""
     if not module.metadata["inequalities"]:
-        blank = np.zeros(grid.is_multiplier.size)
-        shapes = module.unpack(grid, blank)
-        return tuple(np.full(np.shape(a), -np.inf) for a in shapes), tuple(np.full(np.shape(a), np.inf) for a in shapes)
+        tables = [np.full_like(table, np.inf) for table in (like.q, like.p, like.u)]
+        return [-table for table in tables], tables
+    grid = module.make_grid(like.steps)
     with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns mean nothing
         lower, upper = (module.unpack(grid, bounds) for bounds in module.variable_bounds(grid))
-    return lower, upper
+    return [lower[1], lower[2], lower[3]], [upper[1], upper[2], upper[3]]
 
 
 def _by_body(table: Matrix, bodies: int) -> Matrix:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.frame import variable_bounds
+from codegen.runtime.example import variable_bounds
 
 
 class Bounds(NamedTuple):

@@ -9,7 +9,6 @@ from numba import njit
 
 from codegen.runtime.condensation import (
     COUPLED,
-    COUPLED_COLUMNS,
     COUPLED_ROWS,
     INSIDE,
     INSIDE_COLUMNS,

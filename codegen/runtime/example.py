@@ -13,6 +13,7 @@ IS_MULTIPLIER = np.array([False, True, False])
 START_PINNED = END_PINNED = np.array([0])
 ONLY_AT_ENDS = np.zeros(0, np.int64)
 EQUATIONS = np.array([1])
+SLACKS = SLACK_MULTIPLIERS = np.zeros(0, np.int64)
 START_SHARED_PLACES = START_SHARED = END_SHARED_PLACES = END_SHARED = np.zeros(0, np.int64)
 COUPLING_KINDS = COUPLING_COUNTS = COUPLING_ROWS = np.zeros(0, np.int64)
 COUPLING_PLACES = np.zeros((0, 0), np.int64)
@@ -88,3 +89,8 @@ def start_hessian(x, t, parameters, hessian):
 @njit(error_model="numpy")
 def end_hessian(x, t, parameters, hessian):
     """Nothing is curved at the end."""
+
+
+def variable_bounds(grid):
+    """Nothing is bounded."""
+    return np.full(grid.is_multiplier.size, -np.inf), np.full(grid.is_multiplier.size, np.inf)

@@ -105,9 +105,7 @@ def factor(unknowns, steps, h, parameters, weight, diagonal, factors):
             negative += found
             move_on(front)
         end_front(front, last)
-        found = eliminate_symmetric(
-            last, LAST, LAST + SHARED, last_lower[body], last_inverse[body], last_places[body]
-        )
+        found = eliminate_symmetric(last, LAST, LAST + SHARED, last_lower[body], last_inverse[body], last_places[body])
         if found < 0:
             return -1
         negative += found

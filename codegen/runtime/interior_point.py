@@ -47,7 +47,7 @@ class Search(NamedTuple):
 
     grid: NamedTuple
     bounds: NamedTuple
-    system: tuple
+    system: tuple[NamedTuple, int]
 
 
 class Step(NamedTuple):
@@ -157,7 +157,7 @@ def barrier_error(grid, point, measured, mu):
 
 
 def regularised_step(search, iterate, mu, last_shift):
-    """Newton step of the barrier problem with the Hessian shifted until its inertia is right (algorithm IC), or None."""
+    """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
     grid, bounds, system = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
@@ -165,9 +165,7 @@ def regularised_step(search, iterate, mu, last_shift):
     add_barrier(point.gradient, bounds.place, bounds.side, iterate.distance, mu, gradient)
     shift, dual_shift = 0.0, 0.0
     while shift < 1e20:
-        barrier_diagonal(
-            grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, dual_shift, diagonal
-        )
+        barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, dual_shift, diagonal)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal)
@@ -188,14 +186,21 @@ def regularised_step(search, iterate, mu, last_shift):
 
 
 def line_search(search, iterate, step, mu, small_violation, filtered):
-    """Shorten the step until the filter accepts it; return the next iterate (None when there is none) and the length."""
+    """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
     grid, bounds, _ = search
     violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
 
     def accepted(trial, length):
         point, _, logarithms = trial
         return point.error < np.inf and accept(
-            violation, cost, point.violation, point.cost - mu * logarithms, step.slope, length, small_violation, filtered
+            violation,
+            cost,
+            point.violation,
+            point.cost - mu * logarithms,
+            step.slope,
+            length,
+            small_violation,
+            filtered,
         )
 
     length = step.longest

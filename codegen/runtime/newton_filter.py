@@ -18,7 +18,8 @@ SHORTEST_STEP = 1e-10
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    `warm` has no effect: Newton's method needs no telling. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
+    `warm` has no effect: Newton's method needs no telling. A row (cost, residual, stationarity, Hessian's shift, step
+    length) is appended to `log` at every iterate.
     """
     system = allocate_system(grid)
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))

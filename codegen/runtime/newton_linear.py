@@ -10,7 +10,8 @@ from codegen.runtime.rounding import is_solved
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find the minimum; return (status, point, iterations).
 
-    `max_iterations` and `warm` have no effect. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate.
+    `max_iterations` and `warm` have no effect. A row (cost, residual, stationarity, Hessian's shift, step length) is
+    appended to `log` at every iterate.
     """
     system = allocate_system(grid)
     none = np.zeros(unknowns.size)

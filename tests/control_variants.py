@@ -1,0 +1,106 @@
+"""Control problems that between them have every feature of a generated module, and a point to try them at."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+DOUBLE_PENDULUM = '''"""Double pendulum whose boundary conditions leave coupled velocities free."""
+from sympy import cos, pi
+from codegen import Control, controls, coordinates, parameters
+def problem() -> Control:
+    (a, b), (da, db) = coordinates("a b")
+    u, w = controls("u w")
+    m, l, g = parameters(m=1, l=1, g=9.81)
+    return Control(
+        lagrangian=m*l**2/2*(2*da**2 + db**2 + 2*da*db*cos(a - b)) + m*g*l*(2*cos(a) + cos(b)),
+        force={a: u, b: w}, cost=u**2 + w**2, duration=2,
+        start={a: 0, b: 0, da: 0}, end={a: pi/2, b: pi/2, db: 0}, steps=20)
+'''
+
+DRIVEN = '''"""A driven oscillator: time in the Lagrangian, the force, the cost and the guess; free end velocity."""
+from sympy import cos, exp
+from codegen import Control, control, coordinate, parameters, time
+def problem() -> Control:
+    q, dq = coordinate("q")
+    u = control("u")
+    k, R = parameters(k=2, R=0.5)
+    t = time()
+    return Control(
+        lagrangian=exp(t/3)*(dq**2/2 - k*q**2/2), force={q: u*(1 + t/5) - dq/10}, cost=R*u**2*exp(-t/2) + q**2*cos(t),
+        duration=2, start={q: 1, dq: 0}, end={q: 0}, guess={q: 1 - t/2, u: t}, steps=20)
+'''
+
+ANTIPHASE = '''"""Two damped oscillators, kept in antiphase with the least effort; the period is free."""
+from sympy import Eq, cos, pi
+from codegen import Control, body_number, control, coordinate, free_parameter, parameters, time
+def problem() -> Control:
+    q, v = coordinate("q")
+    u = control("u")
+    t, body = time(), body_number()
+    damping, distance = parameters(damping=0.1, distance=2)
+    T = free_parameter("T", guess=6)
+    return Control(
+        lagrangian=v**2 / 2 - q**2 / 2, force={q: u - damping * v}, cost=u**2 + 1, duration=T, periodic=[q, v],
+        end_conditions=[Eq(q.of(0) - q.of(1), distance)], bodies=2,
+        guess={q: (1 - 2 * body) * cos(2 * pi * t / T)}, steps=20)
+'''
+
+VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
+    ("linear_pendulum", None, {}),
+    ("orbital_transfer", None, {}),
+    ("orbital_transfer", None, {"scheme": "trapezoidal"}),
+    ("orbital_transfer", None, {"method": "hamiltonian", "scheme": "stormer-verlet"}),
+    ("orbital_transfer", None, {"controls": "nodal"}),
+    ("double", DOUBLE_PENDULUM, {}),
+    ("double", DOUBLE_PENDULUM, {"method": "hamiltonian"}),
+    ("driven", DRIVEN, {}),
+    ("hovercraft", None, {}),
+    ("antiphase", ANTIPHASE, {}),
+    ("antiphase", ANTIPHASE, {"method": "hamiltonian"}),
+    ("double_integrator", None, {}),
+    ("double_integrator", None, {"method": "hamiltonian"}),
+    ("spherical_pendulum", None, {}),
+    ("van_der_pol", None, {"scheme": "trapezoidal"}),
+    ("goddard_rocket", None, {}),
+    ("low_thrust", None, {}),
+]
+"""Name, text (or None for a file of the gallery) and choices."""
+
+
+def trial_point(module: Any, grid: Any, seed: int, scale: float) -> np.ndarray:
+    """Unknowns at a random distance from the guess; those that are given, or equal shared ones, keep to that."""
+    free = module.free_unknowns(grid)
+    noise = np.random.default_rng(seed).normal(scale=scale, size=free.size)
+    return module.with_pinned_values(grid, module.initial_guess(grid) + np.where(free, noise, 0.0))
+
+
+def dense_kkt(module: Any, grid: Any, unknowns: np.ndarray) -> np.ndarray:
+    """The KKT matrix from the callbacks; rows and columns of what is given are zero."""
+    matrix = np.zeros((unknowns.size, unknowns.size))
+    primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    rows, columns, values = module.hessian(grid, unknowns)
+    np.add.at(matrix, (primal[rows], primal[columns]), values)
+    rows, columns, values = module.jacobian(grid, unknowns)
+    np.add.at(matrix, (multipliers[rows], primal[columns]), values)
+    np.add.at(matrix, (primal[columns], multipliers[rows]), values)
+    return matrix
+
+
+def shifts(module: Any, grid: Any, shift: float, dual_shift: float) -> np.ndarray:
+    """A diagonal to be added to the KKT matrix, for free unknowns only."""
+    diagonal = np.where(grid.is_multiplier, -dual_shift, shift)
+    return np.where(module.free_unknowns(grid), diagonal, 0.0)
+
+
+def eliminated_blocks_are_positive(module: Any, grid: Any, matrix: np.ndarray) -> bool:
+    """Whether what the module eliminates inside each interval has a positive definite block of the KKT matrix."""
+    chain = grid.steps * module.STRIDE + module.NODE
+    first = module.STRIDE - module.CONDENSED
+    places = [
+        body * chain + k * module.STRIDE + first + np.arange(module.CONDENSED)
+        for body in range(module.BODIES)
+        for k in range(grid.steps)
+    ]
+    return all(np.linalg.eigvalsh(matrix[np.ix_(p, p)]).min(initial=np.inf) > 0.0 for p in places)

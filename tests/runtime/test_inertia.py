@@ -1,0 +1,117 @@
+"""Inertia by symmetric elimination against the eigenvalues of the dense matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from control_variants import VARIANTS, dense_kkt, eliminated_blocks_are_positive, shifts, trial_point
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from codegen.runtime.symmetric import eliminate_symmetric as inlined
+from codegen.runtime.symmetric import solve_lower, solve_pivots, solve_upper
+
+ROUNDING = 1e-9
+eliminate_symmetric = inlined.py_func
+
+# Small whole numbers make zero diagonals, equal pivots and singular minors frequent.
+entries = st.one_of(st.integers(-3, 3).map(float), st.floats(-1e3, 1e3, allow_subnormal=False))
+
+
+@st.composite
+def symmetric(draw):
+    size = draw(st.integers(1, 7))
+    matrix = draw(arrays(float, (size, size), elements=entries))
+    matrix = np.tril(matrix) + np.tril(matrix, -1).T
+    if draw(st.booleans()):
+        np.fill_diagonal(matrix, 0.0)
+    return matrix
+
+
+def eliminated(matrix: np.ndarray, count: int):
+    """Number of negative pivots, Schur complement, and the factors."""
+    size = len(matrix)
+    work, lower = matrix.copy(), np.full((size, count), np.nan)
+    inverse, places = np.full((count, 2), np.nan), np.zeros(count, np.int64)
+    negative = eliminate_symmetric(work, count, size, lower, inverse, places)
+    rest = np.tril(work[count:, count:])
+    return negative, rest + np.tril(rest, -1).T, (lower, inverse, places)
+
+
+def eigenvalues(matrix: np.ndarray) -> np.ndarray:
+    """Eigenvalues, for matrices of which rounding errors do not decide the signs."""
+    values = np.linalg.eigvalsh(matrix)
+    assume(np.abs(values).min() > ROUNDING * np.abs(values).max())
+    return values
+
+
+@given(matrix=symmetric())
+def test_negative_pivots_are_negative_eigenvalues(matrix):
+    assert eliminated(matrix, len(matrix))[0] == np.count_nonzero(eigenvalues(matrix) < 0.0)
+
+
+@given(matrix=symmetric(), part=st.floats(0.0, 1.0))
+def test_inertia_of_a_part_and_of_its_schur_complement_add_up(matrix, part):
+    """Haynsworth (1968)."""
+    count = 1 + int(part * (len(matrix) - 1))
+    values = eigenvalues(matrix)
+    eigenvalues(matrix[:count, :count])
+    negative, rest, _ = eliminated(matrix, count)
+    expected = matrix[count:, count:] - matrix[count:, :count] @ np.linalg.solve(
+        matrix[:count, :count], matrix[:count, count:]
+    )
+    scale = np.abs(expected).max(initial=0.0) + np.abs(matrix).max()
+    np.testing.assert_allclose(rest, expected, atol=1e-6 * scale)
+    assert negative + np.count_nonzero(np.linalg.eigvalsh(expected) < 0.0) == np.count_nonzero(values < 0.0)
+
+
+@given(matrix=symmetric(), seed=st.integers(0, 10**6))
+def test_factors_solve_linear_systems(matrix, seed):
+    eigenvalues(matrix)
+    count = len(matrix)
+    right = np.random.default_rng(seed).normal(size=count)
+    _, _, (lower, inverse, places) = eliminated(matrix, count)
+    solution = right.copy()
+    for step, factors in ((solve_lower, (lower,)), (solve_pivots, (inverse,)), (solve_upper, (lower,))):
+        step.py_func(*factors, places, count, solution)
+    size = np.abs(matrix).max() * np.abs(solution).max() + 1.0
+    np.testing.assert_allclose(matrix @ solution, right, atol=1e-9 * size)
+
+
+def test_singular_and_infinite_matrices_are_told():
+    for matrix in (np.zeros((3, 3)), np.diag([1.0, 0.0]), np.array([[np.inf]]), np.ones((2, 2))):
+        assert eliminated(matrix, len(matrix))[0] == -1
+
+
+def test_upper_triangle_of_the_rest_is_not_read():
+    matrix = np.array([[0.0, 2.0, 1.0, 3.0], [2.0, 1.0, 4.0, 1.0], [1.0, 4.0, 5.0, 2.0], [3.0, 1.0, 2.0, 7.0]])
+    poisoned = matrix.copy()
+    poisoned[2, 3] = poisoned[0, 2] = poisoned[1, 3] = np.nan
+    for one, other in zip(eliminated(matrix, 2)[:2], eliminated(poisoned, 2)[:2], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
+@settings(max_examples=8)
+@given(
+    steps=st.integers(1, 5),
+    seed=st.integers(0, 10**6),
+    shift=st.sampled_from([0.0, 0.3, 30.0]),
+    dual_shift=st.sampled_from([0.0, 1e-3]),
+)
+def test_excess_of_negative_eigenvalues(interpreted, name, text, choices, steps, seed, shift, dual_shift):
+    """`factor_kkt` counts exactly, at points that are far from any minimum too."""
+    module = interpreted(name, text, **choices)
+    grid = module.make_grid(steps)
+    unknowns = trial_point(module, grid, seed, 0.2)
+    diagonal = shifts(module, grid, shift, dual_shift)
+    keep = np.flatnonzero(module.free_unknowns(grid))
+    matrix = dense_kkt(module, grid, unknowns) + np.diag(diagonal)
+    found = module.factor_kkt(grid, unknowns, 1.0, diagonal, module.allocate_system(grid))
+    values = np.linalg.eigvalsh(matrix[np.ix_(keep, keep)])
+    regular = np.abs(values).min() > ROUNDING * np.abs(values).max()
+    if found is None:
+        assert not regular or not eliminated_blocks_are_positive(module, grid, matrix)
+    elif regular:
+        assert found == np.count_nonzero(values < 0.0) - module.multiplier_unknowns(grid).size
