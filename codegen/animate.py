@@ -148,7 +148,7 @@ def _write_mp4(pictures: Iterable[Frame], count: int, path: Path) -> None:
         _, errors = process.communicate()
     if process.returncode:
         lines = errors.decode(errors="replace").strip().splitlines() or [f"exit status {process.returncode}"]
-        raise ArgumentError(f"ffmpeg could not write {path.name} ({lines[-1]})", "let the file end in .gif")
+        raise ArgumentError(f"ffmpeg could not write the film ({lines[-1]})", "let the file end in .gif")
 
 
 def _with_pause(pictures: Iterable[Frame]) -> Iterator[Frame]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import sympy
 from sympy import Expr, Symbol
 
+from codegen import expressions
+from codegen.differentiate import Assignment, second_derivatives
 from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
 
@@ -15,13 +17,29 @@ Entry = tuple[int, int, Expr]
 """Row, column and value of a structurally nonzero derivative."""
 
 
+_LONG = 200
+"""Operations from which on a scalar is differentiated on its graph; shorter ones read better from plain derivatives."""
+
+
 @dataclass(frozen=True)
 class ElementDerivatives:
-    """Gradient (dense) and Hessian (lower triangle, structural nonzeros) of a scalar in its local unknowns."""
+    """Gradient (dense) and Hessian (lower triangle, structural nonzeros) of a scalar in its local unknowns, and a cost.
+
+    Those of a long scalar are straight-line programs: gradient and cost may read the symbols of one list of
+    assignments, the Hessian those of the other. An entry that does not depend on unknowns reads no such symbol.
+    """
 
     unknowns: tuple[Symbol, ...]
     gradient: tuple[Expr, ...]
     hessian: tuple[Entry, ...]
+    cost: Expr = sympy.S.Zero
+    gradient_assignments: tuple[Assignment, ...] = ()
+    hessian_assignments: tuple[Assignment, ...] = ()
+
+    @property
+    def varying(self) -> set[Symbol]:
+        """The symbols by which an entry of the Hessian depends on unknowns."""
+        return {*self.unknowns, *(symbol for symbol, _ in self.hessian_assignments)}
 
 
 @dataclass(frozen=True)
@@ -29,9 +47,8 @@ class ControlDerivatives:
     """Everything that the structured Newton method of a control problem needs.
 
     `condensed` is how many of an interval's last unknowns can be eliminated inside it: slacks always, because their
-    barrier terms are positive, and controls when their block of the Hessian is constant and regular; `linear_quadratic` says
-    that no Hessian entry depends on an unknown and one Newton step
-    suffices (not so with nodal controls, which can make the system singular).
+    barrier terms are positive, and controls when their block of the Hessian is constant and regular;
+    `linear_quadratic` says that no Hessian entry depends on an unknown and one Newton step suffices (not so with nodal controls, which can make the system singular).
     """
 
     element: ElementDerivatives
@@ -55,16 +72,16 @@ class StepDerivatives:
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     """Differentiate the interval's scalar and both end elements twice."""
     unknowns = program.element_symbols
-    element = _element(program.element, unknowns)
+    element = _element(program.element, unknowns, program.cost)
     start = _end_element(program.start, (*program.left_symbols, *program.shared_symbols))
     end = _end_element(program.end, (*program.right_symbols, *program.shared_symbols))
-    variables = set(unknowns) | set(start.unknowns) | set(end.unknowns)
+    variables = element.varying | start.varying | end.varying
     entries = (*element.hessian, *start.hessian, *end.hessian)
     return ControlDerivatives(
         element=element,
         start=start,
         end=end,
-        condensed=_condensed(program, element, set(unknowns)),
+        condensed=_condensed(program, element, element.varying),
         linear_quadratic=not program.nodal_controls
         and not program.has_inequalities
         and not program.couplings
@@ -85,26 +102,42 @@ def _tidy_derivative(expression: Expr, symbol: Symbol) -> Expr:
     return sympy.S.Zero if _vanishes(derivative) else derivative
 
 
-def _element(scalar: Expr, unknowns: Sequence[Symbol]) -> ElementDerivatives:
-    gradient = tuple(sympy.diff(scalar, x) for x in unknowns)
+def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int] = ()) -> ElementDerivatives:
+    """Derivatives by the unknowns; those at the `given` places are numbers, and nobody asks for their derivatives."""
+    if scalar.count_ops() >= _LONG:
+        return _long_element(scalar, unknowns, cost, given)
+    gradient = tuple(sympy.S.Zero if i in given else sympy.diff(scalar, x) for i, x in enumerate(unknowns))
     hessian: list[Entry] = []
     for row, first in enumerate(gradient):
         present = first.free_symbols
         for column, x in enumerate(unknowns[: row + 1]):
-            if x not in present:
+            if x not in present or column in given:
                 continue
             second = sympy.diff(first, x)
             if not _vanishes(second):
                 hessian.append((row, column, second))
-    return ElementDerivatives(tuple(unknowns), gradient, tuple(hessian))
+    return ElementDerivatives(tuple(unknowns), gradient, tuple(hessian), cost)
+
+
+def _long_element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int]) -> ElementDerivatives:
+    free = [place for place in range(len(unknowns)) if place not in given]
+    found = second_derivatives(scalar, [unknowns[place] for place in free], (cost,))
+    *slopes, written_cost = found.gradient.values
+    gradient = dict(zip(free, slopes, strict=True))
+    entries = zip(found.places, found.hessian.values, strict=True)
+    return ElementDerivatives(
+        unknowns=tuple(unknowns),
+        gradient=tuple(gradient.get(place, sympy.S.Zero) for place in range(len(unknowns))),
+        hessian=tuple((free[row], free[column], value) for (row, column), value in entries),
+        cost=written_cost,
+        gradient_assignments=found.gradient.assignments,
+        hessian_assignments=found.hessian.assignments,
+    )
 
 
 def _end_element(end: EndElement, unknowns: tuple[Symbol, ...]) -> ElementDerivatives:
     """Derivatives of an end's share; what is pinned there is a number and not differentiated twice."""
-    pinned = {i for i, _ in end.pins}
-    full = _element(end.element, unknowns)
-    hessian = tuple(entry for entry in full.hessian if not {entry[0], entry[1]} & pinned)
-    return ElementDerivatives(full.unknowns, full.gradient, hessian)
+    return _element(end.element, unknowns, end.cost, {i for i, _ in end.pins})
 
 
 def _vanishes(expression: Expr) -> bool:
@@ -134,7 +167,7 @@ def _constant_and_regular(program: ControlProgram, element: ElementDerivatives, 
             if value.free_symbols & (unknowns | {program.model.time}):
                 return False
             block[row - first, column - first] = block[column - first, row - first] = value
-    return bool(sympy.simplify(block.det()) != 0)
+    return expressions.null_direction(block, expressions.trial_points(block.free_symbols, {}, {})) is None
 
 
 def derivatives(program: ControlProgram | StepProgram) -> ControlDerivatives | StepDerivatives:

@@ -18,10 +18,11 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
     `if NAME:` and `if NAME and other:` are understood, with an `else` that is no `elif`, and `for ... in range(NAME):`.
     """
     while True:
+        lines = text.splitlines()
         for node in ast.walk(ast.parse(text)):
-            lines = _decided(node, text.splitlines(), sizes)
-            if lines is not None:
-                text = "\n".join(lines) + "\n"
+            decided = _decided(node, lines, sizes)
+            if decided is not None:
+                text = "\n".join(decided) + "\n"
                 break
         else:
             return text

@@ -44,7 +44,7 @@ def problem() -> Control:
     return Control(
         lagrangian=v**2 / 2 - q**2 / 2, force={q: u - damping * v}, cost=u**2 + 1, duration=T, periodic=[q, v],
         end_conditions=[Eq(q.of(0) - q.of(1), distance)], bodies=2,
-        guess={q: (1 - 2 * body) * cos(2 * pi * t / T)}, steps=20)
+        guess={q: (1 - 2 * body) * cos(pi * t / 3)}, steps=20)
 '''
 
 VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [

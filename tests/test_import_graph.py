@@ -10,9 +10,9 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "codegen"
 
 # From author to renderer, then from the file on disk to its users; a part may import what stands before it.
-SYMBOLIC = ["errors", "symbols", "problem", "expressions", "model", "redundancy", "legendre", "schemes",
+SYMBOLIC = ["errors", "symbols", "drawing", "problem", "expressions", "model", "redundancy", "legendre", "schemes",
             "discretise", "transcribe", "derive", "lower", "emit", "problem_file", "compiler"]  # fmt: skip
-NUMERIC = ["errors", "load", "drivers"]
+NUMERIC = ["errors", "drawing", "load", "drivers"]
 
 
 def imported(path: Path) -> set[str]:
@@ -47,7 +47,7 @@ def test_symbolic_parts_import_only_what_stands_before_them(part):
             )
 
 
-@pytest.mark.parametrize("part", ["load", "drivers", "runtime", "plots"])
+@pytest.mark.parametrize("part", ["drawing", "load", "drivers", "runtime", "plots", "animate"])
 def test_numeric_parts_never_import_sympy_or_symbolic_parts(part):
     forbidden = [f"codegen.{name}" for name in SYMBOLIC if name not in NUMERIC]
     for path in files(part):

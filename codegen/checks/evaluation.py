@@ -27,6 +27,8 @@ NOTHING = mpmath.mpf(10) ** -30
 _INCREMENT = mpmath.mpf(10) ** -40
 _SEED = 20240229
 _ATTEMPTS = 200
+_EXPANDABLE, _SIMPLIFIABLE = 3000, 300
+"""Operation counts up to which expansion and simplification are affordable."""
 
 
 def function_of(symbols: Sequence[Symbol], values: Sequence[Expr]) -> Function:
@@ -143,11 +145,26 @@ def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., Any]
     return at
 
 
-def vanishes_symbolically(expression: Expr, limit: int = 3000) -> bool:
-    """Whether sympy's simplifications turn an expression into zero; False also when they do not get there."""
-    if expression.count_ops() > limit:
+def vanishing(expression: Expr) -> str:
+    """How it is known that an expression is zero everywhere, in words; empty when it is not."""
+    if expression == 0:
+        return "proved symbolically"
+    symbols = symbols_of([expression])
+    function = function_of(symbols, [expression])
+    for point in random_points([expression], symbols, {}, count=2):
+        with mpmath.workdps(DIGITS):
+            if abs(function(*(mpmath.mpf(point[symbol]) for symbol in symbols))[0]) > NOTHING:
+                return ""
+    return "proved symbolically" if vanishes_symbolically(expression) else f"at random points, to {DIGITS} digits"
+
+
+def vanishes_symbolically(expression: Expr) -> bool:
+    """Whether sympy's simplifications turn an expression into zero; False also when they would take too long."""
+    if expression.count_ops() > _EXPANDABLE:
         return False
     expanded = sympy.expand(expression)
     if expanded == 0:
         return True
+    if expanded.count_ops() > _SIMPLIFIABLE:
+        return False
     return bool(sympy.cancel(sympy.together(expanded)) == 0 or sympy.simplify(expanded) == 0)

@@ -13,7 +13,7 @@ from sympy import Expr
 
 from codegen import legendre
 from codegen.checks.base import Context, Finding, does_not_apply
-from codegen.checks.evaluation import vanishes_symbolically
+from codegen.checks.evaluation import vanishing
 from codegen.checks.one_step import without_boundaries, without_forces
 from codegen.discretise import one_step_interval, variational_interval
 from codegen.model import Model
@@ -32,8 +32,8 @@ def check(context: Context) -> Iterator[Finding]:
     for i in cyclic:
         q = model.coordinates[i]
         change = momentum_change(model, context.scheme, i)
-        passed = vanishes_symbolically(change)
-        detail = f"{q} is cyclic, and without force its discrete momentum is conserved, proved symbolically"
+        known = vanishing(change)
+        passed, detail = bool(known), f"{q} is cyclic, and without force its discrete momentum is conserved, {known}"
         if model.force[i] != 0:
             detail += f" (the force {sympy.sstr(model.force[i])} changes it)"
         if any(constraint.has(q) for constraint in model.holonomic):

@@ -14,7 +14,7 @@ import sympy
 from sympy import Symbol
 
 from codegen.checks.base import Context, Finding, does_not_apply
-from codegen.checks.evaluation import vanishes_symbolically
+from codegen.checks.evaluation import vanishing
 from codegen.checks.solutions import integral_of_cost
 from codegen.discretise import at_nodes
 from codegen.transcribe.program import ControlProgram
@@ -64,11 +64,11 @@ def _nodal(program: ControlProgram, u: Symbol) -> tuple[Finding, bool]:
     amplitude = sympy.Dummy("a", real=True)
     mode = {left: left + amplitude, right: right - amplitude}
     change = program.cost.subs(mode, simultaneous=True).diff(amplitude)
-    if not vanishes_symbolically(change) or not _is_penalised(program, u):
+    if not vanishing(change) or not _is_penalised(program, u):
         return Finding("null controls", f"nodal control {u}", True, "the alternating control is seen by the cost"), False
     # What the mode adds to the equations of motion; it vanishes where forces are averaged and do not depend on place.
     force = (program.element - program.cost).subs(mode, simultaneous=True).diff(amplitude)
-    acts = not vanishes_symbolically(force)
+    acts = not vanishing(force)
     effect = "yet acts on the motion" if acts else "and does nothing either, so that it is undetermined"
     detail = f"alternating nodal control {u}: {u}_k = (-1)^k a costs nothing, {effect}; use controls on intervals"
     return Finding("null controls", f"nodal control {u}", False, detail), acts
@@ -77,7 +77,7 @@ def _nodal(program: ControlProgram, u: Symbol) -> tuple[Finding, bool]:
 def _interval(program: ControlProgram, u: Symbol) -> Finding:
     """With one control an interval a free mode would have to be free within an interval."""
     (site,) = at_nodes([u], "_k")
-    passed = not (vanishes_symbolically(program.cost.diff(site)) and _is_penalised(program, u))
+    passed = not (bool(vanishing(program.cost.diff(site))) and _is_penalised(program, u))
     detail = "none: the discrete cost sees the control of every interval" if passed else f"{site} costs nothing"
     if passed and not _is_penalised(program, u):
         detail = "none of the discretisation: the problem's own cost does not hold it"

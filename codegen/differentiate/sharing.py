@@ -83,7 +83,9 @@ class _Pairs:
 
     def _take_out(self, pair: Pair, users: list[int]) -> None:
         a, b, weight, other = pair
-        alone = [n for n in users if len(self.groups[n]) == 2 and self.groups[n][a] == weight and n not in self.constants]
+        alone = [
+            n for n in users if len(self.groups[n]) == 2 and self.groups[n][a] == weight and n not in self.constants
+        ]
         name = alone[0] if alone else next(self.fresh)
         for number in users:
             if number == name:

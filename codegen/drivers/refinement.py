@@ -69,8 +69,8 @@ def refine(
     """Solve on N, 2N, 4N, ... intervals, each from the solution before; the last result, with an error estimate.
 
     `solve` takes a number of intervals and a start; `warm` is the first one. The summary gains,
-    with at least one doubling, the cost extrapolated by the scheme's stated order, its distance from the last one as an error estimate,
-    and the order that three grids show. A grid that fails ends the sequence with that result.
+    with at least one doubling, the cost extrapolated by the scheme's stated order and its distance from the last one
+    as an error estimate, and the order that three grids show. A grid that fails ends the sequence with that result.
     """
     result = solve(steps, None if warm is None else transferred(module, warm, steps))
     costs = [result.cost]

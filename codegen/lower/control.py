@@ -91,12 +91,13 @@ def _interval_kernels(program: ControlProgram, element: ElementDerivatives) -> t
         kernel(
             "interval_gradient",
             "Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost.",
-            arguments, places, gradient, program.cost, decorators=INNER,
+            arguments, places, gradient, element.cost, decorators=INNER, straight_line=element.gradient_assignments,
         ),
         kernel(
             "interval_hessian",
             "Hessian (lower triangle, structural nonzeros) of an interval's share l of the Lagrangian.",
-            (*arguments[:-1], "hessian"), places, hessian, decorators=INNER,
+            (*arguments[:-1], "hessian"), places, hessian,
+            decorators=INNER, straight_line=element.hessian_assignments,
         ),
     )  # fmt: skip
 
@@ -133,7 +134,13 @@ def _end_kernels(
     ]
     arguments = ("unknowns", "t", "parameters", "gradient")
     summary = f"Add the gradient of the {name}'s own share of the Lagrangian; returns its cost."
-    kernels = [kernel(f"{name}_gradient", summary, arguments, places, gradient, end.cost, decorators=INNER)]
+    before = derivatives.gradient_assignments
+    kernels = [
+        kernel(
+            f"{name}_gradient", summary, arguments, places, gradient, derivatives.cost,
+            decorators=INNER, straight_line=before,
+        )
+    ]  # fmt: skip
     if curved:
         entries = [
             Output(f"hessian[{j}]", value, f"{derivatives.unknowns[row]}, {derivatives.unknowns[column]}")
@@ -141,7 +148,10 @@ def _end_kernels(
         ]
         summary = f"Hessian (lower triangle, structural nonzeros) of the {name}'s own share."
         arguments = ("unknowns", "t", "parameters", "hessian")
-        kernels.append(kernel(f"{name}_hessian", summary, arguments, places, entries, decorators=INNER))
+        before = derivatives.hessian_assignments
+        kernels.append(
+            kernel(f"{name}_hessian", summary, arguments, places, entries, decorators=INNER, straight_line=before)
+        )
     return tuple(kernels)
 
 

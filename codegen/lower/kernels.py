@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy
@@ -66,23 +66,24 @@ def kernel(
     result: Expr | None = None,
     assignments: Sequence[tuple[Symbol, Expr]] = (),
     decorators: tuple[str, ...] = CACHED,
+    straight_line: Sequence[tuple[Symbol, Expr]] = (),
 ) -> Kernel:
     """Lower expressions to a kernel; `places` tells for each symbol the code that reads it (its own name: argument).
 
-    `assignments` give values to further symbols, each of which later assignments and all outputs may read.
+    `assignments` give values to further symbols, each of which later assignments and all outputs may read. Those of a
+    `straight_line` program do as well, but hold all common subexpressions already; a kernel has one or the other.
     """
-    expressions = [stabilised(value) for _, value in assignments]
+    names = [symbol for symbol, _ in (*assignments, *straight_line)]
+    expressions = [stabilised(value) for _, value in (*assignments, *straight_line)]
     expressions += [stabilised(output.value) for output in outputs]
     if result is not None:
         expressions.append(stabilised(result))
     used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
     inputs = tuple(Line(s.name, code) for s, code in places.items() if s in used and code != s.name)
-    taken = {s.name for s in places} | set(arguments)
-    fresh = (Symbol(f"x{i}", real=True) for i in range(10**9) if f"x{i}" not in taken)
-    common, reduced = sympy.cse(expressions, symbols=fresh, order="canonical")
-    names = [symbol for symbol, _ in assignments]
-    body = _interleaved(zip(names, reduced[: len(names)], strict=True), common)
-    reduced = reduced[len(names) :]
+    body, reduced = [*zip(names, expressions, strict=False)], expressions[len(names) :]
+    if not straight_line:
+        body, reduced = _with_common(names, expressions, {s.name for s in places} | set(arguments))
+    after = [int(e.count_ops()) for e in (*(value for _, value in body), *reduced)]
     count = len(outputs)
     return Kernel(
         name=name,
@@ -95,10 +96,35 @@ def kernel(
             for output, e in zip(outputs, reduced[:count], strict=True)
         ),
         results=tuple(scalar_code(e) for e in reduced[count:]),
-        operations_before=sum(int(e.count_ops()) for e in expressions),
-        operations_after=sum(int(e.count_ops()) for e in (*reduced, *(e for _, e in body))),
+        operations_before=_written_out(straight_line, expressions, after)
+        if straight_line
+        else sum(int(e.count_ops()) for e in expressions),
+        operations_after=sum(after),
         decorators=decorators,
     )
+
+
+def _with_common(
+    names: Sequence[Symbol], expressions: Sequence[Expr], taken: Collection[str]
+) -> tuple[list[tuple[Symbol, Expr]], list[Expr]]:
+    """Common subexpressions assigned before those to `names`, the first expressions; and what is left of the others."""
+    fresh = (Symbol(f"x{i}", real=True) for i in range(10**9) if f"x{i}" not in taken)
+    common, reduced = sympy.cse(expressions, symbols=fresh, order="canonical")
+    body = _interleaved(zip(names, reduced[: len(names)], strict=True), common)
+    return body, reduced[len(names) :]
+
+
+def _written_out(assignments: Sequence[tuple[Symbol, Expr]], expressions: Sequence[Expr], own: Sequence[int]) -> int:
+    """The operations of all outputs if nothing were assigned; the first expressions are what is assigned."""
+    totals: dict[Expr, int] = {}
+    outputs = 0
+    for place, (expression, operations) in enumerate(zip(expressions, own, strict=True)):
+        total = operations + sum(totals.get(part, 0) for part in sympy.preorder_traversal(expression))
+        if place < len(assignments):
+            totals[assignments[place][0]] = total
+        else:
+            outputs += total
+    return outputs
 
 
 def _interleaved(

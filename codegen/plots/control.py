@@ -46,6 +46,15 @@ Row = list[Panel | None]
 
 
 @dataclass(frozen=True)
+class Time:
+    """The abscissa of all panels over time: its label and the time interval."""
+
+    label: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
 class Drawings:
     """The problem's drawing along the solution and along the first guess."""
 
@@ -71,7 +80,8 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
         figsize=(WIDTH, 0.9 + shape.height + height), layout=ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05)
     )
     upper, lower = _halves(figure, shape.height, height) if drawings is not None else (None, figure)
-    time, outcome = f"time ({unit})" if unit else "time", "optimum" if result.solved else "last iterate"
+    time = Time(f"time ({unit})" if unit else "time", float(result.t[0]), float(result.t[-1]))
+    outcome = "optimum" if result.solved else "last iterate"
     if drawings is not None and beside:
         left, right = _halves(upper, shape.left, 1.0 - shape.left, vertically=False)
         _draw(left, drawings, outcome)
@@ -85,6 +95,9 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
         lower.legend(handles=handles, loc="outside lower center", ncols=12)
     _body_bar(lower, axes, int(module.metadata["bodies"]))
     title(figure, result, _notes(result, module, groups))
+    if drawings is not None:
+        # Axes of equal scales find their final place in the second pass of the layout.
+        figure.draw_without_rendering()
     return figure
 
 
@@ -126,7 +139,7 @@ def _in_rows(found: Sequence[Panel], columns: int) -> list[Row]:
     return [padded[first : first + columns] for first in range(0, len(padded), columns)]
 
 
-def _fill(figure: Any, blocks: Sequence[Sequence[Row]], time: str) -> list[Any]:
+def _fill(figure: Any, blocks: Sequence[Sequence[Row]], time: Time) -> list[Any]:
     """Draw blocks of rows below each other; titles stand where the kind changes, times below each block."""
     rows = [row for block in blocks for row in block]
     grid = figure.add_gridspec(len(rows), len(rows[0]))
@@ -146,7 +159,10 @@ def _fill(figure: Any, blocks: Sequence[Sequence[Row]], time: str) -> list[Any]:
                 if panel.over_time:
                     below = block[i + 1][j] if i + 1 < len(block) else None
                     ends = below is None or not below.over_time
-                    axes.set_xlabel(time if ends else "")
+                    axes.set_xlabel(time.label if ends else "")
+                    axes.set_xlim(
+                        time.start - 0.02 * (time.end - time.start), time.end + 0.02 * (time.end - time.start)
+                    )
                     axes.tick_params(labelbottom=ends)
                 made.append(axes)
         first += len(block)

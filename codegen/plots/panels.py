@@ -43,7 +43,6 @@ def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None
             axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
     _highlight(axes, shown.t, shown.values, shown.active())
     axes.set_ylabel(label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}")
-    axes.margins(x=0.02)
     _widen_if_flat(axes, shown.values if second is None else np.vstack([shown.values, second.values]))
     _bounds(axes, shown)
 
@@ -56,7 +55,6 @@ def inequality(axes: Any, shown: Inequality) -> None:
     _highlight(axes, shown.t, shown.distance, shown.active())
     highest = float(np.nanmax(shown.distance, initial=0.0))
     axes.axhline(0.0, **_BOUND)
-    axes.margins(x=0.02)
     axes.set_ylabel("distance")
     axes.set_title(relation(shown.name), loc="left", fontsize=8.5)
     if highest > 0.0:
@@ -71,7 +69,6 @@ def strip(axes: Any, shown: Sequence[Inequality]) -> None:
         axes.plot(one.t, np.where(where, row, np.nan), **_ACTIVE | {"marker": "|", "markersize": 5.5})
     axes.set_yticks(range(len(shown)), [relation(one.name, 30) for one in shown], fontsize=7.5)
     axes.set_ylim(len(shown) - 0.5, -0.5)
-    axes.margins(x=0.02)
     axes.set_title("path inequalities that are active", loc="left", fontsize=8.5)
 
 
@@ -94,7 +91,8 @@ def handles(quantities: Sequence[Quantity], inequalities: Sequence[Inequality], 
     """Entries of the figure's legend, only for what occurs in it; `outcome` says what the curves of one body are."""
     bodies = quantities[0].values.shape[1]
     bounded = any(np.isfinite(q.lower).any() or np.isfinite(q.upper).any() for q in quantities) or bool(inequalities)
-    active = any(q.active().any() for q in quantities) or any(g.active().any() for g in inequalities)
+    limited: list[Quantity | Inequality] = [*quantities, *inequalities]
+    active = "active or violated" if any(one.is_violated() for one in limited) else "active"
     out: list[Any] = []
     if bodies == 1 and any(q.guess is not None for q in quantities):
         out += [Line2D([], [], label=outcome, color=DARK), Line2D([], [], label="initial guess", **_GUESS)]
@@ -103,7 +101,7 @@ def handles(quantities: Sequence[Quantity], inequalities: Sequence[Inequality], 
         out += [Line2D([], [], color=colours[i], label=f"body {i}") for i in range(bodies)]
     if bounded:
         out += [Line2D([], [], label="bound", **_BOUND), Patch(color=FORBIDDEN, label="forbidden")]
-    return out + ([Line2D([], [], label="active", **_ACTIVE)] if active else [])
+    return out + ([Line2D([], [], label=active, **_ACTIVE)] if any(one.active().any() for one in limited) else [])
 
 
 def _line(axes: Any, t: Vector, values: Vector, **style: Any) -> None:

@@ -47,6 +47,10 @@ class Quantity:
         distance = np.minimum(self.values - self.lower, self.upper - self.values)
         return np.asarray(distance <= CLOSE * size + LEAST)
 
+    def is_violated(self) -> bool:
+        """Whether a value lies beyond a bound by more than rounding."""
+        return bool(np.any((self.values < self.lower - LEAST) | (self.values > self.upper + LEAST)))
+
 
 @dataclass(frozen=True)
 class Inequality:
@@ -59,6 +63,10 @@ class Inequality:
     def active(self) -> np.ndarray:
         """Where the inequality holds with equality."""
         return np.asarray(self.distance <= CLOSE * np.abs(self.distance).max(initial=0.0) + LEAST)
+
+    def is_violated(self) -> bool:
+        """Whether the inequality does not hold, by more than rounding."""
+        return bool(np.any(self.distance < -LEAST))
 
 
 def first_guess(module: ControlModule, result: Result) -> Result:

@@ -52,7 +52,7 @@ def prepare(axes: Any, room: Extent) -> None:
     """Equal scales on both axes, and fixed limits."""
     axes.set_xlim(room[0], room[1])
     axes.set_ylim(room[2], room[3])
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", anchor="N")
     axes.tick_params(length=0, labelsize=8, colors=GREY)
     for spine in axes.spines.values():
         spine.set_visible(False)

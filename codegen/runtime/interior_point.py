@@ -71,7 +71,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     search = Search(grid, finite_bounds(grid), allocate_system(grid))
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
     mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    iterate = first_iterate(search, unknowns, mu, 1e-4 if warm else 1e-2)
+    iterate = first_iterate(search, unknowns, mu, warm)
     first = max(1.0, iterate.point.violation)
     small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
     shift, last_shift, length = 0.0, 0.0, 0.0
@@ -112,18 +112,21 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     return "iteration limit", point, max_iterations
 
 
-def first_iterate(search, unknowns, mu, push):
-    """The start pushed by `push` inside its bounds, bound duals mu / distance, multipliers by least squares."""
+def first_iterate(search, unknowns, mu, warm):
+    """The start pushed inside its bounds; far from the solution duals of one have proved better than the central path."""
     grid = search.grid
-    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), push)
-    return with_multipliers(search, inside, mu)
+    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
+    return with_multipliers(search, inside, mu if warm else None)
 
 
 def with_multipliers(search, unknowns, mu):
-    """An iterate at primal unknowns inside their bounds: duals on the central path, multipliers by least squares."""
+    """An iterate at primal unknowns inside their bounds, with multipliers by least squares.
+
+    Duals of the bounds lie on the central path of weight mu, or are one where that is None.
+    """
     unknowns, distance = np.array(unknowns), np.empty(search.bounds.place.size)
     logarithms = move(unknowns, unknowns, 0.0, *search.bounds, unknowns, distance)
-    duals = np.minimum(mu / distance, 1e3)
+    duals = np.ones(distance.size) if mu is None else np.minimum(mu / distance, 1e3)
     unknowns = guess_multipliers(search, unknowns, duals)
     return Iterate(evaluate(search.grid, unknowns), distance, logarithms, duals)
 
@@ -132,7 +135,7 @@ def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     grid, bounds, system = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
-    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, 0.0, 1.0), system) is None:
+    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) is None:
         return unknowns
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)
@@ -206,9 +209,10 @@ def line_search(search, iterate, step, mu, small_violation, filtered):
     length = step.longest
     while length > SHORTEST_STEP:
         trial = moved(grid, bounds, iterate.point.unknowns, step.primal, length)
-        if not accepted(trial, length) and length == step.longest and trial[0].violation >= violation:
-            trial = corrected(search, iterate, step, mu, trial, accepted) or trial
-        if accepted(trial, length):
+        if not accepted(trial, length):
+            worse = length == step.longest and trial[0].violation >= violation
+            trial = corrected(search, iterate, step, mu, trial, accepted) if worse else None
+        if trial is not None:
             duals = np.empty_like(iterate.duals)
             move_duals(iterate.duals, step.dual, step.dual_length, trial[1], mu, duals)
             return Iterate(*trial, duals), length

@@ -59,7 +59,7 @@ def is_minimum(grid, point, system):
 def guess_multipliers(grid, unknowns, system):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
-    if point.stationarity == 0.0 or factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 0.0), system) is None:
+    if point.stationarity == 0.0 or factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system) is None:
         return point.unknowns
     step = np.empty_like(unknowns)
     solve_kkt(grid, system, np.where(grid.is_multiplier, 0.0, point.gradient), step)

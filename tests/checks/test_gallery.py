@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from checks.conftest import PROBLEMS
+from control_variants import ANTIPHASE
 
 from codegen import checks
 
@@ -71,33 +72,10 @@ def test_passes_for_other_schemes(prepared, problem, arguments, choices):
     assert [finding for finding in findings if not finding.passed] == []
 
 
-PERIODIC = '''"""Two oscillators in antiphase, kept going by a force that pulls ever the same way; the period is free."""
-from sympy import Eq, pi, sin
-from codegen import Control, body_number, control, coordinate, free_parameter, parameters, time
-def problem() -> Control:
-    q, v = coordinate("q")
-    u = control("u")
-    t, body = time(), body_number()
-    damping, distance = parameters(damping=0.1, distance=2)
-    T = free_parameter("T", guess=6, lower=3, upper=9)
-    return Control(
-        lagrangian=v**2 / 2 - q**2 / 2,
-        force={q: u - damping * v},
-        cost=u**2,
-        terminal_cost=v**2 / 100,
-        duration=T,
-        periodic=[q, v],
-        end_conditions=[Eq(q.of(0) - q.of(1), distance)],
-        bodies=2,
-        guess={q: (1 - 2 * body) * (1 - sin(pi * t / T))},
-        steps=20)
-'''
-
-
 @pytest.mark.parametrize("method", ["variational", "hamiltonian"])
 def test_passes_for_periodic_coupled_bodies_with_a_free_period(prepared, tmp_path: Path, method):
     path = tmp_path / "antiphase.py"
-    path.write_text(PERIODIC if method == "hamiltonian" else PERIODIC.replace("terminal_cost=v**2 / 100,", ""))
+    path.write_text(ANTIPHASE)
     context = prepared(path, {}, method=method)
     findings = [finding for name in checks.CHECKS for finding in checks.apply(name, context)]
     assert [finding for finding in findings if not finding.passed] == []

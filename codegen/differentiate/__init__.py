@@ -1,0 +1,64 @@
+"""Derivatives of long expressions, found on a graph of their values and written as straight-line programs.
+
+Plain differentiation of a tree repeats common parts in every derivative, and finding them afterwards takes longer
+than all the rest. Here common parts are found first (`graph`), derivatives are accumulated in reverse (`adjoint`), and
+what has become common is found again (`sharing`); the time is proportional to the size of the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+from sympy import Expr, Symbol
+
+from codegen.differentiate.adjoint import accumulate
+from codegen.differentiate.graph import Graph
+from codegen.differentiate.sharing import shared
+from codegen.differentiate.straight_line import Assignment, StraightLine, straight_line
+from codegen.differentiate.zeros import vanishing
+
+__all__ = ["Assignment", "SecondDerivatives", "StraightLine", "second_derivatives"]
+
+
+@dataclass(frozen=True)
+class SecondDerivatives:
+    """Straight-line programs for a scalar's derivatives.
+
+    The values of `gradient` are the derivatives by all unknowns, then those of further expressions; those of `hessian`
+    are its lower triangle's entries at the `places` (row, column).
+    """
+
+    gradient: StraightLine
+    hessian: StraightLine
+    places: tuple[tuple[int, int], ...]
+
+
+def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequence[Expr] = ()) -> SecondDerivatives:
+    """Differentiate a scalar twice by its unknowns, leaving out second derivatives that are identically zero.
+
+    The expressions `beside` are evaluated together with the gradient.
+    """
+    graph = Graph(unknowns)
+    leaves = range(len(unknowns))
+    value, further = graph.of(scalar), [graph.of(expression) for expression in beside]
+    adjoints = accumulate(graph, value, leaves)
+    zero = graph.sum(())
+    first = [adjoints.first.get(leaf, zero) for leaf in leaves]
+    entries = {(max(pair), min(pair)): node for pair, node in adjoints.second.items() if max(pair) < len(unknowns)}
+    absent = vanishing(graph, list(entries.values()))
+    places = tuple(sorted(place for place, node in entries.items() if node not in absent))
+    taken = {symbol.name for expression in (scalar, *beside) for symbol in expression.free_symbols}
+    return SecondDerivatives(
+        _written(graph, [*first, *further], taken),
+        _written(graph, [entries[place] for place in places], taken),
+        places,
+    )
+
+
+def _written(graph: Graph, roots: Sequence[int], taken: set[str]) -> StraightLine:
+    """A program for some values, with its own common parts and names x0, x1, ..."""
+    smaller, numbers = shared(graph, roots)
+    fresh = (Symbol(f"x{i}", real=True) for i in count() if f"x{i}" not in taken)
+    return straight_line(smaller, [numbers[root] for root in roots], fresh)
