@@ -16,6 +16,12 @@ from codegen.emit import write
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "generated"
 
+CONTROL = (
+    "acrobot betts_10_7 brachistochrone bryson_denham cart_pendulum cart_pole crane double_integrator "
+    "double_integrator_effort four_bar goddard_rocket hovercraft hypersensitive low_thrust n_link_pendulum "
+    "pendulum_swing_up quadrotor robot_arm spherical_pendulum two_link_arm van_der_pol"
+).split()
+
 GALLERY = (
     ("linear_pendulum", {}, Choices()),
     ("orbital_transfer", {}, Choices()),
@@ -23,6 +29,7 @@ GALLERY = (
     ("pendulum", {}, Choices()),
     ("pendulum", {}, Choices(scheme="stormer-verlet")),
     ("pendulum", {"form": "lagrangian"}, Choices()),
+    *((problem, {}, Choices()) for problem in CONTROL),
 )
 """Problem, arguments and choices of every committed module."""
 

@@ -26,12 +26,14 @@ class Interpreted:
     def __init__(self, folder: Path, problems: Path) -> None:
         self.folder, self.problems, self.made = folder, problems, {}
 
-    def __call__(self, name: str, text: str | None = None, **choices: str) -> types.ModuleType:
-        key = (name, text, tuple(sorted(choices.items())))
+    def __call__(
+        self, name: str, text: str | None = None, arguments: dict[str, str] | None = None, **choices: str | None
+    ) -> types.ModuleType:
+        key = (name, text, *sorted((arguments or {}).items()), *sorted(choices.items()))
         if key not in self.made:
             path = self.problems / f"{name}.py"
             if text is not None:
                 path = self.folder / f"{name}.py"
                 path.write_text(text)
-            self.made[key] = without_compilation(generate(path, {}, Choices(**choices)), name)
+            self.made[key] = without_compilation(generate(path, arguments or {}, Choices(**choices)), name)
         return self.made[key]

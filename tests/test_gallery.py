@@ -2,32 +2,52 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+import numpy as np
 import pytest
-from gallery_references import REFERENCES, Reference
+from gallery_references import BIOPTIM, REFERENCES, Reference
 
 from codegen import drivers
 from codegen.compiler import build
 from codegen.load import load
+from conftest import PROBLEMS
 
-PROBLEMS = Path(__file__).parents[1] / "problems"
+COMPILED = ("cart_pole", "goddard_rocket", "hovercraft", "hypersensitive", "brachistochrone")
+"""Problems that are solved by compiled modules on all their grids; the others uncompiled on their coarsest one."""
 
 
-def _name(reference: Reference) -> str:
+def name_of(reference: Reference) -> str:
+    """A test's name: problem and arguments."""
     return "-".join([reference.problem, *(f"{k}={v}" for k, v in reference.arguments.items())])
 
 
-def _module(reference: Reference):
-    built = build(PROBLEMS / f"{reference.problem}.py", dict(reference.arguments), scheme=reference.scheme)
-    return load(built.path)
-
-
-@pytest.mark.parametrize("reference", REFERENCES, ids=_name)
-def test_optimum(reference):
-    module = _module(reference)
+@pytest.mark.parametrize("reference", [r for r in REFERENCES if r.problem in COMPILED], ids=name_of)
+def test_optimum_and_value(reference):
+    module = load(build(PROBLEMS / f"{reference.problem}.py", dict(reference.arguments), scheme=reference.scheme).path)
     for steps, optimum in reference.optima.items():
-        result = drivers.solve(module, driver="newton", steps=steps)
+        result = drivers.solve(module, steps=steps)
         assert result.status == "solved", result.message
+        assert result.residual <= 1e-9
         assert result.cost == pytest.approx(optimum, rel=2e-8, abs=1e-9)
     assert result.cost == pytest.approx(reference.value, abs=reference.error)
+
+
+UNCOMPILED = [r for r in REFERENCES if r.problem not in COMPILED and min(r.optima) <= 100]
+
+
+@pytest.mark.parametrize("reference", UNCOMPILED, ids=name_of)
+def test_optimum_on_the_coarsest_grid(interpreted, reference):
+    module = interpreted(reference.problem, arguments=dict(reference.arguments), scheme=reference.scheme)
+    steps = min(reference.optima)
+    solution = module.solve(steps)
+    assert solution.status == "solved", solution.message
+    assert solution.cost == pytest.approx(reference.optima[steps], rel=2e-8, abs=1e-9)
+
+
+@pytest.mark.parametrize("form", BIOPTIM)
+def test_trajectory_that_bioptim_published(interpreted, form):
+    arguments = {} if form == "plain" else {"form": form}
+    solution = interpreted("cart_pendulum", arguments=arguments, scheme="trapezoidal").solve(20)
+    position, controls = BIOPTIM[form]
+    np.testing.assert_allclose(solution.q[10], position, atol=1e-5)
+    for interval, value in controls.items():
+        assert solution.u[interval, 0] == pytest.approx(value, abs=1e-5)

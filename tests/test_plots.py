@@ -233,7 +233,10 @@ def invented(states: int, controls: int, bodies: int, form: str, conditions: int
     multipliers = wave[:-1] if form == "first-order" else wave
     momenta = wave[:, :0] if form == "first-order" else 1e-4 * wave
     unpacked = t, wave, momenta, u, multipliers
-    limits = [(t, sign * (0 * wave + 0.9), np.full_like(wave, sign * np.inf), sign * (0 * u + 0.8), t) for sign in (-1, 1)]
+    limits = [
+        (t, np.full_like(wave, sign * 0.9), np.full_like(wave, sign * np.inf), np.full_like(u, sign * 0.8), t)
+        for sign in (-1, 1)
+    ]
     interval = (*mu, *y, *inputs, *slacks)
     module = SimpleNamespace(
         metadata={
@@ -328,6 +331,19 @@ def test_what_does_not_fit_is_counted():
     module, result = invented(14, 13, 1, "lagrangian")
     title = plots.control_figure(module, result).get_suptitle().replace("\n", " ")
     assert "2 further states not shown, 1 further controls not shown" in title
+
+
+@pytest.mark.parametrize(("number", "everywhere"), [(np.nan, True), (np.inf, False), (-np.inf, False)])
+def test_numbers_that_are_none(tmp_path, number, everywhere):
+    """A failed solution is drawn as far as it has numbers."""
+    module, result = invented(2, 1, 1, "lagrangian", 1)
+    place = slice(None) if everywhere else slice(2, 4)
+    names = ("q", "p", "u", "multipliers", "log")
+    broken = {name: getattr(result, name).copy() for name in names}
+    for name in names:
+        broken[name][place] = number
+    plots.save(module, replace(result, status="non-finite", cost=float(number), **broken), tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 1000
 
 
 class TestShapes:

@@ -27,8 +27,8 @@ NOTHING = mpmath.mpf(10) ** -30
 _INCREMENT = mpmath.mpf(10) ** -40
 _SEED = 20240229
 _ATTEMPTS = 200
-_EXPANDABLE, _SIMPLIFIABLE = 3000, 300
-"""Operation counts up to which expansion and simplification are affordable."""
+_EXPANDABLE, _REDUCIBLE = 3000, 200
+"""Operation counts up to which expansion and reduction are affordable."""
 
 
 def function_of(symbols: Sequence[Symbol], values: Sequence[Expr]) -> Function:
@@ -159,12 +159,24 @@ def vanishing(expression: Expr) -> str:
 
 
 def vanishes_symbolically(expression: Expr) -> bool:
-    """Whether sympy's simplifications turn an expression into zero; False also when they would take too long."""
+    """Whether exact algebra turns an expression into zero; False also when that would take too long.
+
+    Sines and cosines are polynomial unknowns with s^2 + c^2 = 1, those of sums being expanded.
+    """
     if expression.count_ops() > _EXPANDABLE:
         return False
     expanded = sympy.expand(expression)
     if expanded == 0:
         return True
-    if expanded.count_ops() > _SIMPLIFIABLE:
+    expanded = sympy.expand(sympy.expand_trig(expanded))
+    if expanded.count_ops() > _REDUCIBLE:
         return False
-    return bool(sympy.cancel(sympy.together(expanded)) == 0 or sympy.simplify(expanded) == 0)
+    angles = sorted({f.args[0] for f in expanded.atoms(sympy.sin, sympy.cos)}, key=str)
+    sines, cosines = ([Symbol(f"_{name}_{i}", real=True) for i in range(len(angles))] for name in ("sine", "cosine"))
+    algebraic = {sympy.sin(angle): sine for angle, sine in zip(angles, sines, strict=True)}
+    algebraic |= {sympy.cos(angle): cosine for angle, cosine in zip(angles, cosines, strict=True)}
+    numerator = sympy.numer(sympy.together(expanded.xreplace(algebraic)))
+    squares = [s**2 + c**2 - 1 for s, c in zip(sines, cosines, strict=True)]
+    if not squares:
+        return bool(sympy.cancel(numerator) == 0)
+    return bool(sympy.reduced(sympy.expand(numerator), squares, *sines, *cosines)[1] == 0)

@@ -41,9 +41,9 @@ def residuals(model: Model) -> list[tuple[str, Expr]]:
     assert isinstance(rule, schemes.OneStep)
     interval = variational_interval(legendre.lagrangian_form(model), map_)
     left, right = at_nodes(phase.rates, "_k"), at_nodes(phase.rates, "_k1")
-    # Halves of sums of momenta are simplified first, where curvature terms cancel.
+    # Halves of sums of momenta are expanded first, where curvature terms cancel.
     momenta = dict(zip((*left, *right), (*interval.left_momentum, *interval.right_momentum), strict=True))
-    means = {a / 2 + b / 2: sympy.simplify((momenta[a] + momenta[b]) / 2) for a, b in zip(left, right, strict=True)}
+    means = {a / 2 + b / 2: sympy.expand((momenta[a] + momenta[b]) / 2) for a, b in zip(left, right, strict=True)}
     equations = one_step_interval(phase, rule).equations
     names = [symbol.name for symbol in (*phase.coordinates, *phase.rates)]
     return [(name, e.subs(means).xreplace(momenta)) for name, e in zip(names, equations, strict=True)]

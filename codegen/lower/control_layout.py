@@ -92,7 +92,7 @@ def guesses(program: ControlProgram) -> dict[str, Any]:
         "common_guess": _common_guess(program, common),
         "own_guess": _own_guess(program),
         "guess_result": "with_slacks(grid, with_pinned_values(grid, unknowns))"
-        if slack_places(program) or program.start.slacks or program.end.slacks
+        if slack_places(program)
         else "with_pinned_values(grid, unknowns)",
     }
 

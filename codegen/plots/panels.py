@@ -78,7 +78,7 @@ def iterations(axes: Any, log: Matrix) -> None:
     columns: list[tuple[str, int, str, Any]] = [("residual", 1, BLUE, "-"), ("stationarity", 2, RED, "-")]
     columns += [("barrier", 5, GREY, _DOTTED)] if log.shape[1] > 5 else []
     for name, column, colour, dashes in columns:
-        values = np.where(log[:, column] > 0.0, log[:, column], np.nan)
+        values = np.where((log[:, column] > 0.0) & np.isfinite(log[:, column]), log[:, column], np.nan)
         axes.semilogy(numbers, values, color=colour, linestyle=dashes, marker=".", markersize=4, label=name)
     axes.set_xlabel("iteration")
     axes.set_ylabel("max-norm")

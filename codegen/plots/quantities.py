@@ -43,7 +43,7 @@ class Quantity:
     def active(self) -> np.ndarray:
         """Which values lie on a bound."""
         room = self.upper - self.lower
-        size = np.where(np.isfinite(room), room, np.ptp(self.values, axis=0))
+        size = np.where(np.isfinite(room), room, _spread(self.values))
         distance = np.minimum(self.values - self.lower, self.upper - self.values)
         return np.asarray(distance <= CLOSE * size + LEAST)
 
@@ -62,7 +62,7 @@ class Inequality:
 
     def active(self) -> np.ndarray:
         """Where the inequality holds with equality."""
-        return np.asarray(self.distance <= CLOSE * np.abs(self.distance).max(initial=0.0) + LEAST)
+        return np.asarray(self.distance <= CLOSE * float(np.nanmax(np.abs(self.distance), initial=0.0)) + LEAST)
 
     def is_violated(self) -> bool:
         """Whether the inequality does not hold, by more than rounding."""
@@ -98,7 +98,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     for kind, (names, values, guessed, place) in groups.items():
         # Bounds of momenta mean something only where momenta are unknowns of their own.
         is_bounded = kind != "momentum" or metadata["method"] == "hamiltonian"
-        tables = [_by_body(table, bodies) for table in (values, guessed, lower[place], upper[place])]
+        tables = [_by_body(table, bodies) for table in (_finite(values), guessed, lower[place], upper[place])]
         none = np.full(bodies, np.inf)
         out[kind] = [
             Quantity(
@@ -132,7 +132,7 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
         assert found is not None, "a slack's meaning names its inequality"
         # The equation g + s = 0 may have a residual, so that the slack alone would hide a violation.
         distance = intervals[:, :, slack] - residuals[:, :, multiplier]
-        columns.setdefault(found["name"], []).append((found["place"], distance.T))
+        columns.setdefault(found["name"], []).append((found["place"], _finite(distance).T))
     out = []
     for name, parts in columns.items():
         steps = np.diff(result.t)
@@ -162,6 +162,16 @@ def _bounds(module: ControlModule, like: Result) -> tuple[list[Matrix], list[Mat
     return [lower[1], lower[2], lower[3]], [upper[1], upper[2], upper[3]]
 
 
+def _finite(table: Matrix) -> Matrix:
+    """NaN, which is not drawn, instead of infinite numbers, where the numerics failed."""
+    return np.where(np.isfinite(table), table, np.nan)
+
+
+def _spread(values: Matrix) -> Vector:
+    """Greatest less smallest value of every column, as far as they are numbers."""
+    return np.asarray(np.fmax.reduce(values, axis=0) - np.fmin.reduce(values, axis=0))
+
+
 def _by_body(table: Matrix, bodies: int) -> Matrix:
     """Columns that stand body by body, as (times, bodies, quantities)."""
     return table.reshape(len(table), bodies, -1)
@@ -178,7 +188,7 @@ def _multipliers(module: ControlModule, result: Result, names: tuple[str, ...]) 
     """Multipliers of the equations of motion, in the order of the quantities that they belong to."""
     metadata, bodies = module.metadata, module.metadata["bodies"]
     assert result.multipliers is not None
-    table = _by_body(result.multipliers, bodies)
+    table = _by_body(_finite(result.multipliers), bodies)
     none = np.full(bodies, np.inf)
     if metadata["method"] == "variational":
         columns = [f"lambda_{name}" for name in metadata["coordinates"]]

@@ -113,7 +113,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
 
 
 def first_iterate(search, unknowns, mu, warm):
-    """The start pushed inside its bounds; far from the solution duals of one have proved better than the central path."""
+    """The start pushed inside its bounds; far from a solution duals of one serve better than the central path."""
     grid = search.grid
     inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
     return with_multipliers(search, inside, mu if warm else None)

@@ -1,0 +1,283 @@
+"""The interior point method on problems with known optima, and every way in which it can end.
+
+The runtime's functions are handed problems with dense linear algebra in place of a generated module's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import dense_problem
+import numpy as np
+import pytest
+from dense_problem import INFINITY, Dense, Motion, Point, transcribe
+from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, T, nlp, u, v, x1, x2, x3
+from sympy import exp, log, symbols
+
+from codegen.runtime import barrier, filter, interior_point, restoration
+
+
+@pytest.fixture(scope="module", autouse=True)
+def dense_linear_algebra() -> Iterator[None]:
+    """Give the runtime the functions of `dense_problem` where a generated module has its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (barrier, filter, interior_point, restoration):
+            for name in set(vars(module)) & {
+                "allocate_system", "evaluate", "factor_kkt", "is_rounding", "is_solved", "solve_kkt", "variable_bounds"
+            }:  # fmt: skip
+                patch.setattr(module, name, getattr(dense_problem, name))
+        yield
+
+
+def solve(grid: Dense, limit: int = 300, warm: bool = False, guess: Any = None) -> tuple[str, Point, int]:
+    unknowns = grid.guess.copy() if guess is None else guess
+    status, point, iterations = interior_point.minimise(grid, unknowns, 1e-10, limit, warm, [])
+    assert iterations <= limit + restoration.RESTORATION_STEPS
+    return status, point, iterations
+
+
+def assert_optimal(grid: Dense, point: Point) -> None:
+    """First-order conditions from the definition: equations, bounds, and signs of the Lagrangian's own gradient."""
+    unknowns = point.unknowns
+    assert (unknowns >= grid.lower).all()
+    assert (unknowns <= grid.upper).all()
+    gradient = dense_problem.evaluate(grid, unknowns).gradient
+    assert np.abs(gradient[grid.is_multiplier]).max(initial=0.0) <= 1e-10
+    for i in np.flatnonzero(~grid.is_multiplier & grid.free):
+        room = max(0.0, gradient[i]) * (unknowns[i] - grid.lower[i] if grid.lower[i] > -INFINITY else 1.0)
+        room += max(0.0, -gradient[i]) * (grid.upper[i] - unknowns[i] if grid.upper[i] < INFINITY else 1.0)
+        assert room <= 2e-10 * max(1.0, np.abs(unknowns).max())
+
+
+KNOWN = {**HOCK_SCHITTKOWSKI, **TRAJECTORIES}
+ITERATIONS: dict[str, int] = {}
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_known_optimum(name: str) -> None:
+    optimum, _, problem = KNOWN[name]
+    grid = problem()
+    status, point, ITERATIONS[name] = solve(grid)
+    assert status == "solved"
+    if optimum is not None:
+        assert point.cost == pytest.approx(optimum, rel=1e-6 if name in TRAJECTORIES else 1e-8, abs=1e-9)
+    assert point.stationarity <= 1e-10
+    assert_optimal(grid, point)
+
+
+def double_integrator() -> Motion:
+    """Least time from rest to rest over a distance of one with |u| <= 1, which is 2."""
+    guess = {x1: (0.0, 1.0), T: 1.0}
+    bounds = {u: (-1.0, 1.0), T: (0.1, 10.0)}
+    return Motion([x1, v], [u], [v, u], T, 0, {x1: 0, v: 0}, {x1: 1, v: 0}, guess, bounds, [], T)
+
+
+def test_fewest_seconds_from_rest_to_rest() -> None:
+    grid = transcribe(double_integrator(), 20)
+    status, point, iterations = solve(grid)
+    assert status == "solved"
+    assert point.cost == pytest.approx(2.0, rel=1e-9)  # with an even number of intervals the switch lies on a node
+    assert iterations <= 15
+    assert_optimal(grid, point)
+
+
+def test_path_inequality() -> None:
+    """Bryson and Denham's problem: least effort below x = l, which is 4 / (9 l) for l <= 1/6."""
+    costs = []
+    for steps in (20, 40):
+        bounds = {x1: (-INFINITY, 1 / 9)}
+        motion = Motion([x1, v], [u], [v, u], 1.0, u**2 / 2, {x1: 0, v: 1}, {x1: 0, v: -1}, {}, bounds)
+        status, point, _ = solve(transcribe(motion, steps))
+        assert status == "solved"
+        costs.append(point.cost)
+    errors = [abs(cost - 4.0) for cost in costs]
+    assert errors[1] < 0.4 * errors[0] < 0.02
+
+
+def test_obstacle_in_the_way() -> None:
+    """The shortest way past a disc: two tangents and an arc; the disc is kept clear of at midpoints."""
+    w = symbols("w")
+    start, end = {x1: 0, x2: 0}, {x1: 1, x2: 0}
+    disc = [0.04 - (x1 - 0.5) ** 2 - (x2 + 0.05) ** 2]
+    guess = {x1: (0.0, 1.0), x2: 0.1, u: 1.0}
+    motion = Motion([x1, x2], [u, w], [u, w], 1.0, u**2 + w**2, start, end, guess, {}, disc)
+    status, point, _ = solve(transcribe(motion, 40))
+    assert status == "solved"
+    distance, radius = np.hypot(0.5, 0.05), 0.2
+    angle = np.pi - 2 * np.arctan(0.1) - 2 * np.arccos(radius / distance)
+    length = 2 * np.sqrt(distance**2 - radius**2) + radius * angle
+    assert point.cost == pytest.approx(length**2, rel=2e-3)
+
+
+def test_counterexample_of_waechter_and_biegler() -> None:
+    """Newton's steps, cut by the bounds, never become feasible here; restoration has to step in."""
+    grid = nlp((-2, 3, 1), x1, [x1**2 - x2 - 1, x1 - x3 - 0.5], [], {x2: POSITIVE, x3: POSITIVE})
+    status, point, _ = solve(grid)
+    assert status == "solved"
+    assert point.cost == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("equations", [[x1 + x2 + x3 - 1, 2 * (x1 + x2 + x3) - 2], [x1**2 + x2**2 - 1] * 2])
+def test_redundant_equations(equations: list[Any]) -> None:
+    grid = nlp((1, 1, 1), (x1 - 2) ** 2 + (x2 - 1) ** 2 + x3**2, equations, [], {x2: POSITIVE, x3: (0.1, INFINITY)})
+    alone = nlp((1, 1, 1), (x1 - 2) ** 2 + (x2 - 1) ** 2 + x3**2, equations[:1], [],
+                {x2: POSITIVE, x3: (0.1, INFINITY)})  # fmt: skip
+    status, point, _ = solve(grid)
+    assert status == "solved"
+    assert point.cost == pytest.approx(solve(alone)[1].cost, rel=1e-8)
+
+
+@pytest.mark.parametrize(("cost", "equations"), [(-x1 - x2, [x1 - x2]), (-(x1**2) + x2**2, [])])
+def test_unbounded(cost: Any, equations: list[Any]) -> None:
+    assert solve(nlp((1, 1), cost, equations, [], {x1: POSITIVE}))[0] == "unbounded"
+
+
+@pytest.mark.parametrize(
+    ("equations", "inequalities", "least"),
+    [
+        ([x1**2 + x2**2 + 1], [], 1.0),  # the Jacobian vanishes where the violation is least
+        ([], [x1 + x2 + 1], 1.0),
+        ([exp(x1) + x2], [], 1.0),  # only as x1 tends to its bound -3 ...
+    ],
+)
+def test_infeasible_is_a_minimum_of_the_violation(equations: Any, inequalities: Any, least: float) -> None:
+    bounds = {x1: (0 if inequalities else -3, 3), x2: POSITIVE}
+    if equations and equations[0].has(exp):
+        least = float(np.exp(-3.0))
+    grid = nlp((1, 1), (x1 - 1) ** 2 + x2**2, equations, inequalities, bounds)
+    status, point, _ = solve(grid)
+    assert status == "infeasible"
+    assert point.residual == pytest.approx(least, rel=1e-6)
+    jacobian = dense_problem.kkt_matrix(grid, point.unknowns)[np.ix_(grid.is_multiplier, ~grid.is_multiplier)]
+    residual = dense_problem.evaluate(grid, point.unknowns).gradient[grid.is_multiplier]
+    pull, place = jacobian.T @ residual, point.unknowns[~grid.is_multiplier]
+    lower, upper = grid.lower[~grid.is_multiplier], grid.upper[~grid.is_multiplier]
+    assert np.abs(place - np.clip(place - pull, lower, upper)).max() <= 1e-3
+
+
+def test_non_finite() -> None:
+    assert solve(nlp((-1, 1), log(x1) + x2**2, [x1 - x2]))[0] == "non-finite"
+
+
+def test_iteration_limit() -> None:
+    grid = HOCK_SCHITTKOWSKI["71"][2]()
+    status, point, iterations = solve(grid, limit=3)
+    assert (status, iterations) == ("iteration limit", 3)
+    assert (point.unknowns >= grid.lower).all()
+
+
+def test_saddle_point_at_the_start() -> None:
+    assert solve(nlp((0, 0), x1**2 - x2**2 + x2**4))[0] == "saddle point"
+    assert solve(nlp((0, 0), x1**2 + x2**2))[0] == "solved"
+    status, point, _ = solve(nlp((0, 0.1), x1**2 - x2**2 + x2**4))
+    assert status == "solved"
+    assert point.cost == pytest.approx(-0.25)
+
+
+def test_rank_deficient() -> None:
+    """No shift of the Hessian helps where derivatives are infinite."""
+    grid = nlp((1, 1), x1**2 + x2**2, [x1 - x2])
+    broken = grid._replace(hessian=lambda unknowns: np.full((3, 3), np.nan))
+    assert solve(broken)[0] == "rank-deficient"
+
+
+def test_stalled() -> None:
+    """A cost with noise far above the tolerance but below what the terms of the equations explain."""
+    grid = nlp((1, 1), (x1 - 1) ** 2 + (x2 - 2) ** 2, [], [], {x1: POSITIVE})
+    noisy = grid._replace(lagrangian=lambda unknowns: (float(np.sum(unknowns**0)), grid.lagrangian(unknowns)[1] + 1e-3))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(interior_point, "is_rounding", lambda grid, point: point.stationarity < 10.0)
+        patch.setattr(filter, "accept", lambda *arguments: False)
+        assert solve(noisy)[0] == "stalled"
+
+
+def test_warm_start_takes_fewer_iterations() -> None:
+    motion = double_integrator()
+    cold = solve(transcribe(motion, 20))
+    neighbour = transcribe(motion._replace(end={x1: 1.02, v: 0}), 20)
+    guess = np.where(neighbour.free, cold[1].unknowns, neighbour.guess)
+    status, point, iterations = solve(neighbour, warm=True, guess=guess)
+    assert status == "solved"
+    assert point.cost == pytest.approx(2.0 * np.sqrt(1.02), rel=1e-9)
+    assert iterations < cold[2]
+
+
+def test_fewer_iterations_than_ipopt() -> None:
+    if set(ITERATIONS) != set(KNOWN):
+        pytest.skip("needs all problems in one process")
+    for name in KNOWN:
+        print(f"{name:28s} {KNOWN[name][1]:4d} {ITERATIONS[name]:4d}")
+    for problems, share in ((HOCK_SCHITTKOWSKI, 1.0), (TRAJECTORIES, 0.8)):
+        assert sum(ITERATIONS[name] for name in problems) <= share * sum(row[1] for row in problems.values())
+
+
+def test_unknowns_stay_inside_in_spite_of_rounding() -> None:
+    bounds = np.array([0, 0]), np.array([1.0, 3.0]), np.array([1.0, -1.0])
+    trial, distance = np.empty(1), np.empty(2)
+    for step in (-1.0, 1.0):  # from 2 to either bound
+        barrier.move(np.array([2.0]), np.array([step]), 1.0, *bounds, trial, distance)
+        assert 1.0 < trial[0] < 3.0
+        assert (distance > 0.0).all()
+
+
+def test_start_is_pushed_inside() -> None:
+    grid = nlp((-5, 9, 0.5), x1 + x2 + x3, [], [], {x1: (0, 1), x2: (-INFINITY, 4), x3: (0, 1)})
+    pushed = barrier.push_inside(grid, grid.guess, 1e-2)
+    np.testing.assert_allclose(pushed, [0.01, 4 - 0.04, 0.5])
+
+
+def test_longest_steps_leave_a_share_of_every_distance_and_dual() -> None:
+    generator = np.random.default_rng(3)
+    distance, duals = generator.uniform(0.1, 1, (2, 6))
+    side, place, step = np.array([1.0, 1, 1, -1, -1, -1]), np.arange(6), generator.normal(size=6)
+    dual_step, mu, tau = np.empty(6), 0.03, 0.99
+    primal, dual = barrier.step_duals(step, step, 0.0, place, side, distance, duals, mu, tau, dual_step)
+    # Newton's equation for z d = mu
+    np.testing.assert_allclose(duals * side * step + distance * dual_step, mu - duals * distance)
+    for length, values, changes in ((primal, distance, side * step), (dual, duals, dual_step)):
+        assert (values + length * changes >= (1 - tau) * values * (1 - 1e-12)).all()
+        assert length == 1.0 or np.isclose((values + length * changes) / values, 1 - tau).any()
+
+
+def test_corrector_takes_the_product_of_the_affine_changes_away() -> None:
+    generator = np.random.default_rng(4)
+    distance, duals = generator.uniform(0.1, 1, (2, 6))
+    side, place, affine = np.array([1.0, 1, 1, -1, -1, -1]), np.arange(6), generator.normal(size=6)
+    dual_affine, dual_step, right = np.empty(6), np.empty(6), np.empty(6)
+    barrier.step_duals(affine, affine, 0.0, place, side, distance, duals, 0.0, 0.99, dual_affine)
+    step = generator.normal(size=6)
+    barrier.step_duals(step, affine, 1.0, place, side, distance, duals, 0.03, 0.99, dual_step)
+    product = side * affine * dual_affine
+    np.testing.assert_allclose(duals * side * step + distance * dual_step, 0.03 - duals * distance - product)
+    barrier.add_barrier(np.zeros(6), affine, 1.0, place, side, distance, duals, 0.03, right)
+    np.testing.assert_allclose(right, -side * (0.03 - product) / distance)
+
+
+def test_weight_of_best_quality() -> None:
+    """A golden section finds what a scan finds."""
+    generator = np.random.default_rng(5)
+    distance, duals = generator.uniform(0.1, 1, (2, 6))
+    data = np.arange(6), np.ones(6), distance, duals
+    affine, centring = generator.normal(size=(2, 6))
+    mean, squares = float(np.mean(distance * duals)), (0.3, 0.7)
+    chosen = barrier.best_weight(affine, centring, *data, mean, 1e-4 * mean, 1e2 * mean, *squares)
+    scan = mean * np.logspace(-4, 2, 601)
+    values = [barrier.quality(affine, centring, *data, mu, 0.99, *squares) for mu in scan]
+    at_chosen = barrier.quality(affine, centring, *data, chosen, 0.99, *squares)
+    assert 1e-4 * mean <= chosen <= 1e2 * mean
+    assert at_chosen <= min(values) * 1.05
+
+
+def test_filter() -> None:
+    assert filter.acceptable(1.0, 5.0, [(2.0, 4.0)])
+    assert filter.acceptable(3.0, 3.0, [(2.0, 4.0)])
+    assert not filter.acceptable(2.0, 4.0, [(2.0, 4.0)])
+    filtered: list[tuple[float, float]] = []
+    assert not filter.accept(1.0, 2.0, 1.0, 2.0, -1.0, 1.0, 1e-4, filtered)
+    assert filter.accept(1.0, 2.0, 0.5, 9.0, -1.0, 1.0, 1e-4, filtered)
+    assert filtered == [filter.envelope(1.0, 2.0)]
+    # nearly feasible, the cost must fall as the slope promises, and the filter does not grow
+    assert not filter.accept(0.0, 2.0, 0.0, 2.1, -1.0, 1.0, 1e-4, filtered)
+    assert filter.accept(0.0, 0.0, 0.0, -0.5, -1.0, 0.5, 1e-4, filtered)
+    assert len(filtered) == 1
