@@ -168,9 +168,9 @@ def vanishes_symbolically(expression: Expr) -> bool:
     expanded = sympy.expand(expression)
     if expanded == 0:
         return True
-    expanded = sympy.expand(sympy.expand_trig(expanded))
     if expanded.count_ops() > _REDUCIBLE:
         return False
+    expanded = sympy.expand_trig(expanded)
     angles = sorted({f.args[0] for f in expanded.atoms(sympy.sin, sympy.cos)}, key=str)
     sines, cosines = ([Symbol(f"_{name}_{i}", real=True) for i in range(len(angles))] for name in ("sine", "cosine"))
     algebraic = {sympy.sin(angle): sine for angle, sine in zip(angles, sines, strict=True)}
