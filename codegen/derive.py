@@ -48,7 +48,8 @@ class ControlDerivatives:
 
     `condensed` is how many of an interval's last unknowns can be eliminated inside it: slacks always, because their
     barrier terms are positive, and controls when their block of the Hessian is constant and regular;
-    `linear_quadratic` says that no Hessian entry depends on an unknown and one Newton step suffices (not so with nodal controls, which can make the system singular).
+    `linear_quadratic` says that no Hessian entry depends on an unknown and one Newton step suffices (not so with nodal
+    controls, which can make the system singular).
     """
 
     element: ElementDerivatives

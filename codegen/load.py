@@ -138,8 +138,8 @@ GeneratedModule: TypeAlias = ControlModule | SimulateModule
 
 _FUNCTIONS = {
     "control": (
-        "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient constraints jacobian "
-        "hessian stationarity unpack"
+        "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
+        "constraints jacobian hessian stationarity unpack"
     ).split(),
     "simulate": "solve make_grid energy path_residual".split(),
 }

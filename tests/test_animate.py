@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from invented_results import picture
 from PIL import Image
-from test_plots import picture
 from typer.testing import CliRunner
 
 from codegen import animate, pictures

@@ -3,6 +3,15 @@
 import numpy as np
 import pytest
 from conftest import PROBLEMS
+from control_variants import (
+    DOUBLE_PENDULUM,
+    DRIVEN,
+    VARIANTS,
+    dense_kkt,
+    eliminated_blocks_are_positive,
+    shifts,
+    trial_point,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy import lambdify
@@ -15,33 +24,6 @@ from codegen.problem_file import load_problem
 from codegen.schemes import METHODS
 
 EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle
-
-DOUBLE_PENDULUM = '''"""Double pendulum whose boundary conditions leave coupled velocities free."""
-from sympy import cos, pi
-from codegen import Control, controls, coordinates, parameters
-def problem() -> Control:
-    (a, b), (da, db) = coordinates("a b")
-    u, w = controls("u w")
-    m, l, g = parameters(m=1, l=1, g=9.81)
-    return Control(
-        lagrangian=m*l**2/2*(2*da**2 + db**2 + 2*da*db*cos(a - b)) + m*g*l*(2*cos(a) + cos(b)),
-        force={a: u, b: w}, cost=u**2 + w**2, duration=2,
-        start={a: 0, b: 0, da: 0}, end={a: pi/2, b: pi/2, db: 0}, steps=20)
-'''
-
-DRIVEN = '''"""A driven oscillator: time in the Lagrangian, the force, the cost and the guess; free end velocity."""
-from sympy import cos, exp
-from codegen import Control, control, coordinate, parameters, time
-def problem() -> Control:
-    q, dq = coordinate("q")
-    u = control("u")
-    k, R = parameters(k=2, R=0.5)
-    t = time()
-    return Control(
-        lagrangian=exp(t/3)*(dq**2/2 - k*q**2/2), force={q: u*(1 + t/5) - dq/10}, cost=R*u**2*exp(-t/2) + q**2*cos(t),
-        duration=2, start={q: 1, dq: 0}, end={q: 0}, guess={q: 1 - t/2, u: t}, steps=20)
-'''
-
 
 @pytest.fixture(scope="session")
 def linear_pendulum(cache_folder):
@@ -148,70 +130,46 @@ def test_explicit_time_is_seen_everywhere(interpreted, tmp_path):
     assert errors[0] / errors[1] == pytest.approx(4, abs=0.1)
 
 
-VARIANTS = [
-    ("linear_pendulum", None, {}),
-    ("orbital_transfer", None, {}),
-    ("orbital_transfer", None, {"scheme": "trapezoidal"}),
-    ("orbital_transfer", None, {"method": "hamiltonian", "scheme": "stormer-verlet"}),
-    ("orbital_transfer", None, {"controls": "nodal"}),
-    ("double", DOUBLE_PENDULUM, {}),
-    ("double", DOUBLE_PENDULUM, {"method": "hamiltonian"}),
-    ("driven", DRIVEN, {}),
-]
-
-
 @pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
 @settings(max_examples=8, deadline=None)
 @given(steps=st.integers(1, 5), seed=st.integers(0, 10**6), shift=st.sampled_from([0.0, 0.3]))
 def test_structured_step_solves_the_dense_system(interpreted, name, text, choices, steps, seed, shift):
     module = interpreted(name, text, **choices)
     grid = module.make_grid(steps)
-    random = np.random.default_rng(seed)
-    free = module.free_unknowns(grid)
-    unknowns = module.initial_guess(grid) + np.where(free, random.normal(scale=0.2, size=free.size), 0.0)
-    matrix = _dense_kkt(module, grid, unknowns)
-    matrix += np.diag(np.where(grid.is_multiplier, -1e-3, shift))
-    keep = np.flatnonzero(free)
-    matrix = matrix[np.ix_(keep, keep)]
+    unknowns = trial_point(module, grid, seed, 0.2)
+    diagonal = shifts(module, grid, shift, 1e-3)
+    keep = np.flatnonzero(module.free_unknowns(grid))
+    matrix = dense_kkt(module, grid, unknowns) + np.diag(diagonal)
     system = module.allocate_system(grid)
-    if not module.factor_kkt(grid, unknowns, 1.0, shift, 1e-3, system):
-        assert np.linalg.cond(matrix) > 1e8 or np.linalg.eigvalsh(matrix)[0] < 0
+    if module.factor_kkt(grid, unknowns, 1.0, diagonal, system) is None:
+        assert np.linalg.cond(matrix[np.ix_(keep, keep)]) > 1e8 or not eliminated_blocks_are_positive(
+            module, grid, matrix
+        )
         return
     gradient = module.evaluate(grid, unknowns).gradient
     step = np.empty_like(unknowns)
     module.solve_kkt(grid, system, gradient, step)
     scale = np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max()
-    assert np.abs(matrix @ step[keep] + gradient[keep]).max() <= 1e-8 * scale
-    assert not step[~free].any()
-
-
-def _dense_kkt(module, grid, unknowns):
-    size = unknowns.size
-    matrix = np.zeros((size, size))
-    primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    rows, columns, values = module.hessian(grid, unknowns)
-    np.add.at(matrix, (primal[rows], primal[columns]), values)
-    rows, columns, values = module.jacobian(grid, unknowns)
-    np.add.at(matrix, (multipliers[rows], primal[columns]), values)
-    np.add.at(matrix, (primal[columns], multipliers[rows]), values)
-    return matrix
+    assert np.abs((matrix @ step + gradient)[keep]).max() <= 1e-8 * scale
+    # What is given stays, and what equals a shared unknown follows it.
+    moved = module.with_pinned_values(grid, unknowns + step)
+    np.testing.assert_allclose(moved, unknowns + step, rtol=1e-12, atol=1e-12 * (1 + np.abs(step).max()))
 
 
 @pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
 def test_callbacks_are_each_others_derivatives(interpreted, name, text, choices):
     module = interpreted(name, text, **choices)
     grid = module.make_grid(4)
-    random = np.random.default_rng(3)
     free = module.free_unknowns(grid)
-    unknowns = module.initial_guess(grid) + np.where(free, random.normal(scale=0.1, size=free.size), 0.0)
-    direction = np.where(free, random.normal(size=free.size), 0.0)
+    unknowns = trial_point(module, grid, 3, 0.1)
+    direction = np.where(free, np.random.default_rng(4).normal(size=free.size), 0.0)
     step = 1e-6
-    ahead, behind = unknowns + step * direction, unknowns - step * direction
+    ahead, behind = (module.with_pinned_values(grid, unknowns + sign * step * direction) for sign in (1, -1))
     primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
 
     slope = (module.cost(grid, ahead) - module.cost(grid, behind)) / (2 * step)
     assert module.cost_gradient(grid, unknowns) @ direction[primal] == pytest.approx(slope, rel=1e-6, abs=1e-7)
-    matrix = _dense_kkt(module, grid, unknowns)
+    matrix = dense_kkt(module, grid, unknowns)
     change = (module.evaluate(grid, ahead).gradient - module.evaluate(grid, behind).gradient) / (2 * step)
     np.testing.assert_allclose((matrix @ direction)[free], change[free], rtol=1e-6, atol=1e-5 * np.abs(change).max())
     assert module.constraints(grid, unknowns).size == multipliers.size
@@ -250,7 +208,7 @@ def test_iteration_limit_is_named(orbital_transfer):
 def test_non_finite_start_is_named_with_its_node(orbital_transfer):
     grid = orbital_transfer.make_grid(20)
     guess = orbital_transfer.initial_guess(grid)
-    orbital_transfer.views(grid, guess)[0][7, 0] = np.inf
+    orbital_transfer.views(grid, guess)[0][0, 7, 0] = np.inf
     solution = orbital_transfer.solve(20, guess=guess)
     assert solution.status == "non-finite"
     assert "node" in solution.message

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import PROBLEMS
 from gallery_references import BIOPTIM, REFERENCES, Reference
 
 from codegen import drivers
 from codegen.compiler import build
 from codegen.load import load
-from conftest import PROBLEMS
 
 COMPILED = ("cart_pole", "goddard_rocket", "hovercraft", "hypersensitive", "brachistochrone")
 """Problems that are solved by compiled modules on all their grids; the others uncompiled on their coarsest one."""

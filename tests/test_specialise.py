@@ -46,7 +46,12 @@ def test_nested_branches():
 
 @pytest.mark.parametrize(
     "text",
-    ["if OTHER:\n    a = 1\n", "if not SHARED:\n    a = 1\n", "if SHARED or x:\n    a = 1\n", "a = SHARED if SHARED else 0\n"],
+    [
+        "if OTHER:\n    a = 1\n",
+        "if not SHARED:\n    a = 1\n",
+        "if SHARED or x:\n    a = 1\n",
+        "a = SHARED if SHARED else 0\n",
+    ],
 )
 def test_everything_else_stays(text):
     assert specialise(text, {"SHARED": 0}) == text
@@ -63,9 +68,11 @@ def indented(text: str) -> str:
 
 
 branches = st.builds(
-    lambda condition, body, other: f"if {condition}:\n{indented(body)}\nseen.append('always')"
-    if other is None
-    else f"if {condition}:\n{indented(body)}\nelse:\n    seen.append('else')\n{indented(other)}",
+    lambda condition, body, other: (
+        f"if {condition}:\n{indented(body)}\nseen.append('always')"
+        if other is None
+        else f"if {condition}:\n{indented(body)}\nelse:\n    seen.append('else')\n{indented(other)}"
+    ),
     conditions,
     blocks,
     st.none() | blocks,

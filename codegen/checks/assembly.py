@@ -22,7 +22,6 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.evaluation import DIGITS, Function, directional, function_of, gradient
 from codegen.checks.flat_vector import FlatVector
 from codegen.checks.kernel_arguments import all_shared_symbols, other_symbols
-from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram
 
 _STEPS = 2
@@ -63,7 +62,11 @@ def check(context: Context) -> Iterator[Finding]:
     yield first.finding("gradient of the Lagrangian", f"120-digit differences on {_STEPS} intervals")
     matrix = _kkt_matrix(module, grid, unknowns)
     second, direction = Agreement("assembly"), _direction(flat)
-    turned = _scattered(shares, flat, lambda share: directional(share.function, _numbers(share, unknowns), direction[share.places]))
+    turned = _scattered(
+        shares,
+        flat,
+        lambda share: directional(share.function, _numbers(share, unknowns), list(direction[share.places])),
+    )
     second.compare([f"row of {names[i]}" for i in free], (matrix @ direction)[free], [turned[i] for i in free])
     yield second.finding("KKT matrix", "120-digit second differences along a random direction")
     yield _newton_step(module, grid, unknowns, matrix, emitted, free, names)
@@ -123,10 +126,12 @@ def _trial_point(module: Any, grid: Any, flat: FlatVector, shares: list[_Share])
     for amount in (_AMOUNT, _AMOUNT / 10, _AMOUNT / 1000):
         unknowns = guess + np.where(free, amount * noise * (1.0 + np.abs(guess)), 0.0)
         unknowns = module.with_pinned_values(grid, unknowns)
+
+        def slopes(share: Any, unknowns: Any = unknowns) -> Any:
+            return gradient(share.function, _numbers(share, unknowns), range(share.places.size))
+
         try:
-            exact = _scattered(
-                shares, flat, lambda share: gradient(share.function, _numbers(share, unknowns), range(share.places.size))
-            )
+            exact = _scattered(shares, flat, slopes)
             if all(np.isfinite(float(value)) for value in exact):
                 return unknowns, exact
         except (TypeError, ValueError, ArithmeticError):
@@ -174,4 +179,6 @@ def _newton_step(
     worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
     if np.isfinite(errors).all() and errors[worst] <= _SOLVED:
         return Finding("assembly", subject, True, f"it solves all {free.size} linear equations to {errors[worst]:.1g}")
-    return Finding("assembly", subject, False, f"it leaves the row of {names[free[worst]]} by {errors[worst]:.1g} of its terms")
+    return Finding(
+        "assembly", subject, False, f"it leaves the row of {names[free[worst]]} by {errors[worst]:.1g} of its terms"
+    )

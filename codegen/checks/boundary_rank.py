@@ -53,7 +53,9 @@ def _rank(context: Context, program: ControlProgram) -> Iterator[Finding]:
     rows = module.multiplier_unknowns(grid)
     free_count = module.primal_unknowns(grid).size
     if best is None:
-        yield Finding("boundary rank", "all equations", False, "their Jacobian is not finite at the guess nor beside it")
+        yield Finding(
+            "boundary rank", "all equations", False, "their Jacobian is not finite at the guess nor beside it"
+        )
         return
     lacking, nulls, touched = best
     if lacking == 0:
@@ -81,7 +83,9 @@ def _couplings(context: Context) -> Iterator[Finding]:
     kept = f"{len(found.kept)} of {len(names)} are independent" + ("" if found.dropped else ", none is redundant")
     yield Finding("boundary rank", subject, True, kept)
     for place, others in found.dropped:
-        detail = f"redundant, and left out: it follows from {'; '.join(others)}" if others else "redundant: it says nothing"
+        detail = (
+            f"redundant, and left out: it follows from {'; '.join(others)}" if others else "redundant: it says nothing"
+        )
         missed = _missed(context, place)
         passed = solution.status != "solved" or missed <= _HOLDS
         if not passed:
@@ -100,9 +104,7 @@ def _missed(context: Context, place: int) -> float:
     return abs(number) if number is not None else float("inf")
 
 
-def _decomposed(
-    module: Any, grid: Any, unknowns: Any
-) -> tuple[int, NDArray[np.float64], NDArray[np.float64]] | None:
+def _decomposed(module: Any, grid: Any, unknowns: Any) -> tuple[int, NDArray[np.float64], NDArray[np.float64]] | None:
     """How much rank is missing, the left null vectors (columns), and what of every unknown they meet (rows).
 
     None where the Jacobian is not finite.
@@ -151,9 +153,7 @@ def _named(program: ControlProgram, null: Any, rows: Any, touched: Any) -> str:
     return f"redundant or unreachable: one of {listed} ({involved} depend on each other); leave one of them free"
 
 
-def _conditions(
-    program: ControlProgram, where: str, end: EndElement, takes_part: Any, touched: Any
-) -> dict[str, None]:
+def _conditions(program: ControlProgram, where: str, end: EndElement, takes_part: Any, touched: Any) -> dict[str, None]:
     """Prescribed positions (or momenta) whose column a null vector meets, and velocities whose equation it holds."""
     values = {value.symbol: value for value in program.boundary_values}
     found = dict[str, None]()

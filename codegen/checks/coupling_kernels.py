@@ -40,7 +40,9 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
             pairs = [(i, j) for i in read for j in read]
             with mpmath.workdps(DIGITS):
                 values.compare([name], [parts[0][r]], function(*map(mpmath.mpf, numbers)))
-                slopes.compare([f"{name} by {symbols[i]}" for i in read], parts[1][r][read], gradient(function, numbers, read))
+                slopes.compare(
+                    [f"{name} by {symbols[i]}" for i in read], parts[1][r][read], gradient(function, numbers, read)
+                )
                 second = second_differences(function, numbers, pairs)
                 called = [f"{name} by {symbols[i]} and {symbols[j]}" for i, j in pairs]
                 curvatures.compare(called, [parts[2][r][pair] for pair in pairs], list(second.values()))

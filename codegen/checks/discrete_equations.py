@@ -92,7 +92,11 @@ def _in_time(program: ControlProgram | StepProgram, expression: Expr) -> Expr:
 def constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -> list[Symbol]:
     """The forces along the normals of holonomic constraints at a node: they follow coordinates and multipliers."""
     first = 2 * len(program.model.coordinates)
-    names = [u.name for u in program.node[first : first + len(program.model.holonomic)]] if isinstance(program, ControlProgram) else []
+    names = (
+        [u.name for u in program.node[first : first + len(program.model.holonomic)]]
+        if isinstance(program, ControlProgram)
+        else []
+    )
     return list(at_nodes([Symbol(name) for name in names], suffix))
 
 

@@ -27,8 +27,8 @@ NOTHING = mpmath.mpf(10) ** -30
 _INCREMENT = mpmath.mpf(10) ** -40
 _SEED = 20240229
 _ATTEMPTS = 200
-_EXPANDABLE, _REDUCIBLE = 3000, 200
-"""Operation counts up to which expansion and reduction are affordable."""
+_EXPANDABLE, _CANCELLABLE, _REDUCIBLE = 3000, 1000, 200
+"""Operation counts up to which expansion, rational and trigonometric reduction are affordable."""
 
 
 def function_of(symbols: Sequence[Symbol], values: Sequence[Expr]) -> Function:
@@ -168,7 +168,7 @@ def vanishes_symbolically(expression: Expr) -> bool:
     expanded = sympy.expand(expression)
     if expanded == 0:
         return True
-    if expanded.count_ops() > _REDUCIBLE:
+    if expanded.count_ops() > (_REDUCIBLE if expanded.has(sympy.sin, sympy.cos) else _CANCELLABLE):
         return False
     expanded = sympy.expand_trig(expanded)
     angles = sorted({f.args[0] for f in expanded.atoms(sympy.sin, sympy.cos)}, key=str)

@@ -39,13 +39,16 @@ def check(context: Context) -> Iterator[Finding]:
 def _parameters(context: Context, program: ControlProgram) -> Finding:
     """Every body's row of parameters and boundary values; what a free end has been given cannot stand there."""
     model = context.model
-    given = {}
+    given: dict[tuple[str, str], sympy.Expr] = {}
     for where, boundary in (("start", model.start), ("end", model.end)):
         assert boundary is not None, "a control problem has an end"
         quantities = zip((*model.coordinates, *model.rates), (*boundary.positions, *boundary.rates), strict=True)
         given |= {(where, q.name): value for q, value in quantities if value is not None}
     grid, count = context.module.make_grid(_STEPS), len(model.parameters)
-    names = [*(f"parameter {p}" for p in model.parameters), *(f"{v.where} {v.quantity}" for v in program.boundary_values)]
+    names = [
+        *(f"parameter {p}" for p in model.parameters),
+        *(f"{v.where} {v.quantity}" for v in program.boundary_values),
+    ]
     if {(v.where, v.quantity) for v in program.boundary_values} != given.keys():
         return _finding("boundary values", [f"values are given of {', '.join(names[count:])}, not of what was written"])
     wrong = []
@@ -79,7 +82,9 @@ def _pinned(context: Context, program: ControlProgram) -> Finding:
         if not _equal(found[i], wanted[i])
     ]
     fixed = np.count_nonzero(wanted != before)
-    return _finding("pinned unknowns", wrong, f"{fixed} unknowns at the ends have their values, all others are left alone")
+    return _finding(
+        "pinned unknowns", wrong, f"{fixed} unknowns at the ends have their values, all others are left alone"
+    )
 
 
 def _bounds(context: Context, program: ControlProgram) -> Finding:
@@ -93,7 +98,7 @@ def _bounds(context: Context, program: ControlProgram) -> Finding:
     written |= {free.symbol.name: (free.lower, free.upper) for free in context.model.free_parameters}
     written |= {slack.name: (sympy.S.Zero, None) for slack in program.slacks}
 
-    def put(places: Values, unknowns: Sequence[Unknown], body: int) -> None:
+    def put(places: NDArray[np.intp], unknowns: Sequence[Unknown], body: int) -> None:
         for place, unknown in zip(places, unknowns, strict=True):
             for side, value in zip((lower, upper), written.get(unknown.name, (None, None)), strict=True):
                 if value is not None:
@@ -123,9 +128,7 @@ def _compared_bounds(module: Any, flat: FlatVector, lower: Values, upper: Values
     return _finding("bounds", wrong, f"all {count} bounds on {_STEPS} intervals are as written")
 
 
-def _number(
-    value: Expr, program: ControlProgram, body: int, more: Mapping[sympy.Symbol, float] | None = None
-) -> float:
+def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[sympy.Symbol, float] | None = None) -> float:
     """An expression of parameters and of the body's number."""
     known: dict[sympy.Symbol, float] = dict(program.model.default_values) | dict(more or {})
     if program.body is not None:

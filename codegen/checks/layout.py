@@ -194,7 +194,7 @@ def _run_couplings(module: Any, program: ControlProgram, given: Any) -> str:
     values = np.array([point[symbol] for symbol in symbols])
     tables = module.COUPLING_KINDS, module.COUPLING_COUNTS, module.COUPLING_PLACES
     for kind, count, places in zip(*tables, strict=True):
-        shapes = {"slopes": (count,), "curvatures": (count * count,)}
+        shapes: dict[str, Any] = {"slopes": (count,), "curvatures": (count * count,)}
         problem = _run(module, f"coupling_{kind}", (values[places[:count]], given), **shapes)
         if problem:
             return problem

@@ -66,7 +66,10 @@ def _constraint_impulses(program: ControlProgram | StepProgram, model: Model) ->
         place = dict(zip(model.coordinates, at_nodes(model.coordinates, suffix), strict=True)) | {model.time: instant}
         pairs = list(zip(constraint_multipliers(program, suffix), model.holonomic, strict=True))
         impulses.append(
-            [sum((STEP / 2 * y * sympy.diff(c, q).xreplace(place) for y, c in pairs), sympy.S.Zero) for q in model.coordinates]
+            [
+                sum((STEP / 2 * y * sympy.diff(c, q).xreplace(place) for y, c in pairs), sympy.S.Zero)
+                for q in model.coordinates
+            ]
         )
     return impulses[0], impulses[1]
 

@@ -59,13 +59,18 @@ def _false_optimum(context: Context) -> Iterator[Finding]:
 
 
 def _nodal(program: ControlProgram, u: Symbol) -> tuple[Finding, bool]:
-    """Whether the mode costs nothing, and whether it then acts: the cost of an interval under u_k + a, u_k1 - a; both signs of a occur in turn."""
+    """Whether the mode costs nothing, and whether it then acts.
+
+    It is the cost of an interval under u_k + a, u_k1 - a; both signs of a occur in turn.
+    """
     (left,), (right,) = at_nodes([u], "_k"), at_nodes([u], "_k1")
     amplitude = sympy.Dummy("a", real=True)
     mode = {left: left + amplitude, right: right - amplitude}
     change = program.cost.subs(mode, simultaneous=True).diff(amplitude)
     if not vanishing(change) or not _is_penalised(program, u):
-        return Finding("null controls", f"nodal control {u}", True, "the alternating control is seen by the cost"), False
+        return Finding(
+            "null controls", f"nodal control {u}", True, "the alternating control is seen by the cost"
+        ), False
     # What the mode adds to the equations of motion; it vanishes where forces are averaged and do not depend on place.
     force = (program.element - program.cost).subs(mode, simultaneous=True).diff(amplitude)
     acts = not vanishing(force)

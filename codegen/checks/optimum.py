@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from codegen.analysis.exact_optimum import exact_optimum
 from codegen.analysis.reference_optimum import reference_optimum
 from codegen.checks.base import Context, Finding, does_not_apply
@@ -18,6 +20,7 @@ from codegen.transcribe.program import ControlProgram
 _ALLOWED = 0.15
 _ROUND_OFF = 1e-9
 _LARGEST = 10_000
+_TOLERANCE = 1e-9
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -27,7 +30,9 @@ def check(context: Context) -> Iterator[Finding]:
         return
     reason = beyond_maximum_principle(context.model)
     if reason:
-        yield does_not_apply("optimum", f"the maximum principle is derived here for plain problems, this one has {reason}")
+        yield does_not_apply(
+            "optimum", f"the maximum principle is derived here for plain problems, this one has {reason}"
+        )
         return
     try:
         cost, source = optimal_cost(context)
@@ -56,11 +61,21 @@ def beyond_maximum_principle(model: Model) -> str:
 
 
 def optimal_cost(context: Context) -> tuple[float, str]:
-    """The cost of the continuous optimum and where it comes from."""
-    exact = exact_optimum(context.model)
+    """The cost of the continuous optimum and where it comes from: in closed form, or by collocation nearby.
+
+    Collocation starts from the discrete motion, so that it ends in the same one of several local optima, unless that
+    motion cannot be trusted, as with controls on nodes.
+    """
+    model, solution = context.model, context.solution
+    exact = exact_optimum(model)
     if exact is not None:
         return exact.cost_at(), "in closed form"
-    return reference_optimum(context.model).cost, "by collocation"
+    guess = None
+    if solution.status == "solved" and context.choices.controls == "interval":
+        rates = solution.p if model.form == "hamiltonian" else np.gradient(solution.q, solution.t, axis=0)
+        states = np.hstack([solution.q, rates])
+        guess = solution.t, states, np.zeros_like(states)
+    return reference_optimum(model, tolerance=_TOLERANCE, guess=guess).cost, "by collocation"
 
 
 def _convergence(context: Context, optimum: float, source: str) -> Finding:

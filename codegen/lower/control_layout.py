@@ -199,9 +199,7 @@ def _size_lines(program: ControlProgram) -> list[Line]:
         Line("OWN", str(number["OWN"]), f"shared unknowns of a body: {_names(program.shared[: program.own])}"),
         Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
-        Line(
-            "ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"
-        ),
+        Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"),
     ]
 
 

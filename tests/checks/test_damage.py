@@ -9,7 +9,6 @@ import pytest
 
 from codegen import checks
 
-
 ABOUT_EXPRESSIONS = {
     "discrete equations",
     "discrete Noether",
