@@ -1219,7 +1219,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if measured[1] <= tolerance and is_solved(grid, point, tolerance):
-            return "solved", point, iteration
+            # Newton's steps went downhill; a start that is stationary already may be no minimum.
+            minimum = iteration > 0 or regularised_step(search, iterate, mu, 0.0).shift == 0.0
+            return ("solved" if minimum else "saddle point"), point, iteration
         if is_boundless(grid, point):
             return "unbounded", point, iteration
         if iteration == max_iterations:
@@ -1739,7 +1741,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bryson_denham_a49e9753430f0900"
+_IDENTITY = "codegen_bryson_denham_54bdabce2ffef49e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

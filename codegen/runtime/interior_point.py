@@ -85,7 +85,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if measured[1] <= tolerance and is_solved(grid, point, tolerance):
-            return "solved", point, iteration
+            # Newton's steps went downhill; a start that is stationary already may be no minimum.
+            minimum = iteration > 0 or regularised_step(search, iterate, mu, 0.0).shift == 0.0
+            return ("solved" if minimum else "saddle point"), point, iteration
         if is_boundless(grid, point):
             return "unbounded", point, iteration
         if iteration == max_iterations:

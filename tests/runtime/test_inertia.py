@@ -16,7 +16,7 @@ ROUNDING = 1e-9
 eliminate_symmetric = inlined.py_func
 
 # Small whole numbers make zero diagonals, equal pivots and singular minors frequent.
-entries = st.one_of(st.integers(-3, 3).map(float), st.floats(-1e3, 1e3, allow_subnormal=False))
+entries = st.one_of(st.integers(-3, 3).map(float), st.floats(-1e3, 1e3).filter(lambda x: abs(x) > 1e-6))
 
 
 @st.composite
