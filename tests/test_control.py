@@ -25,6 +25,7 @@ from codegen.schemes import METHODS
 
 EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle
 
+
 @pytest.fixture(scope="session")
 def linear_pendulum(cache_folder):
     return load(build(PROBLEMS / "linear_pendulum.py").path)

@@ -128,10 +128,10 @@ def test_condition_at_the_end(prepared, damaged):
 
 def test_value_at_the_end(prepared, damaged):
     context = prepared("linear_pendulum")
-    (failure,) = failures("given values", damaged(context, '"end q": 0.4', '"end q": 0.5'))
+    failure, *_ = failures("given values", damaged(context, '"end q": 0.4', '"end q": 0.5'))
     assert failure.subject == "boundary values"
     assert "end q of body 0 is" in failure.detail
-    (failure,) = failures("given values", damaged(context, "nodes[:, -1, 0] = end_q", "nodes[:, -1, 0] = start_q"))
+    failure, *_ = failures("given values", damaged(context, "nodes[:, -1, 0] = end_q", "nodes[:, -1, 0] = start_q"))
     assert failure.subject == "pinned unknowns"
     assert "q at node 3 is given" in failure.detail
 
@@ -139,7 +139,7 @@ def test_value_at_the_end(prepared, damaged):
 def test_value_of_one_body(prepared, damaged):
     context = prepared("hovercraft")
     line = re.search(r'        "start x": .*,', text_from(context, "make_grid"))[0]
-    (failure,) = failures("given values", damaged(context, line, line.replace("body", "(body + (body == 2))")))
+    failure, *_ = failures("given values", damaged(context, line, line.replace("body", "(body + (body == 2))")))
     assert failure.subject == "boundary values"
     assert "start x of body 2 is 4" in failure.detail
 

@@ -118,15 +118,6 @@ def van_der_pol() -> Motion:
     return Motion([x1, x2], [u], rates, 10.0, x1**2 + x2**2 + u**2, {x1: 0, x2: 1}, {}, {x2: 1.0}, limits)
 
 
-def two_discs() -> Motion:
-    """Least effort past two discs, from a guess right through them."""
-    w, dx, dy = symbols("w dx dy")
-    start, end = dict.fromkeys((x1, x2, dx, dy), 0), {x1: 1, x2: 1, dx: 0, dy: 0}
-    discs = [0.04 - (x1 - 0.4) ** 2 - (x2 - 0.5) ** 2, 0.04 - (x1 - 0.75) ** 2 - (x2 - 0.6) ** 2]
-    guess, limits = {x1: (0, 1), x2: (0, 1)}, {u: (-8, 8), w: (-8, 8)}
-    return Motion([x1, x2, dx, dy], [u, w], [dx, dy, u, w], 1.0, u**2 + w**2, start, end, guess, limits, discs)
-
-
 def goddard() -> Motion:
     """Greatest height of a rocket with drag; Dolan, More and Munson (2004), COPS, problem 9."""
     h, m = symbols("h m")
@@ -147,5 +138,4 @@ TRAJECTORIES = {
     "brachistochrone": (1.8019729695487, 29, lambda: transcribe(brachistochrone(), 25)),
     "van der Pol": (3.6841866347328, 13, lambda: transcribe(van_der_pol(), 25)),
     "Goddard": (-1.0128909814847, 22, lambda: transcribe(goddard(), 25)),
-    "two discs": (None, 89, lambda: transcribe(two_discs(), 25)),
 }
