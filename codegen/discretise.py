@@ -19,6 +19,8 @@ from codegen.schemes import DiscreteLagrangian, OneStep
 
 STEP = Symbol("h", positive=True)
 """The length h of an interval."""
+_LONG = 80
+"""Operations from which on the variation of a discrete Lagrangian is taken as a whole."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,23 @@ class VariationalInterval:
         """The forced discrete Legendre transform p_k1 = D2 Ld + f+."""
         pairs = zip(self.q.right, self.force_plus, strict=True)
         return tuple(sympy.diff(self.lagrangian, q) + f for q, f in pairs)
+
+    def virtual_work(self, displacements: Sequence[Symbol], impulses: Sequence[Expr]) -> Expr:
+        """The work of -p_k, p_k1 and further impulses along displacements of the left, then of the right coordinates.
+
+        A long Ld is differentiated in the direction of the displacements instead of by each coordinate: this keeps
+        its structure, such as the speed of a body that many coordinates move.
+        """
+        if self.lagrangian.count_ops() < _LONG:
+            halves = (*(-p for p in self.left_momentum), *self.right_momentum)
+            work = (d * (half + impulse) for d, half, impulse in zip(displacements, halves, impulses, strict=True))
+            return sum(work, sympy.S.Zero)
+        amount = sympy.Dummy("amount", real=True)
+        coordinates = (*self.q.left, *self.q.right)
+        displaced = {q: q + amount * d for q, d in zip(coordinates, displacements, strict=True)}
+        variation = sympy.diff(self.lagrangian.xreplace(displaced), amount).xreplace({amount: sympy.S.Zero})
+        forces = zip(displacements, (*self.force_minus, *self.force_plus), impulses, strict=True)
+        return variation + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
 
 
 @dataclass(frozen=True)
@@ -221,4 +240,4 @@ def _substitute(
     values |= dict(zip(model.rates, rate, strict=True))
     values |= dict(zip(model.controls, controls, strict=True))
     values[model.time] = model.time + c * STEP
-    return sympy.sympify(function).subs(values, simultaneous=True)
+    return sympy.sympify(function).xreplace(values)

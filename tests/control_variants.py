@@ -59,8 +59,6 @@ VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
     ("hovercraft", None, {}),
     ("antiphase", ANTIPHASE, {}),
     ("antiphase", ANTIPHASE, {"method": "hamiltonian"}),
-    ("double_integrator", None, {}),
-    ("double_integrator", None, {"method": "hamiltonian"}),
     ("spherical_pendulum", None, {}),
     ("van_der_pol", None, {"scheme": "trapezoidal"}),
     ("goddard_rocket", None, {}),

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.transcribe.program import ControlProgram
 
-_SHIFT = 1e-9
+_HELD = 1.0
+"""From here on z / distance counts as holding an unknown; inside the bounds it is as small as the tolerance."""
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -33,7 +34,7 @@ def check(context: Context) -> Iterator[Finding]:
     diagonal = held_by_bounds(module, grid, solution.unknowns)
     passed, detail = _judged(module, grid, solution.unknowns, diagonal)
     if module.metadata["inequalities"]:
-        detail += f" ({np.count_nonzero(diagonal)} unknowns are held by bounds)"
+        detail += f" ({np.count_nonzero(diagonal > _HELD)} unknowns are held by bounds)"
     yield Finding("second-order condition", subject, passed, detail)
 
 

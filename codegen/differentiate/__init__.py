@@ -14,7 +14,7 @@ from itertools import count
 from sympy import Expr, Symbol
 
 from codegen.differentiate.adjoint import accumulate
-from codegen.differentiate.graph import Graph
+from codegen.differentiate.graph import Graph, Leaf
 from codegen.differentiate.sharing import shared
 from codegen.differentiate.straight_line import Assignment, StraightLine, straight_line
 from codegen.differentiate.zeros import vanishing
@@ -49,7 +49,7 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
     entries = {(max(pair), min(pair)): node for pair, node in adjoints.second.items() if max(pair) < len(unknowns)}
     absent = vanishing(graph, list(entries.values()))
     places = tuple(sorted(place for place, node in entries.items() if node not in absent))
-    taken = {symbol.name for expression in (scalar, *beside) for symbol in expression.free_symbols}
+    taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
     return SecondDerivatives(
         _written(graph, [*first, *further], taken),
         _written(graph, [entries[place] for place in places], taken),

@@ -105,7 +105,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         trial, length = line_search(search, iterate, step, mu, small_violation, filtered)
         if trial is None:
             if is_rounding(grid, point):
-                return "stalled", point, iteration
+                # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
+                closed = measured[1] <= tolerance * search.bounds.place.size
+                return ("solved" if closed else "stalled"), point, iteration
             filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
             status, trial = restored(search, iterate, mu, filtered)
             if trial is None:

@@ -72,7 +72,7 @@ def momentum_end(
     place |= {v: value for v, value in zip(model.rates, end.boundary.rates, strict=True) if value is not None}
     place |= dict(zip((model.rates[j] for j in extra), extra_symbols, strict=True))
     momentum = [sympy.diff(model.function, v) for v in model.rates]
-    momenta = [(i, momentum[i].subs(place, simultaneous=True)) for i in sorted(matched)]
+    momenta = [(i, momentum[i].xreplace(place)) for i in sorted(matched)]
     _require_disjoint(model, matched, end.momenta)
     momenta += sorted(end.momenta.items())
     unmatched = [multiplier_names[i] for i in range(dimension) if i not in dict(momenta)]

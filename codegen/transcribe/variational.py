@@ -90,10 +90,8 @@ def _motion(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool, cons
     names = [q.name for q in model.coordinates]
     multipliers = [f"lambda_{name}" for name in names]
     pairs = list(zip(multipliers, names, strict=True))
-    halves = (
-        *zip(symbols(multipliers, "_k"), (-p for p in interval.left_momentum), constraints.force("_k"), strict=True),
-        *zip(symbols(multipliers, "_k1"), interval.right_momentum, constraints.force("_k1"), strict=True),
-    )
+    displacements = (*symbols(multipliers, "_k"), *symbols(multipliers, "_k1"))
+    impulses = (*constraints.force("_k"), *constraints.force("_k1"))
     return Motion(
         method="variational",
         scheme=scheme.name,
@@ -104,7 +102,7 @@ def _motion(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool, cons
         interval=(),
         interval_symbols=(),
         controls=interval.q,
-        element=interval.cost + sum(m * (half + force) for m, half, force in halves),
+        element=interval.cost + interval.virtual_work(displacements, impulses),
         cost=interval.cost,
         path=interval.path,
         equations=_equations(names, interval),
