@@ -65,7 +65,8 @@ def number_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> f
 
 def rounded_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> float | None:
     """The value of an expression in floating-point arithmetic, or None when it is not a finite real number there."""
-    floats = {symbol: sympy.Float(value) for symbol, value in values.items()}
+    present = expression.free_symbols
+    floats = {symbol: sympy.Float(value) for symbol, value in values.items() if symbol in present}
     return _real(lambda: expression.xreplace(floats).evalf())
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import sympy
@@ -15,6 +16,7 @@ import sympy
 from codegen import expressions
 from codegen.model import Model
 from codegen.model.values import prescribed, values_at_guess
+from codegen.terms import Kind, sorted_terms
 
 _DEPENDENT = 1e-7
 """Part of a gradient outside the span of earlier gradients, relative to its length, that counts as rounding."""
@@ -97,10 +99,14 @@ def _equations(model: Model) -> _Equations:
     fixed = prescribed(model, "end")
     equations, guess = [], dict[sympy.Symbol, float]()
     conditions = [condition for condition in model.end_conditions if condition.equality]
+    present = {symbol for condition in conditions for symbol in condition.expression.free_symbols}
+    values = _values_at_end(model)
     for body in range(model.bodies):
-        values = _values_of(model, body)
+        values |= {model.body: float(body)} if model.body is not None else {}
         places: dict[sympy.Symbol, sympy.Expr] = {}
         for index, symbol in enumerate(moving):
+            if symbol not in present and (body, index) not in own:
+                continue
             number = expressions.rounded_at(fixed[symbol], values) if symbol in fixed else None
             places[symbol] = own.get((body, index), sympy.Dummy(f"{symbol}_{body}", real=True))
             if number is None:
@@ -123,12 +129,12 @@ def _equations(model: Model) -> _Equations:
     )
 
 
-def _values_of(model: Model, body: int) -> dict[sympy.Symbol, float]:
-    """What guesses and boundary values depend on, at the end of a body's motion."""
+def _values_at_end(model: Model) -> dict[sympy.Symbol, float]:
+    """What guesses and boundary values depend on at the end of the motion, the number of a body aside."""
     values = values_at_guess(model)
     duration = expressions.rounded_at(model.duration, values)
     assert duration is not None, "checked when the model was made"
-    return values | {model.time: duration} | ({model.body: float(body)} if model.body is not None else {})
+    return values | {model.time: duration}
 
 
 def _guessed_end(model: Model, index: int, values: Mapping[sympy.Symbol, float]) -> float:
@@ -145,20 +151,34 @@ def _guessed_end(model: Model, index: int, values: Mapping[sympy.Symbol, float])
 
 
 def _system(equations: _Equations) -> System:
-    residuals, unknowns = equations.expressions, equations.unknowns
-    places = [(i, j) for i, e in enumerate(residuals) for j, s in enumerate(unknowns) if s in e.free_symbols]
-    entries = [sympy.diff(residuals[i], unknowns[j]) for i, j in places]
-    function = sympy.lambdify(unknowns, [*residuals, *entries], "numpy", cse=True)
-    rows, columns = np.array(places).T
+    """Residuals and Jacobian, term by term; all terms of a kind are evaluated at once."""
+    size = len(equations.expressions), len(equations.unknowns)
+    kinds, instances = sorted_terms(equations.expressions, {s: j for j, s in enumerate(equations.unknowns)})
+    functions = [_with_slopes(kind) for kind in kinds]
+    groups = [[instance for instance in instances if instance.kind == kind] for kind in range(len(kinds))]
+    rows = [np.array([instance.row for instance in group]) for group in groups]
+    places = [np.array([instance.places for instance in group], dtype=int).T for group in groups]
 
     def system(point: Array) -> tuple[Array, Array]:
-        with np.errstate(all="ignore"):
-            numbers = np.array(function(*point), dtype=float)
-        jacobian = np.zeros((len(residuals), len(unknowns)))
-        jacobian[rows, columns] = numbers[len(residuals) :]
-        return numbers[: len(residuals)], jacobian
+        residuals, jacobian = np.zeros(size[0]), np.zeros(size)
+        for function, row, read in zip(functions, rows, places, strict=True):
+            with np.errstate(all="ignore"):
+                value, *slopes = function(*point[read])
+            np.add.at(residuals, row, value)
+            for place, slope in zip(read, slopes, strict=True):
+                np.add.at(jacobian, (row, place), slope)
+        return residuals, jacobian
 
     return system
+
+
+def _with_slopes(kind: Kind) -> Callable[..., Any]:
+    """A term and its derivatives by all its arguments, as a function of arrays."""
+    value = kind.expression
+    if value.has(sympy.Max, sympy.Min):  # numpy's take no array beside a number
+        value = value.rewrite(sympy.Piecewise)
+    slopes = [sympy.diff(value, argument) for argument in kind.arguments]
+    return sympy.lambdify(kind.arguments, [value, *slopes], "numpy", cse=True)  # type: ignore[no-any-return]
 
 
 def _starts(guess: Array) -> Iterator[Array]:

@@ -1,7 +1,6 @@
 """Conditions that tie bodies together -> a few kernels, one for each kind of term, and tables of their instances.
 
-A condition is a sum of terms. Terms that differ only in the shared unknowns that they read, such as the squared
-differences in the sides of a polygon, are instances of one kind; code does not grow with the number of bodies.
+Code does not grow with the number of bodies (see `codegen.terms`).
 """
 
 from __future__ import annotations
@@ -10,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import sympy
-from sympy import Add, Expr, Symbol
+from sympy import Symbol
 
 from codegen.lower.control_layout import integers, parameters
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
+from codegen.terms import Instance, Kind, sorted_terms
 from codegen.transcribe.program import ControlProgram
 
 
@@ -25,29 +25,11 @@ class Couplings:
     constants: tuple[Line, ...]
 
 
-@dataclass(frozen=True)
-class _Instance:
-    """One term: its kind, its row, and the places of the shared unknowns that it reads."""
-
-    kind: int
-    row: int
-    places: tuple[int, ...]
-
-
 def lower_couplings(program: ControlProgram) -> Couplings:
     """Find the kinds of terms, and write them and the tables of their instances."""
     if not program.couplings:
         return Couplings((), ())
-    places = _places(program)
-    kinds: list[Expr] = []
-    instances = []
-    for row, coupling in enumerate(program.couplings):
-        for term in Add.make_args(coupling.expression):
-            read = sorted(term.free_symbols & places.keys(), key=lambda s: places[s])
-            general = term.xreplace(dict(zip(read, _arguments(len(read)), strict=True)))
-            if general not in kinds:
-                kinds.append(general)
-            instances.append(_Instance(kinds.index(general), row, tuple(places[s] for s in read)))
+    kinds, instances = sorted_terms([c.expression for c in program.couplings], _places(program))
     kernels = tuple(_kernel(program, i, kind) for i, kind in enumerate(kinds))
     return Couplings(kernels, tuple(_tables(instances)))
 
@@ -59,12 +41,8 @@ def _places(program: ControlProgram) -> dict[Symbol, int]:
     return places | {symbol: first + j for j, symbol in enumerate(program.shared_symbols[program.own :])}
 
 
-def _arguments(count: int) -> tuple[Symbol, ...]:
-    return tuple(Symbol(f"a{i}", real=True) for i in range(count))
-
-
-def _kernel(program: ControlProgram, number: int, term: Expr) -> Kernel:
-    read = [symbol for symbol in _arguments(_count(term)) if symbol in term.free_symbols]
+def _kernel(program: ControlProgram, number: int, kind: Kind) -> Kernel:
+    term, read = kind.expression, kind.arguments
     places = {symbol: f"values[{i}]" for i, symbol in enumerate(read)}
     places |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(parameters(program))}
     slopes = [Output(f"slopes[{i}]", sympy.diff(term, a), f"by {a}") for i, a in enumerate(read)]
@@ -78,13 +56,7 @@ def _kernel(program: ControlProgram, number: int, term: Expr) -> Kernel:
     return kernel(f"coupling_{number}", summary, arguments, places, [*slopes, *curvatures], term, decorators=INNER)
 
 
-def _count(term: Expr) -> int:
-    """How many arguments a general term has at most: they are called a0, a1, ..."""
-    names = [s.name for s in term.free_symbols]
-    return sum(f"a{i}" in names for i in range(len(names)))
-
-
-def _tables(instances: Sequence[_Instance]) -> list[Line]:
+def _tables(instances: Sequence[Instance]) -> list[Line]:
     width = max(1, *(len(instance.places) for instance in instances))
     rows = [[*instance.places, *[0] * (width - len(instance.places))] for instance in instances]
     return [

@@ -11,6 +11,7 @@ from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.model.definitions import Condition, Model
 from codegen.model.relations import text
 from codegen.model.values import prescribed, trial_points
+from codegen.terms import distinct
 
 Points = Sequence[Mapping[sympy.Symbol, float]]
 
@@ -93,7 +94,8 @@ def _require_independent_conditions(model: Model, end: str, points: Points) -> N
 
 def _require_effective_couplings(model: Model, points: Points) -> None:
     symbols = [value.symbol for value in model.end_values]
-    for condition in model.couplings:
+    for place in distinct([condition.expression for condition in model.couplings], symbols):
+        condition = model.couplings[place]
         if _is_constant(condition, symbols, points):
             raise BoundaryError(
                 f"end_conditions {condition.name} couples nothing, since its bodies cancel", "leave it out"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,10 +49,25 @@ def relation(value: Any, what: str) -> Relation:
     name = f"{text(left)} {sign} {text(right)}"
     difference = right - left if sign == ">=" else left - right
     # Cancellation shows whether anything is left to hold; the expression stays as its author wrote it.
-    remainder = sympy.expand(expressions.tidied(difference))
-    if remainder.is_number:
+    remainder = _expanded_to_number(expressions.tidied(difference))
+    if remainder is not None:
         raise _decided(f"{what}, {name},", bool(remainder == 0 or (sign != "=" and remainder.is_negative)))
     return Relation(name, expressions.checked(difference, what), sign == "=")
+
+
+def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
+    """The number to which an expression cancels, if it does."""
+    terms = sympy.Add.make_args(expression)
+    counts = Counter(symbol for term in terms for symbol in term.free_symbols)
+    for term in terms:
+        # What a single term depends on cannot cancel with the others; expanding them all takes longer.
+        alone = {symbol for symbol in term.free_symbols if counts[symbol] == 1}
+        if alone:
+            if sympy.expand(term).free_symbols & alone:
+                return None
+            break
+    remainder = sympy.expand(expression)
+    return remainder if remainder.is_number else None
 
 
 def _sides(value: Any) -> tuple[Any, Any, str]:

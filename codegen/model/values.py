@@ -10,6 +10,7 @@ from codegen import expressions
 from codegen.errors import BoundaryError, ExpressionError
 from codegen.model.definitions import Bounds, Condition, Model
 from codegen.model.relations import text
+from codegen.terms import distinct
 
 _ROUNDING = 1e-9
 """Relative size of a difference that counts as rounding of the values which an author gave."""
@@ -130,7 +131,9 @@ def _require_real(model: Model) -> None:
     named += [("cost", model.cost)] if model.cost is not None else []
     named += [("terminal_cost", model.terminal_cost)]
     named += [(f"constraint {text(c)}", c) for c in model.holonomic]
-    conditions = (*model.path, *model.start_conditions, *model.end_conditions, *model.couplings)
+    values = [value.symbol for value in model.end_values]
+    couplings = [model.couplings[i] for i in distinct([c.expression for c in model.couplings], values)]
+    conditions = (*model.path, *model.start_conditions, *model.end_conditions, *couplings)
     named += [(condition.name, condition.expression) for condition in conditions]
     points = trial_points(model)
     for what, expression in named:
