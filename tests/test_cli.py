@@ -97,7 +97,7 @@ COMMAND_LINES = {
     "scheme-of-other-method-2": ("solve P --method variational --scheme symplectic-euler", "--method hamiltonian"),
     "alpha-out-of-range": ("solve P --scheme alpha-2", "between 0 and 1"),
     "unknown-method": ("solve O --method lagrangian", "lagrangian"),
-    "unknown-driver": ("solve O --driver snopt", "newton"),
+    "unknown-driver": ("solve O --driver simplex", "newton"),
     "misspelt-driver": ("solve O --driver trust-const", "did you mean trust-constr"),
     "driver-of-control": ("solve P --driver slsqp", "newton, fsolve"),
     "driver-of-control-2": ("solve P --driver trust-constr", "newton, fsolve"),
