@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -70,19 +70,7 @@ def rounded_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> 
     return _real(lambda: expression.xreplace(floats).evalf())
 
 
-def rounded_along(
-    expression: sympy.Expr, values: Mapping[sympy.Symbol, float], symbol: sympy.Symbol, numbers: Sequence[float]
-) -> list[float | None]:
-    """What `rounded_at` gives at several values of one symbol, faster than one after the other."""
-    floats = {other: sympy.Float(value) for other, value in values.items() if other != symbol}
-    fixed = expression.xreplace(floats)
-    if fixed.free_symbols - {symbol} or fixed.has(sympy.zoo, sympy.nan, sympy.oo, -sympy.oo):
-        return [rounded_at(fixed, {symbol: number}) for number in numbers]
-    function = sympy.lambdify(symbol, fixed, "math")
-    return [_real(lambda number=number: function(number)) for number in numbers]
-
-
-def _real(evaluate: Callable[[], Any]) -> float | None:
+def _real(evaluate: Callable[[], sympy.Expr]) -> float | None:
     try:
         number = complex(evaluate())
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):

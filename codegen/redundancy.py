@@ -101,17 +101,16 @@ def _equations(model: Model) -> _Equations:
     conditions = [condition for condition in model.end_conditions if condition.equality]
     present = {symbol for condition in conditions for symbol in condition.expression.free_symbols}
     values = _values_at_end(model)
-    read = {i for i, symbol in enumerate(moving) if symbol in present} | {index for _, index in own}
-    guesses = {index: _guessed_ends(model, index, values) for index in read}
     for body in range(model.bodies):
         values |= {model.body: float(body)} if model.body is not None else {}
         places: dict[sympy.Symbol, sympy.Expr] = {}
-        for index in sorted(read):
-            symbol = moving[index]
+        for index, symbol in enumerate(moving):
+            if symbol not in present and (body, index) not in own:
+                continue
             number = expressions.rounded_at(fixed[symbol], values) if symbol in fixed else None
             places[symbol] = own.get((body, index), sympy.Dummy(f"{symbol}_{body}", real=True))
             if number is None:
-                guess[places[symbol]] = guesses[index][body]
+                guess[places[symbol]] = _guessed_end(model, index, values)
             else:
                 places[symbol] = sympy.Float(number)
         equations += [
@@ -138,20 +137,17 @@ def _values_at_end(model: Model) -> dict[sympy.Symbol, float]:
     return values | {model.time: duration}
 
 
-def _guessed_ends(model: Model, index: int, values: Mapping[sympy.Symbol, float]) -> list[float]:
-    """Each body's end of the motion from which the solver starts, or zero where it has no value."""
+def _guessed_end(model: Model, index: int, values: Mapping[sympy.Symbol, float]) -> float:
+    """The end of the motion from which the solver starts, or zero where it has no value."""
     motions = [
         dict(model.guess).get(q, start) for q, start in zip(model.coordinates, model.start.positions, strict=True)
     ]
     count = len(model.coordinates)
     motion = motions[index] if index < count else motions[index - count]
     if motion is None or (index >= count and model.form != "lagrangian"):
-        return [0.0] * model.bodies
+        return 0.0
     value = motion if index < count else sympy.diff(motion, model.time)
-    if model.body is None or not value.has(model.body):
-        return [expressions.rounded_at(value, values) or 0.0] * model.bodies
-    numbers = [float(body) for body in range(model.bodies)]
-    return [number or 0.0 for number in expressions.rounded_along(value, values, model.body, numbers)]
+    return expressions.rounded_at(value, values) or 0.0
 
 
 def _system(equations: _Equations) -> System:

@@ -6,14 +6,11 @@ instances of one kind: what is done for each kind does not grow with the number 
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count, permutations
+from itertools import count
 
 from sympy import Add, Dummy, Expr, Symbol
-
-_PERMUTED = 3
-"""Quantities of a term up to which it is worth to try all their orders."""
 
 
 @dataclass(frozen=True)
@@ -47,24 +44,10 @@ def sorted_terms(
         for term in Add.make_args(condition):
             read = sorted(term.free_symbols & places.keys(), key=lambda symbol: places[symbol])
             arguments += [next(fresh) for _ in read[len(arguments) :]]
-            kind, read = _kind_of(term, read, arguments, kinds)
-            instances.append(Instance(kinds.setdefault(kind, len(kinds)), row, tuple(places[s] for s in read)))
+            general = term.xreplace(dict(zip(read, arguments, strict=False)))
+            kind = kinds.setdefault(Kind(general, tuple(arguments[: len(read)])), len(kinds))
+            instances.append(Instance(kind, row, tuple(places[symbol] for symbol in read)))
     return tuple(kinds), tuple(instances)
-
-
-def _kind_of(
-    term: Expr, read: Sequence[Symbol], arguments: Sequence[Symbol], kinds: Container[Kind]
-) -> tuple[Kind, Sequence[Symbol]]:
-    """The kind of a term and the quantities in the order of its arguments; one that is known already, if it fits.
-
-    (x_2 - x_0)^2 is of the kind of (x_0 - x_1)^2 when the quantities are read in another order.
-    """
-
-    def read_as(order: Sequence[Symbol]) -> Kind:
-        return Kind(term.xreplace(dict(zip(order, arguments, strict=False))), tuple(arguments[: len(order)]))
-
-    orders = permutations(read) if len(read) <= _PERMUTED else [read]
-    return next(((read_as(order), order) for order in orders if read_as(order) in kinds), (read_as(read), read))
 
 
 def distinct(conditions: Sequence[Expr], quantities: Sequence[Symbol]) -> tuple[int, ...]:

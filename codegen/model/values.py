@@ -137,23 +137,11 @@ def _require_real(model: Model) -> None:
     named += [(condition.name, condition.expression) for condition in conditions]
     points = trial_points(model)
     for what, expression in named:
-        if not _is_real(model, expression, points):
-            raise ExpressionError(
-                f"{what} has no finite real value at the default parameters", "correct it, or the parameters"
-            )
-
-
-def _is_real(model: Model, expression: sympy.Expr, points: Sequence[Mapping[sympy.Symbol, float]]) -> bool:
-    """Whether an expression has a real value for every body, each at some point."""
-    if model.body is None or not expression.has(model.body):
-        return any(expressions.rounded_at(expression, point) is not None for point in points)
-    missing = [float(number) for number in range(model.bodies)]
-    for point in points:
-        found = expressions.rounded_along(expression, point, model.body, missing)
-        missing = [number for number, value in zip(missing, found, strict=True) if value is None]
-        if not missing:
-            return True
-    return False
+        for body in _bodies(model, expression):
+            if all(expressions.rounded_at(expression, {**point, **body}) is None for point in points):
+                raise ExpressionError(
+                    f"{what} has no finite real value at the default parameters", "correct it, or the parameters"
+                )
 
 
 def require_agreement(model: Model) -> None:
