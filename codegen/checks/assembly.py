@@ -167,7 +167,8 @@ def _newton_step(
     for shift in _SHIFTS:
         diagonal = np.zeros(unknowns.size)
         diagonal[free] = np.where(grid.is_multiplier[free], -_DUAL_SHIFT, shift)
-        if module.factor_kkt(grid, unknowns, 1.0, diagonal, system) is not None:
+        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
+        if excess is not None and excess <= 0:  # above zero the elimination has stopped early
             break
     else:
         return Finding("assembly", subject, False, "the KKT matrix cannot be factored, however its Hessian is shifted")

@@ -57,5 +57,5 @@ def _judged(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDA
     if excess == 0:
         return True, f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     if excess is not None and excess > 0:
-        return False, f"no minimum: the cost decreases to second order in {excess} independent directions"
+        return False, f"no minimum: the cost decreases to second order in {excess} or more independent directions"
     return False, "undecided: the KKT matrix is singular, so that the optimum is not isolated"

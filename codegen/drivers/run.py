@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from codegen.drivers import Driver
-from codegen.drivers.compilation import SecondProcess
+from codegen.drivers.compilation import SecondProcess, packed_operations
 from codegen.drivers.control_result import control_result
 from codegen.drivers.result import Request, Result
 from codegen.drivers.simulate_result import simulate_result
@@ -65,8 +65,9 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
 def prepare(module: GeneratedModule, helper: SecondProcess) -> float:
     """See `codegen.drivers.prepare`."""
     begin = time.perf_counter()
-    helper.compile(module)
-    module.solve()
+    with packed_operations():
+        helper.compile(module)
+        module.solve()
     return time.perf_counter() - begin
 
 

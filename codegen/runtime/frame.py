@@ -38,9 +38,11 @@ def checked_grid(steps, duration, parameters):
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
-    chain = np.append(np.tile(IS_MULTIPLIER, steps), IS_MULTIPLIER[:NODE])
-    is_multiplier = np.zeros(BODIES * chain.size + ROOT, dtype=bool)
-    is_multiplier[: BODIES * chain.size] = np.tile(chain, BODIES)
+    chain = steps * STRIDE + NODE
+    is_multiplier = np.zeros(BODIES * chain + ROOT, dtype=bool)
+    chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
+    chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
+    chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
     if COUPLINGS:
         is_multiplier[is_multiplier.size - COUPLINGS :] = True
     return Grid(steps, float(duration) / steps, table, is_multiplier)
