@@ -49,16 +49,20 @@ class ControlDerivatives:
     `condensed` is how many of an interval's last unknowns can be eliminated inside it: slacks always, because their
     barrier terms are positive, and controls when their block of the Hessian is constant and regular;
     `linear_quadratic` says that no Hessian entry depends on an unknown and one Newton step suffices (not so with nodal
-    controls, which can make the system singular). `phases` has the shares of all elements of all phases, in their
-    order, whose Hessians have one pattern; `element` is the first.
+    controls, which can make the system singular). `elements` are the shares of all kinds of intervals, of which there
+    are several where there are phases; their Hessians have one pattern.
     """
 
-    element: ElementDerivatives
+    elements: tuple[ElementDerivatives, ...]
     start: ElementDerivatives
     end: ElementDerivatives
     condensed: int
     linear_quadratic: bool
-    phases: tuple[ElementDerivatives, ...] = ()
+
+    @property
+    def element(self) -> ElementDerivatives:
+        """The first of them, which is the only one where there are no phases."""
+        return self.elements[0]
 
 
 @dataclass(frozen=True)
@@ -75,25 +79,21 @@ class StepDerivatives:
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     """Differentiate the interval's scalar and both end elements twice."""
     unknowns = program.element_symbols
-    phases = _with_one_pattern(
-        [_element(share.element, unknowns, share.cost) for phase in program.phases for share in phase.elements]
-    )
-    element = phases[0] if phases else _element(program.element, unknowns, program.cost)
+    elements = _with_one_pattern([_element(e.element, unknowns, e.cost) for e in program.interval_elements])
     start = _end_element(program.start, (*program.left_symbols, *program.shared_symbols))
     end = _end_element(program.end, (*program.right_symbols, *program.shared_symbols))
-    shares = phases or (element,)
-    variables = start.varying.union(end.varying, *(share.varying for share in shares))
-    entries = (*(entry for share in shares for entry in share.hessian), *start.hessian, *end.hessian)
+    shares = (*elements, start, end)
+    variables = set[Symbol]().union(*(share.varying for share in shares))
+    entries = [entry for share in shares for entry in share.hessian]
     return ControlDerivatives(
-        element=element,
+        elements=elements,
         start=start,
         end=end,
-        condensed=_condensed(program, shares),
+        condensed=_condensed(program, elements),
         linear_quadratic=not program.nodal_controls
         and not program.has_inequalities
         and not program.couplings
         and not any(value.free_symbols & variables for _, _, value in entries),
-        phases=phases,
     )
 
 
@@ -145,6 +145,8 @@ def _long_element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: C
 
 def _with_one_pattern(shares: Sequence[ElementDerivatives]) -> tuple[ElementDerivatives, ...]:
     """The same derivatives, with zeros where another share has an entry of the Hessian."""
+    if len(shares) == 1:
+        return tuple(shares)
     pattern = sorted({(row, column) for share in shares for row, column, _ in share.hessian})
     values = [{(row, column): value for row, column, value in share.hessian} for share in shares]
     return tuple(
@@ -167,9 +169,9 @@ def _vanishes(expression: Expr) -> bool:
     return False
 
 
-def _condensed(program: ControlProgram, shares: Sequence[ElementDerivatives]) -> int:
+def _condensed(program: ControlProgram, elements: Sequence[ElementDerivatives]) -> int:
     slacks = len(program.slacks)
-    if all(_constant_and_regular(program, share, share.varying) for share in shares):
+    if all(_constant_and_regular(program, element, element.varying) for element in elements):
         return slacks + len(program.control_symbols)
     return slacks
 

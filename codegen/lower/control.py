@@ -98,15 +98,13 @@ def _places(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol,
 
 def _all_interval_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
     """The gradient and the Hessian of every kind of interval."""
-    if not program.phases:
-        return _interval_kernels(program, derivatives.element)
-    named = zip(phases.named_elements(program), derivatives.phases, strict=True)
-    pairs = [_interval_kernels(program, own, stem, where) for (stem, where), own in named]
+    named = zip(phases.named_elements(program), derivatives.elements, strict=True)
+    pairs = [_interval_kernels(program, element, stem, where) for (stem, where), element in named]
     return tuple(kernel for pair in pairs for kernel in pair)
 
 
 def _interval_kernels(
-    program: ControlProgram, element: ElementDerivatives, stem: str = "interval", where: str = ""
+    program: ControlProgram, element: ElementDerivatives, stem: str, where: str
 ) -> tuple[Kernel, Kernel]:
     places = _places(program, element.unknowns)
     arguments, share = ("unknowns", "t", "h", "parameters", "gradient"), "an interval's share l of the"

@@ -132,8 +132,13 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("inequalities", repr(program.has_inequalities)),
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
-        *([("phases", repr(len(program.phases)))] if program.phases else []),
+        *(_of_phases(program) if program.phases else ()),
     ]
+
+
+def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:
+    """How many phases there are, and which coordinates and momenta another value follows at each switch."""
+    return [("phases", repr(len(program.phases))), ("jumps", repr(tuple(p.broken for p in program.phases[1:])))]
 
 
 def _meanings(program: ControlProgram) -> str:

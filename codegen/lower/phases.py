@@ -11,11 +11,13 @@ from codegen.lower.control_layout import bound_views, duration_inputs, inputs, s
 from codegen.lower.kernels import Line
 from codegen.lower.module import Choice
 from codegen.lower.printer import array_code, scalar_code
-from codegen.transcribe.program import ControlProgram, Phase, PhaseElement, Unknown
+from codegen.transcribe.program import ControlProgram, IntervalElement, Phase, Unknown
 
 
 def named_elements(program: ControlProgram) -> list[tuple[str, str]]:
-    """The stem of the kernels' names for every element of every phase, in their order, and which intervals it is of."""
+    """The stem of the kernels' names for every kind of interval, in their order, and where these intervals are."""
+    if not program.phases:
+        return [("interval", "")]
     named = []
     for number, phase in enumerate(program.phases, start=1):
         if phase.switch is not None:
@@ -50,7 +52,7 @@ def constants(program: ControlProgram) -> list[Line]:
     """The number of phases, and which unknowns of intervals each lacks."""
     inside = range(len(program.interval) + len(program.controls) + len(program.slacks))
 
-    def table(elements: list[PhaseElement]) -> str:
+    def table(elements: list[IntervalElement]) -> str:
         return f"np.array({[[i in element.lacking for i in inside] for element in elements]})"
 
     first = [phase.elements[0] for phase in program.phases[1:]]

@@ -17,7 +17,7 @@ from codegen.discretise import STEP
 from codegen.model import Boundary, Model
 from codegen.transcribe.names import symbols
 from codegen.transcribe.phase_guesses import with_guesses
-from codegen.transcribe.program import ControlProgram, EndElement, Phase, PhaseElement, Unknown
+from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement, Phase, Unknown
 from codegen.transcribe.renaming import at_end, at_start, only_at_ends, slack_pairs, with_common_names
 from codegen.transcribe.switches import Switch, shared_symbol, switch
 
@@ -153,6 +153,7 @@ class _Chain:
             inside=tuple(bounded.get(u.name, u) for u in self.layout.inside),
             jumping=() if switch is None else tuple(_place(self.layout.node, name) for name in switch.jumping),
             given=() if switch is None else tuple(_place(self.layout.node, name) for name in switch.given),
+            broken=() if switch is None else switch.broken,
             node_guess=raw.node_guess,
             inside_guess=self._placed((name, value) for name, value in guesses if name in present),
             switch_guess=() if switch is None else self._placed(switch.guess),
@@ -163,14 +164,14 @@ class _Chain:
     def _placed(self, guesses: Iterable[tuple[str, Expr]]) -> tuple[tuple[int, Expr], ...]:
         return tuple((_place(self.layout.inside, name), value) for name, value in guesses)
 
-    def _element(self, element: Expr, cost: Expr, present: set[str], scales: Mapping[Symbol, Expr]) -> PhaseElement:
+    def _element(self, element: Expr, cost: Expr, present: set[str], scales: Mapping[Symbol, Expr]) -> IntervalElement:
         lacking = self.layout.lacking(present)
         filling = Add(*(self.layout.symbols[i] ** 2 / 2 for i in lacking))
-        return PhaseElement(element.xreplace(scales) + filling, cost.xreplace(scales), lacking)
+        return IntervalElement(element.xreplace(scales) + filling, cost.xreplace(scales), lacking)
 
     def _switch(
         self, switch: Switch, element: Expr, raw: ControlProgram, present: set[str], scales: Mapping[Symbol, Expr]
-    ) -> PhaseElement:
+    ) -> IntervalElement:
         own = {unknown.name for unknown in switch.unknowns}
         element, cost = (part.xreplace(dict(switch.values)) for part in (element, raw.cost))
         return self._element(element + switch.element, cost + switch.cost, present | own, scales)

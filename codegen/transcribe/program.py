@@ -58,16 +58,16 @@ class Coupling:
 
 
 @dataclass(frozen=True)
-class PhaseElement:
-    """The share of some of a phase's intervals in the Lagrangian of the optimisation problem, and the discrete cost.
+class IntervalElement:
+    """The share of an interval in the Lagrangian of the optimisation problem, and its discrete cost.
 
-    `lacking` are the places, among the unknowns of an interval (without its nodes), of those that such an interval does
-    not have: x^2/2 in `element` makes them vanish.
+    `lacking` are the places, among the unknowns of an interval (without its nodes), of those that this one does not
+    have: x^2/2 in `element` makes them vanish.
     """
 
     element: Expr
     cost: Expr
-    lacking: tuple[int, ...]
+    lacking: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,18 +78,19 @@ class Phase:
     The symbols t and h run from the phase's number to the next; `duration` is already inside. `node` and `inside`
     (interval, controls, slacks) are the program's unknowns with the bounds of this phase. At the switch before the
     phase, `jumping` are places in a node of what changes, so that bounds of this phase do not hold before, and `given`
-    of what has a prescribed value and needs no bounds. Guesses are expressions of
-    the time of the whole problem: of a node's primal unknowns in their order, and of unknowns of an interval, or of the
-    first one, as pairs (place, value).
+    of what has a prescribed value and needs no bounds; `broken` names what has another value after it. Guesses are
+    expressions of the time of the whole problem: of a node's primal unknowns in their order, and of unknowns of an
+    interval, or of the first one, as pairs (place, value).
     """
 
     duration: Expr
-    regular: PhaseElement
-    switch: PhaseElement | None
+    regular: IntervalElement
+    switch: IntervalElement | None
     node: tuple[Unknown, ...]
     inside: tuple[Unknown, ...]
     jumping: tuple[int, ...]
     given: tuple[int, ...]
+    broken: tuple[str, ...]
     node_guess: tuple[Expr, ...]
     inside_guess: tuple[tuple[int, Expr], ...]
     switch_guess: tuple[tuple[int, Expr], ...]
@@ -97,7 +98,7 @@ class Phase:
     switch_equations: tuple[tuple[str, Expr], ...]
 
     @property
-    def elements(self) -> tuple[PhaseElement, ...]:
+    def elements(self) -> tuple[IntervalElement, ...]:
         """That of the first interval, where it is one of its own, then that of the others."""
         return (self.regular,) if self.switch is None else (self.switch, self.regular)
 
@@ -164,6 +165,13 @@ class ControlProgram:
         """The unknowns of an interval with both its nodes, then the shared ones."""
         inside = (*self.interval_symbols, *self.control_symbols, *self.slack_symbols)
         return (*self.left_symbols, *inside, *self.right_symbols, *self.shared_symbols)
+
+    @property
+    def interval_elements(self) -> tuple[IntervalElement, ...]:
+        """The shares of all kinds of intervals: of each phase that of the first one, where it is special, and of others."""
+        if not self.phases:
+            return (IntervalElement(self.element, self.cost),)
+        return tuple(element for phase in self.phases for element in phase.elements)
 
     @property
     def has_inequalities(self) -> bool:

@@ -41,7 +41,8 @@ class Switch:
 
     `values` take the place of symbols of its left node, `element` and `cost` are added; `unknowns` are those of the
     interval (primal ones first), `shared` those that no node owns. `jumping` names what changes in the node, `given`
-    what has a prescribed value there; `guess` gives values to unknowns by name.
+    what has a prescribed value there, `broken` coordinates and momenta that change or may do so; `guess` gives values
+    to unknowns by name.
     """
 
     values: Mapping[Symbol, Expr]
@@ -51,6 +52,7 @@ class Switch:
     shared: tuple[Unknown, ...] = ()
     jumping: tuple[str, ...] = ()
     given: tuple[str, ...] = ()
+    broken: tuple[str, ...] = ()
     guess: tuple[tuple[str, Expr], ...] = ()
     equations: tuple[tuple[str, Expr], ...] = ()
 
@@ -158,6 +160,7 @@ def _replaced_states(transition: Transition) -> Switch:
     return Switch(
         {transition.left[name]: value for name, value in changed.items()},
         jumping=tuple(changed),
+        broken=tuple(changed),
         equations=tuple((f"{name} after the switch", value) for name, value in changed.items()),
     )
 
@@ -167,7 +170,8 @@ def _matched_momenta(transition: Transition) -> Switch:
     jumping = [q for q in transition.before.coordinates if q in transition.jump]
     values = {transition.left[q.name]: transition.jumped(q) for q in jumping}
     equations = [(f"{q} after the switch", transition.jumped(q)) for q in jumping]
-    kind = "velocity" if transition.before.form == "lagrangian" else "momentum"
+    velocities = transition.before.form == "lagrangian"
+    kind, broken = "velocity" if velocities else "momentum", [q.name for q in jumping]
     primal, multipliers, guess, element = list[Unknown](), list[Unknown](), list[tuple[str, Expr]](), S.Zero
     before, after = momenta(transition.before), momenta(transition.after)
     for i in sorted(transition.matched):
@@ -181,12 +185,14 @@ def _matched_momenta(transition: Transition) -> Switch:
         arriving, leaving = transition.at(before[i]), transition.after_jump(after[i])
         element += pi * leaving - node_multiplier * arriving
         guess.append((name, _rate_guess(transition.before, i)))
+        broken.append(f"p_{q}" if velocities else rate.name)
         equations += [(f"p_{q} before the switch", arriving), (f"p_{q} after the switch", leaving)]
     return Switch(
         values,
         element=element,
         unknowns=(*primal, *multipliers),
         jumping=tuple(q.name for q in jumping),
+        broken=tuple(broken),
         guess=tuple(guess),
         equations=tuple(equations),
     )

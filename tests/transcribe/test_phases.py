@@ -80,10 +80,9 @@ def test_all_hessians_have_one_pattern():
     first, second = REST
     program = program_of(two(first, second | {"dynamics": lambda x, v, u, w: {x: v**2, v: u - x**3}}))
     derivatives = control_derivatives(program)
-    patterns = {tuple((row, column) for row, column, _ in share.hessian) for share in derivatives.phases}
-    assert len(derivatives.phases) == 2
+    patterns = {tuple((row, column) for row, column, _ in share.hessian) for share in derivatives.elements}
+    assert len(derivatives.elements) == 2
     assert len(patterns) == 1
-    assert derivatives.element is derivatives.phases[0]
 
 
 def test_a_jump_replaces_the_left_state_of_the_first_interval():
