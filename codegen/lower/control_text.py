@@ -137,8 +137,17 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
 
 
 def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:
-    """How many phases there are, and which coordinates and momenta another value follows at each switch."""
-    return [("phases", repr(len(program.phases))), ("jumps", repr(tuple(p.broken for p in program.phases[1:])))]
+    """How many phases there are, which coordinates and momenta jump at each switch, what slacks mean in each phase."""
+    first = len(program.interval) + len(program.controls)
+    slacks = [
+        {p.inside[i].name: p.inside[i].meaning for i in range(first, len(p.inside)) if i not in p.regular.lacking}
+        for p in program.phases
+    ]
+    return [
+        ("phases", repr(len(program.phases))),
+        ("jumps", repr(tuple(p.broken for p in program.phases[1:]))),
+        ("slacks", repr(tuple(slacks))),
+    ]
 
 
 def _meanings(program: ControlProgram) -> str:

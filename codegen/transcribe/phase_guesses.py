@@ -71,6 +71,7 @@ def _after(model: Model, place: int, guess: Values, time: Expr) -> Values:
     if model.form == "lagrangian":
         pairs = zip(model.coordinates, model.rates, strict=True)
         before |= {v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs}
-    before |= _given(model, model.phases[place].end)
-    jump = {q: at_guess(model, value).xreplace(before) for q, value in model.jumps[place]}
-    return {q: value for q, value in (before | jump).items() if value != 0 or q in jump}
+    given = _given(model, model.phases[place].end)
+    jump = {q: at_guess(model, value).xreplace(before | given) for q, value in model.jumps[place]}
+    known = given | jump
+    return {q: value for q, value in (before | known).items() if value != 0 or q in known}

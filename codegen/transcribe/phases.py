@@ -142,15 +142,15 @@ class _Chain:
         element = raw.element - _filling(only_at_ends(raw), "_k")
         element += _filling(self.layout.from_end, "_k") + _filling(self.layout.from_start, "_k1")
         scales = self._scales(place)
-        bounded = {u.name: u for u in (*raw.node, *raw.interval, *raw.controls)}
+        own_unknowns = {u.name: u for u in (*raw.node, *raw.interval, *raw.controls, *raw.slacks)}
         guesses = [(u.name, value) for u, value in zip(raw.interval, raw.stage_guess, strict=False)]
         guesses += [(u.name, value) for u, value in zip(raw.controls, raw.control_guess, strict=True)]
         return Phase(
             duration=model.duration,
             regular=self._element(element, raw.cost, present, scales),
             switch=None if switch is None or switch.is_idle else self._switch(switch, element, raw, present, scales),
-            node=tuple(bounded.get(u.name, u) for u in self.layout.node),
-            inside=tuple(bounded.get(u.name, u) for u in self.layout.inside),
+            node=tuple(own_unknowns.get(u.name, u) for u in self.layout.node),
+            inside=tuple(own_unknowns.get(u.name, u) for u in self.layout.inside),
             jumping=() if switch is None else tuple(_place(self.layout.node, name) for name in switch.jumping),
             given=() if switch is None else tuple(_place(self.layout.node, name) for name in switch.given),
             broken=() if switch is None else switch.broken,

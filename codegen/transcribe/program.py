@@ -168,7 +168,7 @@ class ControlProgram:
 
     @property
     def interval_elements(self) -> tuple[IntervalElement, ...]:
-        """The shares of all kinds of intervals: of each phase that of the first one, where it is special, and of others."""
+        """The shares of all kinds of intervals: of a phase that of the first one, if it is special, and of others."""
         if not self.phases:
             return (IntervalElement(self.element, self.cost),)
         return tuple(element for phase in self.phases for element in phase.elements)
