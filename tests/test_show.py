@@ -93,7 +93,7 @@ def test_hamiltonian_step_has_stages():
 def test_first_order_dynamics_and_step():
     text = shown("goddard_rocket", latex=True)
     assert r"\dot{m} &= - \frac{\mathrm{thrust}}{c}" in text
-    assert r"m_{k+1} &= m_{k} - \frac{h \mathrm{thrust}_{k}}{c}" in text
+    assert r"m_{k+1} &= - \frac{\mathrm{thrust}_{k} h}{c} + m_{k}" in text
 
 
 def test_phases_and_switches():
