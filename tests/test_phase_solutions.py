@@ -19,15 +19,18 @@ from codegen import (
     controls,
     coordinate,
     coordinates,
+    drivers,
     free_parameter,
     parameters,
-    schemes,
+    plots,
     states,
     time,
 )
 from codegen.compiler import Choices, generate_from_model
+from codegen.drivers.refinement import transferred
 from codegen.lower.module import Origin
 from codegen.model import normalise
+from codegen.plots.quantities import inequalities, quantities
 
 
 def module_of(problem: Control | Phases, **choices: str) -> types.ModuleType:
@@ -78,11 +81,13 @@ def driven(form: str) -> dict:
 
 
 SPLIT = [
-    *(("lagrangian", "variational", scheme) for scheme in schemes.METHODS["variational"]),
-    *(("hamiltonian", "hamiltonian", scheme) for scheme in schemes.METHODS["hamiltonian"]),
+    ("lagrangian", "variational", "midpoint"),
+    ("lagrangian", "variational", "trapezoidal"),
+    ("hamiltonian", "hamiltonian", "symplectic-euler"),
+    ("hamiltonian", "hamiltonian", "stormer-verlet"),
     ("lagrangian", "hamiltonian", "midpoint"),
     ("hamiltonian", "variational", "midpoint"),
-    *(("first-order", "one-step", scheme.name) for scheme in schemes.one_step.FIRST_ORDER_SCHEMES),
+    ("first-order", "one-step", "trapezoidal"),
 ]
 
 
@@ -372,10 +377,14 @@ def arm_reference() -> tuple[float, dict[str, np.ndarray]]:
     return least_cost, variables.parts(z)
 
 
-def test_lagrangian_phases_against_an_independent_program():
+@pytest.fixture(scope="module")
+def arm_solution():
+    return module_of(arm()).solve()
+
+
+def test_lagrangian_phases_against_an_independent_program(arm_solution):
     cost, found = arm_reference()
-    module = module_of(arm())
-    solution = module.solve()
+    solution = arm_solution
     assert solution.status == "solved", solution.message
     assert solution.cost == pytest.approx(cost, rel=1e-9)
     np.testing.assert_allclose(solution.q, np.concatenate([found["qa"], found["qb"][1:]]), atol=1e-6)
@@ -385,8 +394,8 @@ def test_lagrangian_phases_against_an_independent_program():
     np.testing.assert_allclose(solution.p[N], before, atol=1e-6)
 
 
-def test_midpoint_rules_of_both_methods_agree_on_lagrangian_phases():
-    solutions = [module_of(arm(), method=method).solve() for method in ("variational", "hamiltonian")]
+def test_midpoint_rules_of_both_methods_agree_on_lagrangian_phases(arm_solution):
+    solutions = [arm_solution, module_of(arm(), method="hamiltonian").solve()]
     assert [solution.status for solution in solutions] == ["solved"] * 2
     assert solutions[0].cost == pytest.approx(solutions[1].cost, rel=1e-10)
     np.testing.assert_allclose(solutions[0].q, solutions[1].q, atol=1e-8)
@@ -412,21 +421,20 @@ def test_a_jump_of_the_momentum_is_one_of_the_velocity(method):
     assert costs[0] == pytest.approx(costs[1], rel=1e-10)
 
 
-# ---- The gallery ----
+# ---- The gallery, whose discrete optima are compared with those by CasADi and IPOPT in test_gallery ----
 
 
 def test_two_stage_rocket_against_its_closed_form(interpreted):
     exact = 568.6954317577531
     module = interpreted("two_stage_rocket")
     errors = []
-    for steps in (5, 10, 20):
+    for steps in (5, 10):
         solution = module.solve(steps)
         assert solution.status == "solved", solution.message
         errors.append(exact + solution.cost)
         # Both stages burn at full thrust: for c fuel / F.
         np.testing.assert_allclose(solution.t[[steps, 2 * steps]], [92 / 3, 92 / 3 + 65], rtol=1e-8)
-    rates = np.log2(np.array(errors[:-1]) / errors[1:])
-    np.testing.assert_allclose(rates, 2.0, atol=0.05)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
 
 
 def effort(a: float, b: float, T: float) -> float:
@@ -447,10 +455,43 @@ def test_bouncing_ball_against_its_closed_form(interpreted):
     assert found.fun == pytest.approx(17.27107933, rel=1e-8)
     module = interpreted("bouncing_ball")
     errors = []
-    for steps in (5, 10, 20):
+    for steps in (5, 10):
         solution = module.solve(steps)
         assert solution.status == "solved", solution.message
         errors.append(solution.cost - found.fun)
-    np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 2.0, atol=0.05)
-    assert solution.t[20] == pytest.approx(found.x[0], abs=1e-3)
-    assert solution.p[20, 1] == pytest.approx(found.x[2], abs=0.02)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
+    assert solution.t[10] == pytest.approx(found.x[0], abs=4e-3)
+    assert solution.p[10, 1] == pytest.approx(found.x[2], abs=0.05)
+
+
+def test_warm_start_from_a_coarser_grid(interpreted):
+    module = interpreted("bouncing_ball")
+    coarse, cold = (drivers.solve(module, steps=steps) for steps in (4, 8))
+    warm = drivers.solve(module, steps=8, warm=coarse.unknowns)
+    assert (coarse.steps, cold.steps, warm.steps) == (4, 8, 8)
+    assert (cold.status, warm.status) == ("solved", "solved")
+    assert warm.cost == pytest.approx(cold.cost, rel=1e-10)
+    assert warm.summary["switch_1"] == pytest.approx(warm.t[8])
+    np.testing.assert_allclose(transferred(module, warm.unknowns, 8), warm.unknowns, atol=1e-12)
+
+
+def test_figure(interpreted):
+    module = interpreted("two_stage_rocket")
+    result = drivers.solve(module, steps=5)
+    found = quantities(module, result)
+    m, thrust = found["state"][2], found["control"][0]
+    assert (m.jumps, found["state"][0].jumps) == ((5,), ())
+    np.testing.assert_allclose(thrust.upper[:, 0], [0.06] * 5 + [0.012] * 5 + [np.inf] * 5)
+    assert np.isnan(thrust.values[:, 0]).tolist() == [False] * 10 + [True] * 5
+    figure = plots.control_figure(module, result)
+    axes = next(axes for axes in figure.axes if axes.get_ylabel() == "$m$")
+    assert [line.get_xdata().size for line in axes.lines[:2]] == [6, 10]
+
+
+def test_a_path_inequality_is_shown_in_the_phases_that_have_it(mixed_module):
+    result = drivers.solve(mixed_module)
+    shown = {one.name: one for one in inequalities(mixed_module, result)}
+    assert set(shown) == {"u + w <= 1.2", "x <= 1.02", "u >= -0.6", "u - v <= 0.9"}
+    switches = [result.summary["switch_1"], result.summary["switch_2"]]
+    assert np.all(shown["u + w <= 1.2"].t < switches[0])
+    assert np.all((shown["x <= 1.02"].t > switches[0]) & (shown["x <= 1.02"].t <= switches[1]))

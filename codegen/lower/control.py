@@ -71,6 +71,7 @@ def _of_one_phase(program: ControlProgram) -> dict[str, Any]:
         "node_times": times,
         "phase_durations": (),
         "choices": (),
+        "of_each_phase": "",
     }
 
 

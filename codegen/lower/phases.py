@@ -76,6 +76,7 @@ def duration(program: ControlProgram) -> dict[str, Any]:
         "phase_durations": ((duration_inputs(program, durations), tuple(map(scalar_code, durations))),),
         "node_times": "node_times(grid, unknowns)",
         "choices": choices(program),
+        "of_each_phase": " of each phase",
     }
 
 
@@ -91,7 +92,7 @@ def guesses(program: ControlProgram) -> dict[str, Any]:
         )
         for view, times, where, unknowns, guess in groups:
             written = [(j, value, array_code(value)) for j, value in guess if value != 0]
-            lines += [Line("t", f"{times}[{where}]")] if written else []
+            lines += [Line("t", f"{times}[{where}]")] if any(v.has(program.model.time) for _, v, _ in written) else []
             lines += [Line(f"{view}[:, {where}, {j}]", code, unknowns[j].name) for j, _, code in written]
             values += [value for _, value, _ in written]
     return {"guess_inputs": inputs(program, values), "guess_lines": tuple(lines), **shared_guesses(program)}
