@@ -18,7 +18,7 @@ def problem() -> Phases:
     (x, y), (dx, dy) = coordinates("x y")
     f_x, f_y = controls("f_x f_y")
     m, g, e, f = parameters(m=1, g=9.81, e=0.8, f=0.7)
-    T_1, T_2 = free_parameter("T_1", guess=0.45, lower=0.1), free_parameter("T_2", guess=0.45, lower=0.1)
+    T_1, T_2 = free_parameter("T_1", guess=0.45), free_parameter("T_2", guess=0.45)
 
     motion = {
         "lagrangian": m / 2 * (dx**2 + dy**2) - m * g * y,

@@ -226,9 +226,9 @@ def _present(module: ControlModule, controls: Matrix, steps: int) -> Matrix:
     if "phases" not in module.metadata:
         return controls
     grid, generated = module.make_grid(steps), cast("Any", module)
-    lacking = np.where(generated.free_unknowns(grid), 0.0, np.nan)
-    with np.errstate(all="ignore"):
-        return controls + module.unpack(grid, lacking)[3]
+    _, intervals = module.views(grid, np.where(generated.free_unknowns(grid), 0.0, np.nan))
+    places = [module.metadata["interval"].index(name) for name in module.metadata["control_names"]]
+    return np.asarray(controls + intervals[0][:, places])
 
 
 def _constant(table: Matrix, none: float) -> Vector:

@@ -69,7 +69,6 @@ def bouncing_ball(steps: int) -> float:
         problem.subject_to(q[1, -1] == 0 if phase == 0 else q[:, -1] == casadi.DM([1, 0.9]))
         problem.set_initial(q[0, :], [(phase + k / steps) / 2 for k in range(steps + 1)])
         problem.set_initial(q[1, :], [abs(1 - phase - k / steps) for k in range(steps + 1)])
-    problem.subject_to(durations >= 0.1)
     problem.set_initial(durations, 0.45)
     problem.set_initial(velocity, [1, -4.5])
     problem.minimize(cost)
