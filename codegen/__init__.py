@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _HOMES = {
-    **dict.fromkeys(["Control", "Simulate"], "codegen.problem"),
+    **dict.fromkeys(["Control", "Phases", "Simulate"], "codegen.problem"),
     **dict.fromkeys(
         "body_number canonical_pair canonical_pairs control controls coordinate coordinates free_parameter parameter "
         "parameters states time".split(),
@@ -20,6 +20,7 @@ _HOMES = {
 
 __all__ = [
     "Control",
+    "Phases",
     "Simulate",
     "body_number",
     "build",
@@ -40,7 +41,7 @@ __all__ = [
 if TYPE_CHECKING:
     from codegen.compiler import build
     from codegen.load import load
-    from codegen.problem import Control, Simulate
+    from codegen.problem import Control, Phases, Simulate
     from codegen.symbols import (
         body_number,
         canonical_pair,

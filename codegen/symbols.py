@@ -29,7 +29,8 @@ RESERVED = frozenset(
     "duration start end every guess tolerance max_iterations log rows status iterations point boundary prescribed "
     "nodes intervals last views Solution Grid make_grid checked_grid replace_values initial_state initial_guess "
     "with_pinned_values minimise evaluate describe unpack print_log integrate NODE "
-    "warm BODIES bodies shared own common coupling couplings slack slacks lower upper bounds variable_bounds".split()
+    "warm BODIES bodies shared own common coupling couplings slack slacks lower upper bounds variable_bounds "
+    "node_times interval_times phase_durations PHASES".split()
 )
 """Names that generated modules use for their own purposes."""
 _INNER_STAGE = re.compile(r"_stage\d+$")

@@ -3,7 +3,10 @@
 import types
 from pathlib import Path
 
-from codegen.compiler import Choices, generate
+from codegen.compiler import Choices, generate, generate_from_model
+from codegen.lower.module import Origin
+from codegen.model import normalise
+from codegen.problem import Control, Phases
 
 
 def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:
@@ -18,6 +21,12 @@ def without_compilation(text: str, name: str = "interpreted") -> types.ModuleTyp
 def njit(*_args, **_options):
     """A decorator that leaves a function as it is."""
     return lambda function: function
+
+
+def of_problem(problem: Control | Phases, **choices: str) -> types.ModuleType:
+    """The module of a problem that is in no file."""
+    origin = Origin("test.py", "codegen build test.py", "0", ("codegen",))
+    return without_compilation(generate_from_model(normalise(problem), Choices(**choices), origin))
 
 
 class Interpreted:

@@ -30,7 +30,7 @@ def check(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield Finding("second-order condition", subject, False, f"no solution to judge: {solution.message}")
         return
-    grid = module.make_grid(solution.t.size - 1)
+    grid = module.make_grid((solution.t.size - 1) // max(1, len(context.program.phases)))
     diagonal = held_by_bounds(module, grid, solution.unknowns)
     passed, detail = _judged(module, grid, solution.unknowns, diagonal)
     if module.metadata["inequalities"]:

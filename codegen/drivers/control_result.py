@@ -37,7 +37,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         method=metadata["method"],
         scheme=metadata["scheme"],
         driver=driver,
-        steps=grid.steps,
+        steps=request.steps,
         status=status,
         message=message,
         cost=float(module.cost(grid, unknowns)),
@@ -59,6 +59,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
             "largest_control": max_norm(u),
             "stationarity": stationarity,
             **_free_parameters(module, unknowns),
+            **{f"switch_{i}": float(t[i * request.steps]) for i in range(1, metadata.get("phases", 1))},
         },
     )
 

@@ -51,7 +51,8 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
     if metadata["task"] == "simulate":
         numbers = (request.steps // request.every + 1) * (4 * len(metadata["coordinates"]) + 2)
     else:
-        numbers = 26 * (request.steps + 1) * (len(metadata["node"]) + len(metadata["interval"]))
+        intervals = request.steps * metadata.get("phases", 1)
+        numbers = 26 * (intervals + 1) * (len(metadata["node"]) + len(metadata["interval"]))
     if not hasattr(os, "sysconf"):
         return
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

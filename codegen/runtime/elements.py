@@ -16,7 +16,9 @@ from codegen.runtime.example import (
     HESSIAN_ROWS,
     IS_MULTIPLIER,
     NODE,
+    PHASES,
     SHARED,
+    SHARED_IS_MULTIPLIER,
     START_PINNED,
     START_SHARED,
     START_SHARED_PLACES,
@@ -38,7 +40,11 @@ TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
+if PHASES:
+    LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
 IS_CURVATURE = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] == LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS]
+if PHASES:
+    IS_CURVATURE &= ~LOCAL_IS_MULTIPLIER[HESSIAN_ROWS]  # multipliers that an interval lacks must not become singular
 
 
 @njit(error_model="numpy")

@@ -8,7 +8,9 @@ import numpy as np
 from numba import njit
 
 NODE, CONDENSED, STRIDE, ELEMENT = 2, 1, 3, 5
-BODIES, OWN, SHARED, COUPLINGS, ROOT = 1, 0, 0, 0, 0
+BODIES, OWN, SHARED, COUPLINGS, ROOT, PHASES = 1, 0, 0, 0, 0, 0
+PHASE_LACKS = SWITCH_LACKS = np.zeros((0, 1), bool)
+SHARED_IS_MULTIPLIER = np.zeros(0, bool)
 IS_MULTIPLIER = np.array([False, True, False])
 START_PINNED = END_PINNED = np.array([0])
 ONLY_AT_ENDS = np.zeros(0, np.int64)
@@ -89,6 +91,11 @@ def start_hessian(x, t, parameters, hessian):
 @njit(error_model="numpy")
 def end_hessian(x, t, parameters, hessian):
     """Nothing is curved at the end."""
+
+
+def phase_durations(grid, unknowns):
+    """There are no phases."""
+    return np.zeros(0)
 
 
 def variable_bounds(grid):

@@ -7,8 +7,10 @@ from codegen.runtime.example import (
     COUPLINGS,
     IS_MULTIPLIER,
     NODE,
+    PHASES,
     ROOT,
     SHARED,
+    SHARED_IS_MULTIPLIER,
     STRIDE,
     metadata,
 )
@@ -38,6 +40,8 @@ def checked_grid(steps, duration, parameters):
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
+    if PHASES:
+        steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
     chain = steps * STRIDE + NODE
     is_multiplier = np.zeros(BODIES * chain + ROOT, dtype=bool)
     chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
@@ -45,6 +49,8 @@ def checked_grid(steps, duration, parameters):
     chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
     if COUPLINGS:
         is_multiplier[is_multiplier.size - COUPLINGS :] = True
+    if PHASES:
+        is_multiplier[BODIES * chain :] = SHARED_IS_MULTIPLIER
     return Grid(steps, float(duration) / steps, table, is_multiplier)
 
 

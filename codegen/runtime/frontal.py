@@ -20,7 +20,18 @@ from numba import njit
 from codegen.runtime.coupling import add_coupling_matrix
 from codegen.runtime.element_condensed import add_element, allocate_condensed, prepare_condensed
 from codegen.runtime.condensation import condense, expand
-from codegen.runtime.elements import BLOCK, BORDER, FIRST, IS_CURVATURE, ROWS, SIZE, TAIL, WIDTH, padded
+from codegen.runtime.elements import (
+    BLOCK,
+    BORDER,
+    FIRST,
+    IS_CURVATURE,
+    LOCAL_IS_MULTIPLIER,
+    ROWS,
+    SIZE,
+    TAIL,
+    WIDTH,
+    padded,
+)
 from codegen.runtime.ends_flat import close_element
 from codegen.runtime.example import (
     BODIES,
@@ -52,7 +63,8 @@ LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
 LAST_WIDTH = padded(LAST + padded(SHARED))
 SHARED_WIDTH, ROOT_WIDTH = padded(SHARED), padded(ROOT)
 MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
-REACHING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in node k + 1 and in block 0
+ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
+COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
 
 
 def allocate_system(grid):
@@ -126,17 +138,17 @@ def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors)
                 return False, 0
             negative += found
             multipliers += MULTIPLIERS
-            if negative > multipliers + REACHING:
-                return True, negative - multipliers - REACHING
+            if negative > multipliers + ENDING + COMMON:  # node k + 1 has as many as the last one
+                return True, negative - multipliers - ENDING - COMMON
             subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
         end_front(rest, last, left)
         found = eliminate_rows(last, LAST, LAST_WIDTH, last_upper[body], last_inverse[body], last_order[body])
         if found < 0:
             return False, 0
         negative += found
-        multipliers += REACHING
-        if negative > multipliers:  # no multiplier of another body reaches into this one
-            return True, negative - multipliers
+        multipliers += ENDING
+        if negative > multipliers + COMMON:  # no multiplier of another body reaches into this one
+            return True, negative - multipliers - COMMON
         if SHARED:
             subtract_products(last_upper[body], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
             for i in range(SHARED):
