@@ -175,6 +175,10 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "frame",
         *(("slacks",) if layout.slack_places(program) else ()),
         "callbacks",
+        "limits" if program.has_inequalities else "limits_none",
+        "curvature",
+        "verdict",
+        "messages",
     )  # fmt: skip
 
 
