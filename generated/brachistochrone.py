@@ -910,6 +910,7 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     hessian = np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
     for body in range(BODIES):
+        read_shared(unknowns, body, parameters)
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
@@ -2092,7 +2093,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_brachistochrone_d99967d70be28941"
+_IDENTITY = "codegen_brachistochrone_69e629ffdb6f62a0"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
