@@ -1908,7 +1908,7 @@ REMEDIES = {
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
     "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
-    "stalled": "no further progress in floating-point arithmetic; loosen the tolerance or rescale the problem",
+    "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
 }
@@ -1957,9 +1957,12 @@ def violated(grid, point):
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
     blocked = columns[at_limits(grid, point.unknowns)[columns]]
-    names = dict.fromkeys(local_name(grid, place) for place in blocked)
-    text += f", with bounds active on {', '.join(names)}" if names else ""
-    return text + (f"; there are {rows.size} equations for {columns.size} unknowns" * (rows.size > columns.size))
+    names = dict.fromkeys(bounded_name(grid, place) for place in blocked)
+    if names:
+        text += f", with bounds active on {', '.join(names)}"
+    if rows.size > columns.size:
+        text += f"; there are {rows.size} equations for {columns.size} unknowns"
+    return text
 
 
 def dependent(grid, point):
@@ -2080,6 +2083,12 @@ def local_name(grid, place):
     if place >= BODIES * chain:
         return metadata["shared"][place - BODIES * chain]
     return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+
+
+def bounded_name(grid, place):
+    """The name of an unknown without its place, or the inequality whose slack it is."""
+    name = local_name(grid, place)
+    return metadata["meanings"].get(name, name).removeprefix("slack of ").removesuffix(" of an interval")
 
 
 def whereabouts(grid, unknowns, place):
@@ -2274,7 +2283,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_two_link_arm_2ee59e880fae164d"
+_IDENTITY = "codegen_two_link_arm_1389d6848cf2581c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

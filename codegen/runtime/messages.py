@@ -27,7 +27,7 @@ REMEDIES = {
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
     "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
-    "stalled": "no further progress in floating-point arithmetic; loosen the tolerance or rescale the problem",
+    "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
 }
@@ -76,9 +76,12 @@ def violated(grid, point):
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
     blocked = columns[at_limits(grid, point.unknowns)[columns]]
-    names = dict.fromkeys(local_name(grid, place) for place in blocked)
-    text += f", with bounds active on {', '.join(names)}" if names else ""
-    return text + (f"; there are {rows.size} equations for {columns.size} unknowns" * (rows.size > columns.size))
+    names = dict.fromkeys(bounded_name(grid, place) for place in blocked)
+    if names:
+        text += f", with bounds active on {', '.join(names)}"
+    if rows.size > columns.size:
+        text += f"; there are {rows.size} equations for {columns.size} unknowns"
+    return text
 
 
 def dependent(grid, point):
@@ -200,6 +203,12 @@ def local_name(grid, place):
     if SHARED and place >= BODIES * chain:
         return metadata["shared"][place - BODIES * chain]
     return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+
+
+def bounded_name(grid, place):
+    """The name of an unknown without its place, or the inequality whose slack it is."""
+    name = local_name(grid, place)
+    return metadata["meanings"].get(name, name).removeprefix("slack of ").removesuffix(" of an interval")
 
 
 def whereabouts(grid, unknowns, place):
