@@ -59,7 +59,7 @@ metadata = {
     "node": ('rho', 'theta', 'phi', 'drho', 'dtheta', 'dphi'),
     "interval": ('mu_rho', 'mu_theta', 'mu_phi', 'mu_drho', 'mu_dtheta', 'mu_dphi', 'u_rho', 'u_theta', 'u_phi'),
     "shared": ('T',),
-    "meanings": {},
+    "meanings": {'mu_rho': 'multiplier of the step of rho', 'mu_theta': 'multiplier of the step of theta', 'mu_phi': 'multiplier of the step of phi', 'mu_drho': 'multiplier of the step of drho', 'mu_dtheta': 'multiplier of the step of dtheta', 'mu_dphi': 'multiplier of the step of dphi'},
     "inequalities": True,
     "boundary": ('start rho', 'start theta', 'start phi', 'start drho', 'start dtheta', 'start dphi', 'end rho', 'end theta', 'end phi', 'end drho', 'end dtheta', 'end dphi'),
     "operations": {'interval_gradient': (390, 110), 'interval_hessian': (1460, 130), 'start_gradient': (0, 0), 'end_gradient': (0, 0)},
@@ -493,8 +493,8 @@ class Point(NamedTuple):
 
     @property
     def error(self):
-        """Max-norm of all equations of the optimum."""
-        return max(self.residual, self.stationarity)
+        """Max-norm of all equations of the optimum; infinite where the cost is not finite."""
+        return max(self.residual, self.stationarity) if abs(self.cost) < np.inf else np.inf
 
 
 def evaluate(grid, unknowns):
@@ -1034,6 +1034,7 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     hessian = np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
     for body in range(BODIES):
+        read_shared(unknowns, body, parameters)
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
@@ -1395,9 +1396,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if measured[1] <= tolerance and is_solved(grid, point, tolerance):
-            # Newton's steps went downhill; a start that is stationary already may be no minimum.
-            minimum = iteration > 0 or regularised_step(search, iterate, mu, 0.0).shift == 0.0
-            return ("solved" if minimum else "saddle point"), point, iteration
+            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+            doubtful = iteration == 0 or shift > 0.0
+            return ("saddle point" if doubtful and not is_minimum(search, iterate) else "solved"), point, iteration
         if is_boundless(grid, point):
             return "unbounded", point, iteration
         if iteration == max_iterations:
@@ -1424,6 +1425,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
                 return status, point, iteration
         iterate = trial
     return "iteration limit", point, max_iterations
+
+
+def is_minimum(search, iterate):
+    """Whether a stationary point is a minimum to second order, up to rounding, with the barrier to stand for bounds."""
+    grid, bounds, system = search
+    diagonal = np.empty(iterate.point.unknowns.size)
+    barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, FLAT, FLAT, diagonal)
+    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
 def first_iterate(search, unknowns, mu, warm):
@@ -1574,18 +1583,7 @@ def restored(search, iterate, mu, filtered):
     return status, None if unknowns is None else with_multipliers(search, unknowns, mu)
 
 
-# What surrounds the solver: the time grid and its checks, views of the unknowns, messages, the iteration log.
-
-REMEDIES = {
-    "iteration limit": "raise max_iterations, or start from a better guess",
-    "non-finite": "a kernel returned NaN or infinity; change the guess or the parameters",
-    "rank-deficient": "the optimality conditions are singular: a control is free of cost, or a boundary condition is"
-    " redundant or out of reach; run codegen check",
-    "saddle point": "the guess is stationary, but no minimum; start from another guess",
-    "unbounded": "the cost has no minimum under the constraints; check the sign of the cost",
-    "stalled": "no further progress in floating-point arithmetic; loosen the tolerance or rescale the problem",
-    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps",
-}
+# What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
 
 
 def checked_grid(steps, duration, parameters):
@@ -1628,27 +1626,6 @@ def views(grid, unknowns):
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
     return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
-
-
-def describe(grid, point, status):
-    """One sentence on how the solution ended, naming the worst equation and its node where it failed."""
-    if status == "solved":
-        return f"all equations hold to {point.error:.1e}"
-    size = np.abs(point.gradient)
-    worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
-    where = f"by {unknown_name(grid, worst)}"
-    return f"{status}: the derivative of the Lagrangian {where} is {point.gradient[worst]:.1e}; {REMEDIES[status]}"
-
-
-def unknown_name(grid, place):
-    """What an unknown is called and where it lives, as in `r at node 3`."""
-    chain = grid.steps * STRIDE + NODE
-    if place >= BODIES * chain:
-        return metadata["shared"][place - BODIES * chain]
-    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
-    name = (*metadata["node"], *metadata["interval"])[local]
-    of_body = f" of body {body}" if BODIES > 1 else ""
-    return f"{name} at {'node' if local < NODE else 'interval'} {k}{of_body}"
 
 
 def print_log(rows):
@@ -1754,6 +1731,321 @@ def interval_hessians(unknowns, steps, h, parameters, values):
             interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
 
 
+# Which unknowns lie on their bounds.
+
+
+def at_limits(grid, unknowns):
+    """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
+    lower, upper = variable_bounds(grid)
+    scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
+    return (unknowns - lower <= scale) | (upper - unknowns <= scale)
+
+
+# The direction along which the cost curves downwards most while the equations hold to first order.
+
+FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
+ITERATIONS = 4
+
+
+def least_shift(grid, unknowns, system):
+    """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
+
+    No more than ten times as much as is needed, and infinite where no shift helps.
+    """
+    shift = FLAT
+    while shift < 1e20:
+        diagonal = np.where(grid.is_multiplier, -FLAT, shift)
+        if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
+            return shift
+        shift *= 10.0
+    return np.inf
+
+
+def falling_direction(grid, unknowns):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps."""
+    system = allocate_system(grid)
+    direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
+    if least_shift(grid, unknowns, system) == np.inf:
+        return np.zeros(unknowns.size)
+    free = free_unknowns(grid) & ~grid.is_multiplier
+    for _ in range(ITERATIONS):
+        right = np.where(free, direction / np.abs(direction[free]).max(initial=1e-300), 0.0)
+        direction = np.empty(unknowns.size)
+        solve_kkt(grid, system, right, direction)
+    return np.where(free, direction, 0.0)
+
+
+# The word for how a solution ended, corrected by what can be seen only afterwards.
+
+GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
+HUGE = 1e6  # multipliers above it belong to equations that depend on each other
+HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
+
+
+def final_status(grid, guess, point, status):
+    """The status that a solver gave, or a better one.
+
+    Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
+    hold, a solver that cannot go on has not found them infeasible, but dependent on each other.
+    """
+    if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
+        return status
+    if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, point.unknowns)):
+        return "non-finite"
+    if not duration_of(grid, point.unknowns) > 0.0:
+        return "unbounded"
+    if runaways(grid, guess, point, status == "solved").any():
+        return "unbounded"
+    if status in ("infeasible", "stalled") and point.residual <= HOLDS:
+        return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
+    return status
+
+
+def is_finite_matrix(grid, unknowns):
+    """Whether all second derivatives are finite."""
+    return all(np.isfinite(entries(grid, unknowns)[2]).all() for entries in (hessian, jacobian))
+
+
+def largest_multiplier(grid, point):
+    """The largest modulus of a multiplier."""
+    return np.abs(point.unknowns[grid.is_multiplier]).max(initial=0.0)
+
+
+def runaways(grid, guess, point, is_stationary):
+    """Boolean mask of unknowns that have grown beyond reason, and that go on growing.
+
+    At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
+    ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
+    """
+    unknowns = point.unknowns
+    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
+    if is_stationary:
+        grown[: unknowns.size - ROOT] = False
+    if not grown.any():
+        return grown
+    grown &= ~at_limits(grid, unknowns)
+    if is_stationary:
+        return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
+    falls = point.gradient * unknowns < -0.1 * abs(point.cost)
+    return grown & falls & (point.cost < evaluate(grid, guess).cost)
+
+
+def newton_step(grid, point):
+    """Newton's step from a point with the unknowns on their bounds held fast; infinite where there is none."""
+    system, step = allocate_system(grid), np.empty_like(point.unknowns)
+    fixed = at_limits(grid, point.unknowns) & ~grid.is_multiplier
+    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) is None:
+        return np.full(step.size, np.inf)
+    solve_kkt(grid, system, point.gradient, step)
+    return step
+
+
+# One sentence on how a solution ended: what is wrong, in which row and where, and what to try.
+
+REMEDIES = {
+    "iteration limit": "raise max_iterations, or start from a better guess",
+    "non-finite": "change the guess or the parameters, or keep away from there by bounds",
+    "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
+    "saddle point": "this point is stationary, but no minimum; start from another guess",
+    "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
+    "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
+    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
+    " relax a condition or bound",
+}
+NAMED = 3  # how many equations a message names
+
+
+def describe(grid, guess, point, status):
+    """The status, judged once more, and the sentence."""
+    status = final_status(grid, guess, point, status)
+    if status == "solved":
+        return status, f"all equations hold to {point.error:.1e}"
+    return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
+
+
+def finding(grid, guess, point, status):
+    """What was seen, by the names of the author."""
+    if status == "non-finite":
+        return not_finite(grid, point)
+    if status == "infeasible" or (status == "rank-deficient" and point.residual > HOLDS):
+        return violated(grid, point)
+    if status == "rank-deficient":
+        return dependent(grid, point)
+    if status == "saddle point":
+        return f"the cost falls along {falling_unknown(grid, point)}"
+    if status == "unbounded":
+        return run_away(grid, guess, point)
+    return worst_row(grid, point)
+
+
+def worst_row(grid, point):
+    """The equation that is farthest from zero, or the derivative where the equations hold."""
+    size = np.where(grid.is_multiplier == (point.residual > HOLDS), np.abs(point.gradient), -1.0)
+    return row_text(grid, point, int(np.argmax(size)))
+
+
+def row_text(grid, point, place):
+    """Name and value of a row of the optimality conditions."""
+    value = point.gradient[place]
+    if grid.is_multiplier[place]:
+        return f"{equation_name(grid, point.unknowns, place)} is off by {value:.1e}"
+    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)} is {value:.1e}"
+
+
+def violated(grid, point):
+    """The equations that are off most, each at its worst place, and the bounds that stand against them."""
+    rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
+    text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
+    blocked = columns[at_limits(grid, point.unknowns)[columns]]
+    names = dict.fromkeys(bounded_name(grid, place) for place in blocked)
+    if names:
+        text += f", with bounds active on {', '.join(names)}"
+    if rows.size > columns.size:
+        text += f"; there are {rows.size} equations for {columns.size} unknowns"
+    return text
+
+
+def dependent(grid, point):
+    """The equations with the largest multipliers, or the count where no multiplier is large."""
+    rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
+    places = leading(grid, point.unknowns, rows)
+    if places and abs(point.unknowns[places[0]]) > 1e3:
+        names = " and ".join(equation_name(grid, point.unknowns, place) for place in places)
+        return f"equations depend on each other, or have no slope where they hold: {names}"
+    if rows.size > columns.size:
+        return f"there are {rows.size} equations for {columns.size} unknowns"
+    return f"the cost does not change along {falling_unknown(grid, point)}, so that its least value is not unique"
+
+
+def leading(grid, values, rows):
+    """Places of the largest values among some rows, one for each name, as long as they are comparable."""
+    order, places = rows[np.argsort(-np.abs(values[rows]), kind="stable")], {}
+    for place in order:
+        if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
+            break
+        places.setdefault(local_name(grid, place), int(place))
+    return list(places.values())
+
+
+def run_away(grid, guess, point):
+    """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
+    if not duration_of(grid, point.unknowns) > 0.0:
+        return f"the duration has become {duration_of(grid, point.unknowns):.1e}, and needs a lower bound"
+    growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
+    shared = growth.size - ROOT
+    place = int(np.argmax(growth))
+    if growth[shared:].max(initial=0.0) > GROWTH:
+        place = shared + int(np.argmax(growth[shared:]))
+    if growth[place] > GROWTH:
+        return f"{unknown_name(grid, point.unknowns, place)} has grown to {point.unknowns[place]:.1e}"
+    return f"the cost falls for ever along {falling_unknown(grid, point)}"
+
+
+def falling_unknown(grid, point):
+    """The unknown that changes most along the direction in which the cost curves downwards most, or least upwards."""
+    direction = np.where(grid.is_multiplier, 0.0, falling_direction(grid, point.unknowns))
+    return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
+
+
+def not_finite(grid, point):
+    """The first derivative, share of the cost or second derivative that is infinite or NaN, and its kernel."""
+    bad = np.flatnonzero(~np.isfinite(point.gradient))
+    if bad.size:
+        place = int(bad[0])
+        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)}"
+        if grid.is_multiplier[place]:
+            text = equation_name(grid, point.unknowns, place)
+        return f"{text} is {point.gradient[place]} (kernel {kernel_name(grid, place)})"
+    if not np.isfinite(point.cost):
+        return cost_not_finite(grid, point)
+    for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
+        row, _, values = entries(grid, point.unknowns)
+        bad = row[~np.isfinite(values)]
+        if bad.size:
+            name = unknown_name(grid, point.unknowns, int(rows[bad[0]]))
+            return f"a second derivative by {name} is not finite (kernel interval_hessian)"
+    return worst_row(grid, point)
+
+
+def cost_not_finite(grid, point):
+    """Where the discrete cost is infinite or NaN."""
+    costs = np.empty((BODIES, grid.steps))
+    interval_costs(point.unknowns, grid.steps, grid.h, grid.parameters, costs)
+    bad = np.argwhere(~np.isfinite(costs))
+    if bad.size:
+        body, k = bad[0]
+        return f"the cost is {costs[body, k]} on interval {k}{of_body(body)} (kernel interval_gradient)"
+    return f"the cost is {point.cost} at the end (kernel end_gradient)"
+
+
+@njit(cache=True, error_model="numpy")
+def interval_costs(unknowns, steps, h, parameters, costs):
+    """Fill in the discrete cost of each interval of each body."""
+    part = np.empty(ELEMENT + SHARED)
+    for body in range(BODIES):
+        read_shared(unknowns, body, parameters)
+        for k in range(steps):
+            here = body * (steps * STRIDE + NODE) + k * STRIDE
+            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+
+
+def kernel_name(grid, place):
+    """The kernels whose values add up to a row."""
+    chain = grid.steps * STRIDE + NODE
+    if place >= grid.is_multiplier.size - COUPLINGS:
+        return "coupling_term"
+    local = place % chain
+    if place >= BODIES * chain or NODE <= local < chain - NODE:
+        return "interval_gradient"
+    return f"interval_gradient or {'start' if local < NODE else 'end'}_gradient"
+
+
+def unknown_name(grid, unknowns, place):
+    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`."""
+    return f"{local_name(grid, place)}{whereabouts(grid, unknowns, place)}"
+
+
+def equation_name(grid, unknowns, place):
+    """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
+    where = whereabouts(grid, unknowns, place)
+    if meaning.endswith(" of an interval"):
+        return meaning.removesuffix("an interval") + where.removeprefix(" on ")
+    if meaning.endswith((" at the start", " at the end")):
+        return meaning + where.partition(")")[2]
+    return meaning + where
+
+
+def local_name(grid, place):
+    """The name of an unknown without its place, or of a shared one with its body."""
+    chain = grid.steps * STRIDE + NODE
+    if place >= BODIES * chain:
+        return metadata["shared"][place - BODIES * chain]
+    return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+
+
+def bounded_name(grid, place):
+    """The name of an unknown without its place, or the inequality whose slack it is."""
+    name = local_name(grid, place)
+    return metadata["meanings"].get(name, name).removeprefix("slack of ").removesuffix(" of an interval")
+
+
+def whereabouts(grid, unknowns, place):
+    """Node or interval, time and body of an unknown."""
+    chain = grid.steps * STRIDE + NODE
+    if place >= BODIES * chain:
+        return ""
+    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
+    kind = "at node" if local < NODE else "on interval"
+    return f" {kind} {k} (t = {duration_of(grid, unknowns) * k / grid.steps:.3g}){of_body(body)}"
+
+
+def of_body(body):
+    """Whose it is, where there are several bodies."""
+    return f" of body {body}" if BODIES > 1 else ""
+
+
 # ---- What is called from outside ----
 
 
@@ -1807,11 +2099,12 @@ def solve(
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
     rows = []
     status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, rows)
+    status, message = describe(grid, unknowns, point, status)
     if log:
         print_log(rows)
     return Solution(
         status,
-        describe(grid, point, status),
+        message,
         float(point.cost),
         float(point.residual),
         float(point.stationarity),
@@ -1954,7 +2247,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_robot_arm_b3e6a72f3e731d20"
+_IDENTITY = "codegen_robot_arm_5cde109834306807"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

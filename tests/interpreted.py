@@ -1,7 +1,10 @@
 """Generated modules run by the Python interpreter, uncompiled: what tests on many variants and few intervals need."""
 
+import math
 import types
 from pathlib import Path
+
+import numpy as np
 
 from codegen.compiler import Choices, generate, generate_from_model
 from codegen.lower.module import Origin
@@ -16,6 +19,29 @@ def without_compilation(text: str, name: str = "interpreted") -> types.ModuleTyp
     module = types.ModuleType(name)
     exec(compile(text, f"<{name}>", "exec"), module.__dict__)
     return module
+
+
+def as_machine_code(text: str, name: str = "interpreted") -> types.ModuleType:
+    """The same with functions that return NaN and infinity, as in machine code, where Python's raise errors."""
+    assert text.count("import math\n") == 1
+    return without_compilation(text.replace("import math\n", "from interpreted import silent_math as math\n"), name)
+
+
+def _silent(function):
+    """A function of floats that never raises, from one of numpy."""
+
+    def called(*arguments):
+        with np.errstate(all="ignore"):
+            return np.float64(function(*map(np.float64, arguments)))
+
+    return called
+
+
+silent_math = types.SimpleNamespace(
+    **{name: value for name, value in vars(math).items() if not name.startswith("_")}
+    | {name: _silent(getattr(np, name)) for name in "sin cos tan sinh cosh tanh exp log log1p expm1 sqrt".split()}
+)
+"""The functions of `math` that kernels call most, without errors."""
 
 
 def njit(*_args, **_options):

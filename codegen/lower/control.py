@@ -208,6 +208,10 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(("slacks",) if layout.slack_places(program) else ()),
         *(("phases",) if program.phases else ()),
         "callbacks",
+        "limits" if program.has_inequalities else "limits_none",
+        "curvature",
+        "verdict",
+        "messages",
     )  # fmt: skip
 
 

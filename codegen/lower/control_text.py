@@ -151,7 +151,7 @@ def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:
 
 
 def _meanings(program: ControlProgram) -> str:
-    """What unknowns mean whose names do not say it: those of conditions that the author wrote."""
+    """What multipliers mean, and other unknowns whose names do not say it: slacks of the author's conditions."""
     unknowns = (*program.node, *program.interval, *program.slacks, *program.shared)
     named = [*unknowns, *(coupling.multiplier for coupling in program.couplings)]
-    return repr({u.name: u.meaning for u in named if u.name.split("_")[-1].isdigit()})
+    return repr({u.name: u.meaning for u in named if u.multiplier or u.name.split("_")[-1].isdigit()})
