@@ -71,18 +71,17 @@ def allocate_system(grid):
     """Room for the factors, for what is condensed, and the number of equations.
 
     The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
-    the pivots and the order of elimination each. Orders are valid indices from the start: what solves with factors that
-    were never made, as it does to be compiled, must stay inside the arrays.
+    the pivots and the order of elimination each; zeros, so that solving without factors stays inside the arrays.
     """
     factors = (
-        np.empty((BODIES, grid.steps, BLOCK, WIDTH)),
-        np.empty((BODIES, grid.steps, BLOCK, 2)),
+        np.zeros((BODIES, grid.steps, BLOCK, WIDTH)),
+        np.zeros((BODIES, grid.steps, BLOCK, 2)),
         np.zeros((BODIES, grid.steps, BLOCK), np.uint64),
-        np.empty((BODIES, LAST, LAST_WIDTH)),
-        np.empty((BODIES, LAST, 2)),
+        np.zeros((BODIES, LAST, LAST_WIDTH)),
+        np.zeros((BODIES, LAST, 2)),
         np.zeros((BODIES, LAST), np.uint64),
-        np.empty((ROOT, ROOT_WIDTH)),
-        np.empty((ROOT, 2)),
+        np.zeros((ROOT, ROOT_WIDTH)),
+        np.zeros((ROOT, 2)),
         np.zeros(ROOT, np.uint64),
         allocate_condensed(grid),
     )
