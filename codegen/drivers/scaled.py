@@ -25,8 +25,6 @@ from codegen.drivers.result import Request, max_norm
 from codegen.errors import ArgumentError
 from codegen.load import ControlModule, Entries, Grid, Indices, Vector
 
-_DAMPING = 1e-12
-"""Gives multipliers that nothing determines the least norm."""
 _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500
 
@@ -145,8 +143,8 @@ class ScaledProblem:
         scale = 1e-6 * np.maximum(1.0, np.abs(x))
         held = np.where(x - lower <= scale, 1.0, 0.0) - np.where(upper - x <= scale, 1.0, 0.0)
         nu = self._balanced(jacobian, gradient, held == 0.0)
-        wrong = held * (gradient + jacobian.T @ nu) < -_SIGN_ROUNDING * max(1.0, max_norm(gradient))
-        if not wrong.any() or x.size + nu.size > _DENSE_LIMIT:
+        slope, rounding = gradient + jacobian.T @ nu, _SIGN_ROUNDING * max(1.0, max_norm(gradient))
+        if not (held * slope < -rounding).any() or x.size + nu.size > _DENSE_LIMIT:
             return nu
         places = np.flatnonzero(held)
         duals = np.zeros((x.size, places.size))
@@ -161,10 +159,10 @@ class ScaledProblem:
         return max_norm(slope * np.clip(np.where(slope > 0.0, x - lower, upper - x), 0.0, 1.0))
 
     def _balanced(self, jacobian: Any, gradient: Vector, inside: NDArray[np.bool_]) -> Vector:
-        """The multipliers, of least norm, with which the stationarity of some unknowns is least, by a sparse system."""
+        """The multipliers with which the stationarity of some unknowns is least, by a sparse augmented system."""
         jacobian, gradient = jacobian[:, inside], gradient[inside]
-        identity, damping = scipy.sparse.identity(gradient.size), -_DAMPING * scipy.sparse.identity(self.dual.size)
-        system = scipy.sparse.bmat([[identity, jacobian.T], [jacobian, damping]], format="csc")
+        identity = scipy.sparse.identity(gradient.size)
+        system = scipy.sparse.bmat([[identity, jacobian.T], [jacobian, None]], format="csc")
         right = np.concatenate([-gradient, np.zeros(self.dual.size)])
         try:
             nu = scipy.sparse.linalg.splu(system).solve(right)[gradient.size :]

@@ -10,6 +10,7 @@ from codegen.runtime.example import (
     COUPLINGS,
     ELEMENT,
     NODE,
+    PHASES,
     ROOT,
     SHARED,
     STRIDE,
@@ -18,8 +19,9 @@ from codegen.runtime.example import (
     metadata,
 )
 from codegen.runtime.limits import at_limits
+from codegen.runtime.phases import node_times
 from codegen.runtime.shared import read_shared
-from codegen.runtime.verdict import GROWTH, HOLDS, final_status
+from codegen.runtime.verdict import GROWTH, HOLDS, final_status, least_duration
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
@@ -108,8 +110,8 @@ def leading(grid, values, rows):
 
 def run_away(grid, guess, point):
     """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
-    if SHARED and not duration_of(grid, point.unknowns) > 0.0:
-        return f"the duration has become {duration_of(grid, point.unknowns):.1e}, and needs a lower bound"
+    if SHARED and not least_duration(grid, point.unknowns) > 0.0:
+        return f"a duration has become {least_duration(grid, point.unknowns):.1e}, and needs a lower bound"
     growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
     shared = growth.size - ROOT
     place = int(np.argmax(growth))
@@ -218,7 +220,10 @@ def whereabouts(grid, unknowns, place):
         return ""
     body, (k, local) = place // chain, divmod(place % chain, STRIDE)
     kind = "at node" if local < NODE else "on interval"
-    return f" {kind} {k} (t = {duration_of(grid, unknowns) * k / grid.steps:.3g}){of_body(body)}"
+    t = duration_of(grid, unknowns) * k / grid.steps
+    if PHASES:
+        t = node_times(grid, unknowns)[k]
+    return f" {kind} {k} (t = {t:.3g}){of_body(body)}"
 
 
 def of_body(body):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from codegen.runtime.callbacks import hessian, jacobian
-from codegen.runtime.example import ROOT, SHARED, duration_of
+from codegen.runtime.example import PHASES, ROOT, SHARED, duration_of, phase_durations
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.limits import at_limits
 from codegen.runtime.point import evaluate
@@ -23,13 +23,21 @@ def final_status(grid, guess, point, status):
         return status
     if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, point.unknowns)):
         return "non-finite"
-    if SHARED and not duration_of(grid, point.unknowns) > 0.0:
+    if SHARED and not least_duration(grid, point.unknowns) > 0.0:
         return "unbounded"
     if runaways(grid, guess, point, status == "solved").any():
         return "unbounded"
     if status in ("infeasible", "stalled") and point.residual <= HOLDS:
         return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
     return status
+
+
+def least_duration(grid, unknowns):
+    """The length of the time interval, or of the shortest phase."""
+    least = duration_of(grid, unknowns)
+    if PHASES:
+        least = phase_durations(grid, unknowns).min()
+    return least
 
 
 def is_finite_matrix(grid, unknowns):
@@ -65,7 +73,7 @@ def newton_step(grid, point):
     """Newton's step from a point with the unknowns on their bounds held fast; infinite where there is none."""
     system, step = allocate_system(grid), np.empty_like(point.unknowns)
     fixed = at_limits(grid, point.unknowns) & ~grid.is_multiplier
-    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) is None:
+    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) != 0:
         return np.full(step.size, np.inf)
     solve_kkt(grid, system, point.gradient, step)
     return step
