@@ -815,18 +815,17 @@ def allocate_system(grid):
     """Room for the factors, for what is condensed, and the number of equations.
 
     The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
-    the pivots and the order of elimination each. Orders are valid indices from the start: what solves with factors that
-    were never made, as it does to be compiled, must stay inside the arrays.
+    the pivots and the order of elimination each; zeros, so that solving without factors stays inside the arrays.
     """
     factors = (
-        np.empty((BODIES, grid.steps, BLOCK, WIDTH)),
-        np.empty((BODIES, grid.steps, BLOCK, 2)),
+        np.zeros((BODIES, grid.steps, BLOCK, WIDTH)),
+        np.zeros((BODIES, grid.steps, BLOCK, 2)),
         np.zeros((BODIES, grid.steps, BLOCK), np.uint64),
-        np.empty((BODIES, LAST, LAST_WIDTH)),
-        np.empty((BODIES, LAST, 2)),
+        np.zeros((BODIES, LAST, LAST_WIDTH)),
+        np.zeros((BODIES, LAST, 2)),
         np.zeros((BODIES, LAST), np.uint64),
-        np.empty((ROOT, ROOT_WIDTH)),
-        np.empty((ROOT, 2)),
+        np.zeros((ROOT, ROOT_WIDTH)),
+        np.zeros((ROOT, 2)),
         np.zeros(ROOT, np.uint64),
         allocate_condensed(grid),
     )
@@ -2253,7 +2252,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_eac7247c56d6728e"
+_IDENTITY = "codegen_cart_pole_60e10f20743687ea"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
