@@ -11,8 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.example import variable_bounds
-
 
 class Bounds(NamedTuple):
     """Places, values and sides of all finite bounds."""
@@ -22,18 +20,16 @@ class Bounds(NamedTuple):
     side: np.ndarray
 
 
-def finite_bounds(grid):
+def finite_bounds(lower, upper):
     """The bounds that exist, lower ones first."""
-    lower, upper = variable_bounds(grid)
     below, above = np.flatnonzero(lower > -np.inf), np.flatnonzero(upper < np.inf)
     side = np.ones(below.size + above.size)
     side[below.size :] = -1.0
     return Bounds(np.concatenate([below, above]), np.concatenate([lower[below], upper[above]]), side)
 
 
-def push_inside(grid, unknowns, push):
+def push_inside(lower, upper, unknowns, push):
     """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
-    lower, upper = variable_bounds(grid)
     width = push * (upper - lower)
     with np.errstate(invalid="ignore"):
         least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
@@ -66,7 +62,7 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu=0.0):
     """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
 
-    The sizes are the sums of all |multipliers| and of all duals, and the number of duals.
+    The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
     excess, off_centre, size = 0.0, 0.0, 0.0
@@ -77,13 +73,16 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
         if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
             excess += product
         size += duals[j]
-    stationarity, multipliers = 0.0, 0.0
+    stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
     for i in range(gradient.size):
         if is_multiplier[i]:
             multipliers += abs(unknowns[i])
+            count += 1
         else:
             stationarity = max(stationarity, abs(stationary[i]))
-    return stationarity, excess, off_centre, multipliers, size, place.size
+            largest = max(largest, abs(unknowns[i]))
+    mean = (multipliers + size) / max(count + place.size, 1)
+    return stationarity, excess, off_centre, mean, size / max(place.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")

@@ -22,6 +22,7 @@ from codegen.runtime.barrier import (
 )
 from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
+from codegen.runtime.example import variable_bounds
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.point import evaluate
@@ -69,10 +70,13 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
     iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds.
     """
-    search = Search(grid, finite_bounds(grid), allocate_system(grid))
+    lower, upper = variable_bounds(grid)
+    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid))
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
     mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    iterate = first_iterate(search, unknowns, mu, warm)
+    # Far from a solution duals of one serve better than the central path.
+    inside = push_inside(lower, upper, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
+    iterate = with_multipliers(search, inside, mu if warm else None)
     first = max(1.0, iterate.point.violation)
     small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
     shift, last_shift, length = 0.0, 0.0, 0.0
@@ -89,11 +93,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift > 0.0
             return ("saddle point" if doubtful and not is_minimum(search, iterate) else "solved"), point, iteration
-        if is_boundless(grid, point):
+        if is_boundless(point, measured[5]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
             break
-        while mu > least and barrier_error(grid, point, measured, mu) <= 10.0 * mu:
+        while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
             mu = max(least, min(0.2 * mu, mu**1.5))
             filtered = filtered[:1]
             measured = measure_optimality(
@@ -125,13 +129,6 @@ def is_minimum(search, iterate):
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
-def first_iterate(search, unknowns, mu, warm):
-    """The start pushed inside its bounds; far from a solution duals of one serve better than the central path."""
-    grid = search.grid
-    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
-    return with_multipliers(search, inside, mu if warm else None)
-
-
 def with_multipliers(search, unknowns, mu):
     """An iterate at primal unknowns inside their bounds, with multipliers by least squares.
 
@@ -158,18 +155,16 @@ def guess_multipliers(search, unknowns, duals):
     return unknowns + multipliers if np.abs(multipliers).max(initial=0.0) <= 1e3 else unknowns
 
 
-def is_boundless(grid, point):
+def is_boundless(point, largest):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    if point.residual <= 1e-6 and point.cost < -LARGEST:
-        return True
-    return np.abs(point.unknowns[~grid.is_multiplier]).max() > LARGEST
+    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
 
 
-def barrier_error(grid, point, measured, mu):
+def barrier_error(point, measured, mu):
     """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
-    stationarity, _, off_centre, multipliers, duals, count = measured
-    scale = max(100.0, (multipliers + duals) / max(np.count_nonzero(grid.is_multiplier) + count, 1)) / 100.0
-    return max(stationarity / scale, point.residual, off_centre / (max(100.0, duals / max(count, 1)) / 100.0))
+    stationarity, _, off_centre, mean, mean_dual, _ = measured
+    scale, dual_scale = max(100.0, mean) / 100.0, max(100.0, mean_dual) / 100.0
+    return max(stationarity / scale, point.residual, off_centre / dual_scale)
 
 
 def regularised_step(search, iterate, mu, last_shift):

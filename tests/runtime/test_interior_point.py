@@ -204,7 +204,7 @@ def test_unknowns_stay_inside_in_spite_of_rounding() -> None:
 
 def test_start_is_pushed_inside() -> None:
     grid = nlp((-5, 9, 0.5), x1 + x2 + x3, [], [], {x1: (0, 1), x2: (-INFINITY, 4), x3: (0, 1)})
-    pushed = barrier.push_inside(grid, grid.guess, 1e-2)
+    pushed = barrier.push_inside(*dense_problem.variable_bounds(grid), grid.guess, 1e-2)
     np.testing.assert_allclose(pushed, [0.01, 4 - 0.04, 0.5])
 
 
