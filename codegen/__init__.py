@@ -14,12 +14,17 @@ _HOMES = {
         "parameters states time".split(),
         "codegen.symbols",
     ),
+    **dict.fromkeys(["Connect", "Pairwise", "particles"], "codegen.pairwise"),
+    **dict.fromkeys(["Points"], "codegen.points"),
     **dict.fromkeys(["build"], "codegen.compiler"),
     **dict.fromkeys(["load"], "codegen.load"),
 }
 
 __all__ = [
+    "Connect",
     "Control",
+    "Pairwise",
+    "Points",
     "Simulate",
     "body_number",
     "build",
@@ -33,6 +38,7 @@ __all__ = [
     "load",
     "parameter",
     "parameters",
+    "particles",
     "states",
     "time",
 ]
@@ -40,6 +46,8 @@ __all__ = [
 if TYPE_CHECKING:
     from codegen.compiler import build
     from codegen.load import load
+    from codegen.pairwise import Connect, Pairwise, particles
+    from codegen.points import Points
     from codegen.problem import Control, Simulate
     from codegen.symbols import (
         body_number,

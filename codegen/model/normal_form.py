@@ -13,6 +13,7 @@ from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, Sym
 from codegen.model import drawings, regularity, values
 from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
+from codegen.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
 from codegen.model.relations import text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
 from codegen.model.written import FORMS, Entry, form_of, used_quantities, written_entries
@@ -20,12 +21,14 @@ from codegen.problem import Control, Problem, Simulate
 from codegen.symbols import Quantity
 
 
-def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
+def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Any:
     """Check an author's problem and bring it into canonical form.
 
     `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of
     CodegenError that names the symbol or expression and the remedy.
     """
+    if is_pairwise(problem):
+        return normalise_pairwise(problem, declared, name, title)
     if not isinstance(problem, (Simulate, Control)):
         raise ProblemFileError(
             f"problem() returned {type(problem).__name__}", "return codegen.Simulate(...) or codegen.Control(...)"

@@ -1,0 +1,339 @@
+"""Derivatives of a pairwise Hamiltonian -> loops over pairs, as strings.
+
+States are arrays z of shape (2, n, d): places z[0], momenta z[1]. Rows of second derivatives run over z in that order,
+z.reshape(2 n d). Every loop visits each pair once and writes to both of its particles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.differentiate.pairwise import Assignment, PairDerivatives, TermDerivatives
+from codegen.lower.kernels import Kernel, Line, Output, kernel
+from codegen.model.pairwise import PairwiseModel
+
+CLOSEST = Symbol("CLOSEST", positive=True)
+"""The least squared distance that kernels tell from zero, where a limit exists."""
+_STATE = ("z", "own", "parameters")
+
+
+@dataclass(frozen=True)
+class PairLoop:
+    """A function that visits all particles, and all pairs, as groups of lines in the order in which they are run.
+
+    `head` comes first; for each particle i `inputs`, `alone` and `alone_outputs`; for each j < i `pair_inputs`, `pair`
+    and `pair_outputs`; then `after` for particle i, and at last `tail` and `results`. Lines of `alone_directions` and
+    `pair_directions` are repeated for each of several `directions`.
+    """
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    head: tuple[Line, ...]
+    inputs: tuple[Line, ...]
+    alone: tuple[Line, ...]
+    alone_outputs: tuple[Line, ...]
+    alone_directions: tuple[Line, ...]
+    pair_inputs: tuple[Line, ...]
+    pair: tuple[Line, ...]
+    pair_outputs: tuple[Line, ...]
+    pair_directions: tuple[Line, ...]
+    after: tuple[Line, ...]
+    tail: tuple[Line, ...]
+    results: tuple[str, ...]
+    operations_before: int
+    operations_after: int
+
+
+class _Writer:
+    """What all loops of one problem share: how symbols are read, and which scalars belong to single particles."""
+
+    def __init__(self, model: PairwiseModel, derivatives: PairDerivatives) -> None:
+        self.model, self.derivatives = model, derivatives
+        self.dimension = len(model.coordinates)
+        back = dict(zip(model.second.q, model.first.q, strict=True))
+        self.singles: list[Expr] = []
+        self.single_places: dict[Symbol, str] = {}
+        for term in (derivatives.alone, derivatives.pair):
+            for symbol, polynomial in term.scalars:
+                for mark, own in (("i", model.first.q), ("j", model.second.q)):
+                    if polynomial.is_Add and polynomial.free_symbols <= set(own):
+                        value = polynomial.xreplace(back)
+                        if value not in self.singles:
+                            self.singles.append(value)
+                        self.single_places[self._scalar(term, symbol)] = f"singles[{mark}, {self.singles.index(value)}]"
+
+    def _scalar(self, term: TermDerivatives, symbol: Symbol) -> Symbol:
+        """Scalars of the self term and of the pair term may carry the same names."""
+        return symbol if term is self.derivatives.pair else Symbol(f"{symbol.name}_alone", real=True)
+
+    def renamed(self, term: TermDerivatives, expression: Expr) -> Expr:
+        """An expression of one term with its scalars and their derivatives under names of their own."""
+        if term is self.derivatives.pair:
+            return expression
+        named = [symbol for symbol, _ in (*term.scalars, *term.slopes, *term.curvatures)]
+        return expression.xreplace({symbol: Symbol(f"{symbol.name}_alone", real=True) for symbol in named})
+
+    def places(self, mark: str) -> dict[Symbol, str]:
+        """The code that reads the quantities of one particle."""
+        one = self.model.first if mark == "i" else self.model.second
+        places = {s: f"z[0, {mark}, {a}]" for a, s in enumerate(one.q)}
+        places |= {s: f"z[1, {mark}, {a}]" for a, s in enumerate(one.p)}
+        return places | {s: f"own[{mark}, {a}]" for a, s in enumerate(one.own)}
+
+    def lowered(
+        self, term: TermDerivatives, outputs: Sequence[tuple[str, str, Expr]], names: Sequence[Assignment] = ()
+    ) -> Kernel:
+        """Scalars, named derivatives and outputs (target, operator, value) of one term with common parts shared."""
+        needed = _needed((*term.differences, *term.scalars, *names), [value for _, _, value in outputs])
+        assignments = []
+        for symbol, value in needed:
+            renamed = self.renamed(term, symbol)
+            if renamed in self.single_places:
+                continue
+            if self.model.smooth and symbol in term.distances:
+                value = sympy.Max(value, CLOSEST)
+            assignments.append((renamed, self.renamed(term, value)))
+        places = {**self.places("i"), **self.places("j"), **self.single_places}
+        places |= {s: f"parameters[{k}]" for k, s in enumerate(self.model.parameters)}
+        return kernel(
+            "", "", (), places,
+            [Output(target, self.renamed(term, value), "", operator) for target, operator, value in outputs],
+            assignments=assignments,
+        )  # fmt: skip
+
+    def loop(
+        self,
+        name: str,
+        summary: str,
+        arguments: Sequence[str],
+        alone: Kernel,
+        pair: Kernel,
+        head: Sequence[Line] = (),
+        after: Sequence[Line] = (),
+        tail: Sequence[Line] = (),
+        results: Sequence[str] = (),
+        directions: tuple[Sequence[Line], Sequence[Line]] = ((), ()),
+    ) -> PairLoop:
+        """Put both terms into a loop; what belongs to particle i is read once."""
+        uses_singles = any("singles[" in line.code for k in (alone, pair) for line in (*k.inputs, *k.body, *k.outputs))
+        start = [Line("singles", "single_values(z)")] if uses_singles else []
+        read_i, read_j = dict.fromkeys(alone.inputs), dict.fromkeys(line for line in pair.inputs if _of_pair(line))
+        read_i |= dict.fromkeys(line for line in pair.inputs if not _of_pair(line))
+        return PairLoop(
+            name=name,
+            summary=summary,
+            arguments=tuple(arguments),
+            head=(*start, *head),
+            inputs=tuple(read_i),
+            alone=alone.body,
+            alone_outputs=alone.outputs,
+            alone_directions=tuple(directions[0]),
+            pair_inputs=tuple(read_j),
+            pair=pair.body,
+            pair_outputs=pair.outputs,
+            pair_directions=tuple(directions[1]),
+            after=tuple(after),
+            tail=tuple(tail),
+            results=tuple(results),
+            operations_before=pair.operations_before,
+            operations_after=pair.operations_after,
+        )
+
+
+def pair_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[tuple[str, ...], tuple[PairLoop, ...]]:
+    """The code of the scalars of single particles, and the loops for H and its derivatives."""
+    writer = _Writer(model, derivatives)
+    singles = tuple(_accurate_sum(e, model) for e in writer.singles)
+    return singles, (
+        _hamiltonian(writer),
+        _gradient(writer),
+        _hessian(writer),
+        _hessian_products(writer),
+        _momentum_matrix(writer),
+    )
+
+
+def domain_code(model: PairwiseModel) -> tuple[str, ...]:
+    """Code of the expressions that must be positive, for particle i."""
+    return tuple(_accurate_sum(e, model) for e in model.domain)
+
+
+def _hamiltonian(writer: _Writer) -> PairLoop:
+    alone, pair = writer.derivatives.alone, writer.derivatives.pair
+    return writer.loop(
+        "hamiltonian", "H at a state.", _STATE,
+        writer.lowered(alone, [("energy", "+=", alone.value)]),
+        writer.lowered(pair, [("energy", "+=", pair.value)]),
+        head=[Line("energy", "0.0")],
+        results=["energy"],
+    )  # fmt: skip
+
+
+def _gradient(writer: _Writer) -> PairLoop:
+    model, size = writer.model, writer.dimension
+    alone, pair = writer.derivatives.alone, writer.derivatives.pair
+    sums = [f"by_{s}" for s in model.first.moving]
+    own = [(target, "=", value) for target, value in zip(sums, alone.gradient, strict=True)]
+    both = [(target, "+=", value) for target, value in zip(sums, pair.gradient, strict=False)]
+    both += [
+        (f"gradient[{k // size}, j, {k % size}]", "+=", value) for k, value in enumerate(pair.gradient[2 * size :])
+    ]
+    return writer.loop(
+        "hamiltonian_gradient", "Fill `gradient`, shape (2, n, d), with H_q and H_p.", (*_STATE, "gradient"),
+        writer.lowered(alone, own, alone.slopes),
+        writer.lowered(pair, [entry for entry in both if entry[2] != 0], pair.slopes),
+        head=[Line("gradient[:]", "0.0")],
+        after=[Line(f"gradient[{k // size}, i, {k % size}]", name, operator="+=") for k, name in enumerate(sums)],
+    )  # fmt: skip
+
+
+def _entries(term: TermDerivatives) -> list[tuple[str, int, int, Expr]]:
+    """Distinct values among second derivatives under names h0, h1, ..., with all places that they have."""
+    names: dict[Expr, str] = {}
+    return [(names.setdefault(value, f"h{len(names)}"), row, column, value) for row, column, value in term.hessian]
+
+
+def _row(place: int, size: int) -> str:
+    """The row of a moving symbol of one of two particles."""
+    group, axis = divmod(place, size)
+    particle, is_momentum = divmod(group, 2)
+    parts = [*(["half"] if is_momentum else []), "row_" + "ij"[particle], *([str(axis)] if axis else [])]
+    return " + ".join(parts)
+
+
+def _named(entries: Iterable[tuple[str, int, int, Expr]]) -> list[tuple[str, str, Expr]]:
+    return [(name, "=", value) for name, value in {name: value for name, _, _, value in entries}.items()]
+
+
+def _offsets(size: int) -> tuple[Line, Line, Line]:
+    """Where rows of momenta begin, and where those of particles i and j do."""
+    return (
+        Line("half", f"{size}*z.shape[1]" if size > 1 else "z.shape[1]", "where rows of momenta begin"),
+        Line("row_i", f"{size}*i" if size > 1 else "i"),
+        Line("row_j", f"{size}*j" if size > 1 else "j"),
+    )
+
+
+def _hessian(writer: _Writer) -> PairLoop:
+    size = writer.dimension
+    alone, pair = writer.derivatives.alone, writer.derivatives.pair
+    half, row_i, row_j = _offsets(size)
+    filled = {}
+    for term in (alone, pair):
+        lines = []
+        for name, row, column, _ in _entries(term):
+            one, other = divmod(row, size)[0], divmod(column, size)[0]
+            # j < i: momenta come after places, particle i after particle j.
+            later = (one % 2, -(one // 2)) >= (other % 2, -(other // 2))
+            place = (row, column) if later else (column, row)
+            lines.append(Line(f"hessian[{_row(place[0], size)}, {_row(place[1], size)}]", name, operator="+="))
+        filled[term is pair] = lines
+    first = writer.lowered(alone, _named(_entries(alone)), alone.slopes + alone.curvatures)
+    second = writer.lowered(pair, _named(_entries(pair)), pair.slopes + pair.curvatures)
+    return writer.loop(
+        "hamiltonian_hessian", "Fill `hessian`, shape (2nd, 2nd), with the second derivatives of H.",
+        (*_STATE, "hessian"),
+        _extended(first, (row_i,), filled[False]),
+        _extended(second, (row_j,), filled[True]),
+        head=[half, Line("hessian[:]", "0.0")],
+        tail=[Line("", "mirror_lower_triangle(hessian)", operator="")],
+    )  # fmt: skip
+
+
+def _extended(made: Kernel, inputs: Sequence[Line], outputs: Sequence[Line]) -> Kernel:
+    from dataclasses import replace
+
+    return replace(made, body=(*inputs, *made.body, *made.outputs), outputs=tuple(outputs))
+
+
+def _hessian_products(writer: _Writer) -> PairLoop:
+    size = writer.dimension
+    alone, pair = writer.derivatives.alone, writer.derivatives.pair
+    half, row_i, row_j = _offsets(size)
+    lines = []
+    for term in (alone, pair):
+        rows: dict[int, list[str]] = {}
+        for name, row, column, _ in _entries(term):
+            rows.setdefault(row, []).append(f"{name}*directions[{_row(column, size)}, c]")
+            if row != column:
+                rows.setdefault(column, []).append(f"{name}*directions[{_row(row, size)}, c]")
+        lines.append([Line(f"products[{_row(r, size)}, c]", " + ".join(t), operator="+=") for r, t in sorted(rows.items())])
+    first = writer.lowered(alone, _named(_entries(alone)), alone.slopes + alone.curvatures)
+    second = writer.lowered(pair, _named(_entries(pair)), pair.slopes + pair.curvatures)
+    return writer.loop(
+        "hessian_products",
+        "Fill `products`, shape (2nd, m), with the second derivatives of H times m directions, shape (2nd, m).",
+        (*_STATE, "directions", "products"),
+        _extended(first, (row_i,), ()),
+        _extended(second, (row_j,), ()),
+        head=[half, Line("products[:]", "0.0")],
+        directions=(lines[0], lines[1]),
+    )  # fmt: skip
+
+
+def _momentum_matrix(writer: _Writer) -> PairLoop:
+    """H_pp, one row for each particle if it acts on every component alike, else one for each component."""
+    size = writer.dimension
+    alone, pair = writer.derivatives.alone, writer.derivatives.pair
+    isotropic = writer.derivatives.isotropic
+    kernels = []
+    for term in (alone, pair):
+        outputs = []
+        for _, row, column, value in _entries(term):
+            (one, a), (other, b) = divmod(row, size), divmod(column, size)
+            if one % 2 == 0 or other % 2 == 0 or (isotropic and a > 0):
+                continue
+            places = [f"{'ij'[one // 2]}", f"{'ij'[other // 2]}"]
+            if not isotropic:
+                places = [f"{size}*{place} + {axis}" for place, axis in zip(places, (a, b), strict=True)]
+            # The row of particle i comes after that of j.
+            later = places if one // 2 <= other // 2 else places[::-1]
+            outputs.append((f"matrix[{later[0]}, {later[1]}]", "+=", value))
+        kernels.append(writer.lowered(term, outputs, term.slopes + term.curvatures))
+    return writer.loop(
+        "momentum_matrix",
+        "Fill `matrix` with the second derivatives of H by momenta"
+        + (", which act on every component of space alike: shape (n, n)." if isotropic else ", shape (nd, nd)."),
+        (*_STATE, "matrix"), kernels[0], kernels[1],
+        head=[Line("matrix[:]", "0.0")],
+        tail=[Line("", "mirror_lower_triangle(matrix)", operator="")],
+    )  # fmt: skip
+
+
+def _needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assignment]:
+    """Those assignments that the expressions read, directly or through others."""
+    symbols: set[Symbol] = set().union(*(expression.free_symbols for expression in read))
+    kept: list[Assignment] = []
+    for symbol, value in reversed(assignments):
+        if symbol in symbols:
+            kept.append((symbol, value))
+            symbols |= value.free_symbols
+    return kept[::-1]
+
+
+def _of_pair(line: Line) -> bool:
+    """Whether an input is read for every j; parameters and what belongs to i are read outside that loop."""
+    return ", j, " in line.code or "[j, " in line.code
+
+
+def _accurate_sum(expression: Expr, model: PairwiseModel) -> str:
+    """Code of a polynomial of one particle's coordinates: to the last digit where it is a sum of products of two."""
+    from codegen.lower.printer import scalar_code
+
+    reads = {s: Symbol(f"z[0, i, {a}]", real=True) for a, s in enumerate(model.first.q)}
+    first, second = list[str](), list[str]()
+    for term in sympy.Add.make_args(sympy.expand(expression)):
+        coefficient, rest = term.as_coeff_Mul()
+        factors = [b for base, e in rest.as_powers_dict().items() for b in [base] * int(e)] if rest != 1 else []
+        exact = coefficient.is_Rational and abs(coefficient.q) == 1 and abs(coefficient.p) in (1, 2)
+        if len(factors) > 2 or not exact or not all(f in reads for f in factors):
+            return scalar_code(expression.xreplace(reads))
+        one, other = [*(str(reads[f]) for f in factors), *["1.0"] * (2 - len(factors))]
+        first.append(one if coefficient == 1 else f"-{one}" if coefficient == -1 else f"{int(coefficient)}.0*{one}")
+        second.append(other)
+    return f"accurate_dot(({', '.join(first)}), ({', '.join(second)}))"

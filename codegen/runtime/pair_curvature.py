@@ -1,0 +1,44 @@
+"""The linearised field J H'' times directions, from stored second derivatives or, where they are too many, anew."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.example_pairs import hamiltonian_hessian, hessian_products
+from codegen.runtime.pair_algebra import symmetric_product
+
+STORED = 3.0e7  # numbers in all matrices of second derivatives up to which they are stored (240 MB)
+
+
+@njit(cache=True, error_model="numpy")
+def curvature_at(points, own, parameters):
+    """The second derivatives at all points (P, 2, n, d), shape (P, 2nd, 2nd), or an empty array if they are too many."""
+    count, size = points.shape[0], points[0].size
+    if float(count) * size * size > STORED:
+        return np.empty((0, size, size))
+    hessians = np.empty((count, size, size))
+    for k in range(count):
+        hamiltonian_hessian(points[k], own, parameters, hessians[k])
+    return hessians
+
+
+@njit(cache=True, error_model="numpy")
+def linearised_field(hessians, points, k, own, parameters, directions, products, rates):
+    """Fill `rates`, shape (2nd, m), with J H'' at the k-th point times directions; `products` takes H'' times them."""
+    if hessians.shape[0]:
+        symmetric_product(hessians[k], directions, products)
+    else:
+        hessian_products(points[k], own, parameters, directions, products)
+    half = directions.shape[0] // 2
+    for row in range(half):
+        for c in range(directions.shape[1]):
+            rates[row, c] = products[half + row, c]
+            rates[half + row, c] = -products[row, c]
+
+
+@njit(cache=True, error_model="numpy")
+def field(z, own, parameters, gradient, rates):
+    """Fill `rates`, shape (2, n, d), with Hamilton's field (H_p, -H_q), given its gradient."""
+    for i in range(z.shape[1]):
+        for a in range(z.shape[2]):
+            rates[0, i, a] = gradient[1, i, a]
+            rates[1, i, a] = -gradient[0, i, a]
