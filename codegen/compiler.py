@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 from codegen import __version__, emit
 from codegen.errors import ArgumentError
-from codegen.problem_file import input_digest, load_problem
+from codegen.problem_file import input_digest, load_problem, split_points
 
 if TYPE_CHECKING:
     from codegen.lower.module import Origin
@@ -69,7 +69,8 @@ def build(
     problem or a choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
-    path, arguments = Path(path), dict(arguments or {})
+    path = Path(path)
+    arguments = split_points(path, arguments or {})[0]
     for key, value in arguments.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")

@@ -61,6 +61,35 @@ def input_digest(path: Path, arguments: Mapping[str, str], *extra: str) -> str:
     return digest.hexdigest()
 
 
+def split_points(path: Path | str, arguments: Mapping[str, str]) -> tuple[dict[str, str], str | None]:
+    """The arguments that shape a module, and the file of points, if one is given, which is read when it is solved.
+
+    Arguments of problem() that name files of points are known by their annotation, `Points`. Raises ProblemFileError
+    when the problem file cannot be read, and ArgumentError when two files of points are given.
+    """
+    path = Path(path)
+    names = _point_arguments(path)
+    given = [name for name in arguments if name in names]
+    if len(given) > 1:
+        raise ArgumentError(f"--set gives files of points as {' and '.join(given)}", "give one of them")
+    others = {name: value for name, value in arguments.items() if name not in names}
+    return others, arguments[given[0]] if given else None
+
+
+def _point_arguments(path: Path) -> set[str]:
+    try:
+        tree = ast.parse(_source(path))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # what is wrong is said where the file is run
+        return set()
+    return {
+        argument.arg
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and node.name == "problem"
+        for argument in (*node.args.args, *node.args.kwonlyargs)
+        if isinstance(argument.annotation, ast.Name) and argument.annotation.id == "Points"
+    }
+
+
 def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model:
     """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise what it returns.
 

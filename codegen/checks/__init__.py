@@ -29,7 +29,7 @@ from codegen.checks import (
 from codegen.checks.base import Check, Context, Finding
 from codegen.compiler import Choices
 from codegen.load import load
-from codegen.problem_file import load_problem
+from codegen.problem_file import load_problem, split_points
 
 __all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]
 
@@ -80,7 +80,8 @@ def run(
     `module` is a generated file to be checked as it stands; by default the module is built in the cache. Raises a
     kind of CodegenError when the problem, a choice or the file is unusable.
     """
-    path, arguments = Path(path), dict(arguments or {})
+    path = Path(path)
+    arguments = split_points(path, arguments or {})[0]
     choices = Choices(scheme, method, controls)
     if module is None:
         module = compiler.build(path, arguments, scheme=scheme, method=method, controls=controls).path

@@ -51,7 +51,7 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         constants=tuple(_constants(program, derivatives)),
         kernels=(),
         runtime=_runtime(program, loops, singles, domain_code(model)),
-        sizes=(),
+        sizes=(("IMPLICIT", int(_implicit(program))),),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),
@@ -116,15 +116,21 @@ def _runtime(
     files = [*(["pair_special"] if any("x_minus_log1p(" in c or "log1p_minus_ratio(" in c for c in code) else [])]
     files += ["pair_accurate"] if any("accurate_dot(" in c for c in (*singles, *domain)) else []
     step = "pair_substeps" if program.substeps else "pair_runge_kutta"
-    files += ["pair_algebra", "pair_curvature", step, "pair_trajectory", "pair_shooting", "pair_case", "pair_ladder"]
+    files += ["pair_algebra", "pair_curvature", step, *(["pair_implicit"] if _implicit(program) else [])]
+    files += ["pair_trajectory", "pair_shooting", "pair_case", "pair_ladder"]
     files += ["pair_callbacks", *(["pair_action"] if program.method == "action" else [])]
     return tuple(files)
+
+
+def _implicit(program: PairwiseProgram) -> bool:
+    """Whether equations are solved inside a step."""
+    return any(a != 0 or b != 0 for _, a, b in program.substeps)
 
 
 def _left_out(program: PairwiseProgram, derivatives: PairDerivatives, singles: tuple[str, ...]) -> list[str]:
     model = program.model
     out = []
-    if program.rows or all(a == b == 0 for _, a, b in program.substeps):
+    if not _implicit(program):
         out.append("Newton's method inside a step: the scheme is explicit")
     if derivatives.isotropic:
         out.append("all but one row of H_pp for each particle: it acts on every component alike")

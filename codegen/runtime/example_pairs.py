@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 DIMENSION, BLOCKS, QUADRATIC, DOMAIN = 2, 1, 1, 0
-POINTS = 1
+POINTS, IMPLICIT = 1, 0
 SUBSTEPS = ((1.0, 0.0, 0.0),)
 ROWS = ((0.0, 0.0), (0.5, 0.0))
 WEIGHTS = (0.0, 1.0)

@@ -20,7 +20,9 @@ def mirror_lower_triangle(matrix):
 def symmetric_product(matrix, vectors, products):
     """Fill `products`, shape (n, m), with a symmetric matrix times vectors, shape (n, m)."""
     size, columns = vectors.shape
-    products[:] = 0.0
+    for row in range(size):
+        for c in range(columns):
+            products[row, c] = 0.0
     if columns == 1:
         total, vector = products.reshape(-1), vectors.reshape(-1)
         for row in range(size):
@@ -73,12 +75,9 @@ def solve_cholesky(factor, vectors):
 
 
 @njit(cache=True, error_model="numpy")
-def solve_dense(matrix, vectors):
-    """Solve in place for several right-hand sides, shape (n, m), by LU factors that replace the matrix.
-
-    Return whether the matrix is regular.
-    """
-    size, columns = vectors.shape
+def factor_dense(matrix, pivots):
+    """Replace a matrix by its LU factors with partial pivoting; return whether it is regular."""
+    size = matrix.shape[0]
     for k in range(size):
         pivot = k
         for row in range(k + 1, size):
@@ -86,18 +85,31 @@ def solve_dense(matrix, vectors):
                 pivot = row
         if not abs(matrix[pivot, k]) > 0.0:
             return False
+        pivots[k] = pivot
         if pivot != k:
             for column in range(size):
                 matrix[k, column], matrix[pivot, column] = matrix[pivot, column], matrix[k, column]
-            for c in range(columns):
-                vectors[k, c], vectors[pivot, c] = vectors[pivot, c], vectors[k, c]
         for row in range(k + 1, size):
             factor = matrix[row, k] / matrix[k, k]
+            matrix[row, k] = factor
             if factor != 0.0:
                 for column in range(k + 1, size):
                     matrix[row, column] -= factor * matrix[k, column]
-                for c in range(columns):
-                    vectors[row, c] -= factor * vectors[k, c]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def solve_factored(matrix, pivots, vectors):
+    """Solve in place for several right-hand sides, shape (n, m), with the factors that `factor_dense` left."""
+    size, columns = vectors.shape
+    for k in range(size):
+        for c in range(columns):
+            vectors[k, c], vectors[pivots[k], c] = vectors[pivots[k], c], vectors[k, c]
+    for k in range(size):
+        for column in range(k):
+            factor = matrix[k, column]
+            for c in range(columns):
+                vectors[k, c] -= factor * vectors[column, c]
     for k in range(size - 1, -1, -1):
         for column in range(k + 1, size):
             factor = matrix[k, column]
@@ -105,4 +117,26 @@ def solve_dense(matrix, vectors):
                 vectors[k, c] -= factor * vectors[column, c]
         for c in range(columns):
             vectors[k, c] /= matrix[k, k]
-    return True
+
+
+@njit(cache=True, error_model="numpy")
+def largest(values):
+    """Max-norm of a vector; infinite when an entry is not a number."""
+    size = 0.0
+    for k in range(values.size):
+        if not abs(values[k]) < np.inf:
+            return np.inf
+        size = max(size, abs(values[k]))
+    return size
+
+
+@njit(cache=True, error_model="numpy")
+def copy_state(source, target):
+    """Copy a state of shape (2, n, d); return whether it is finite."""
+    finite = True
+    for s in range(2):
+        for i in range(source.shape[1]):
+            for a in range(source.shape[2]):
+                target[s, i, a] = source[s, i, a]
+                finite = finite and abs(source[s, i, a]) < np.inf
+    return finite

@@ -6,7 +6,7 @@ from codegen.runtime.example_pairs import POINTS
 from codegen.runtime.pair_curvature import curvature_at
 from codegen.runtime.pair_ladder import guessed_path, momenta_of
 from codegen.runtime.pair_runge_kutta import advance_directions
-from codegen.runtime.pair_shooting import end_residual, shooting_jacobian
+from codegen.runtime.pair_shooting import Linearised, end_residual
 from codegen.runtime.pair_trajectory import defects, discrete_cost, follow
 
 
@@ -26,20 +26,15 @@ def trajectory(case, momenta):
 def residual(case, momenta):
     """q_N + sigma^2 p_N - target for given initial momenta, shape (nd,); NaN where a step fails."""
     outcome, path, _ = trajectory(case, momenta)
-    values = np.full(case.start.size, np.nan)
-    if outcome >= 0:
-        end_residual(path[-1], case.target, case.sigma, values)
-    return values
+    return end_residual(path[-1], case.target, case.sigma) if outcome >= 0 else np.full(case.start.size, np.nan)
 
 
 def jacobian(case, momenta):
     """The derivative of `residual` by the initial momenta, shape (nd, nd); NaN where a step fails."""
-    outcome, path, points = trajectory(case, momenta)
+    outcome, _, points = trajectory(case, momenta)
     if outcome < 0:
         return np.full((case.start.size, case.start.size), np.nan)
-    hessians = curvature_at(points, case.own, case.parameters)
-    h = case.duration / case.steps
-    return shooting_jacobian(hessians, points, case.steps, h, case.own, case.parameters, case.sigma)
+    return Linearised(case, points, None).matrix()
 
 
 def path_cost(case, path):
@@ -52,11 +47,9 @@ def path_cost(case, path):
 def path_errors(case, path):
     """Each step from a state minus the next state, shape (N, 2, n, d), and the residual of the end, shape (nd,)."""
     points, errors = np.zeros((case.steps * POINTS, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
-    end = np.zeros(case.start.size)
     if defects(case.duration / case.steps, case.own, case.parameters, path, points, errors) < 0:
         errors[:] = np.nan
-    end_residual(path[-1], case.target, case.sigma, end)
-    return errors, end
+    return errors, end_residual(path[-1], case.target, case.sigma)
 
 
 def path_of(case, unknowns):

@@ -22,8 +22,8 @@ def curvature_at(points, own, parameters):
 
 
 @njit(cache=True, error_model="numpy")
-def linearised_field(hessians, points, k, own, parameters, directions, products, rates):
-    """Fill `rates`, shape (2nd, m), with J H'' at the k-th point times directions; `products` takes H'' times them."""
+def linearised_field(hessians, points, k, own, parameters, directions, products):
+    """Fill `products`, shape (2nd, m), with J H'' at the k-th point times directions."""
     if hessians.shape[0]:
         symmetric_product(hessians[k], directions, products)
     else:
@@ -31,14 +31,6 @@ def linearised_field(hessians, points, k, own, parameters, directions, products,
     half = directions.shape[0] // 2
     for row in range(half):
         for c in range(directions.shape[1]):
-            rates[row, c] = products[half + row, c]
-            rates[half + row, c] = -products[row, c]
-
-
-@njit(cache=True, error_model="numpy")
-def field(z, own, parameters, gradient, rates):
-    """Fill `rates`, shape (2, n, d), with Hamilton's field (H_p, -H_q), given its gradient."""
-    for i in range(z.shape[1]):
-        for a in range(z.shape[2]):
-            rates[0, i, a] = gradient[1, i, a]
-            rates[1, i, a] = -gradient[0, i, a]
+            by_place = products[row, c]
+            products[row, c] = products[half + row, c]
+            products[half + row, c] = -by_place

@@ -67,10 +67,7 @@ def climb(case, method, guess):
 
 def shoot_at(case, target, path, points, log):
     """Newton's method on the initial momenta of `path` for some target."""
-    h = case.duration / case.steps
-    return shoot(
-        h, case.own, case.parameters, target, case.sigma, case.tolerance, case.max_iterations, path, points, log
-    )
+    return shoot(case._replace(target=target), path, points, log)
 
 
 def from_guess(case, path, points, log):
@@ -119,10 +116,7 @@ def by_continuation(case, path, points, log):
 def on_all_states(case, path, points, log):
     """Newton's method on all states from the guessed path."""
     path[:] = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
-    h = case.duration / case.steps
-    return all_states(
-        h, case.own, case.parameters, case.target, case.sigma, case.tolerance, case.max_iterations, path, points, log
-    )
+    return all_states(case, path, points, log)
 
 
 SHOOTING = (

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.example_pairs import BLOCKS, POINTS, domain_margin, momentum_matrix
-from codegen.runtime.pair_algebra import cholesky, solve_cholesky, solve_dense
+from codegen.runtime.pair_algebra import cholesky, factor_dense, largest, solve_cholesky, solve_factored
 from codegen.runtime.pair_curvature import curvature_at
 from codegen.runtime.pair_runge_kutta import advance_directions
 from codegen.runtime.pair_trajectory import defects, follow
@@ -33,253 +33,191 @@ def tangents(hessians, points, steps, h, own, parameters, directions):
     for k in range(steps):
         if not advance_directions(hessians, points, k * POINTS, h, own, parameters, directions, after):
             return False
-        directions[:] = after
+        for row in range(after.shape[0]):
+            for c in range(after.shape[1]):
+                directions[row, c] = after[row, c]
     return True
 
 
-@njit(cache=True, error_model="numpy")
 def arrival(directions, sigma):
     """The change of q_N + sigma^2 p_N along directions, shape (nd, m)."""
     half = directions.shape[0] // 2
-    change = directions[:half].copy()
-    axes = half // sigma.size
-    for row in range(half):
-        for c in range(directions.shape[1]):
-            change[row, c] += sigma[row // axes] ** 2 * directions[half + row, c]
-    return change
+    variances = np.repeat(sigma**2, half // sigma.size)
+    return directions[:half] + variances[:, None] * directions[half:]
 
 
-@njit(cache=True, error_model="numpy")
-def end_residual(state, target, sigma, residual):
-    """Fill `residual`, shape (nd,), with q_N + sigma^2 p_N - target."""
-    axes = state.shape[2]
-    for i in range(state.shape[1]):
-        for a in range(axes):
-            residual[i * axes + a] = state[0, i, a] + sigma[i] ** 2 * state[1, i, a] - target[i, a]
+def end_residual(state, target, sigma):
+    """q_N + sigma^2 p_N - target, shape (nd,)."""
+    return (state[0] + sigma[:, None] ** 2 * state[1] - target).ravel()
 
 
-@njit(cache=True, error_model="numpy")
-def preconditioner(state, duration, own, parameters):
-    """The Cholesky factor of duration times H_pp, an empty array if that is not positive definite."""
-    size = state.shape[1] if BLOCKS == 1 else state.shape[1] * state.shape[2]
+class Linearised:
+    """The derivative of the residual by the initial momenta, about one trajectory or one sequence of states."""
+
+    def __init__(self, case, points, factor):
+        """Take the second derivatives at all points; `factor` is that of `preconditioner`."""
+        self.case, self.points, self.factor, self.count = case, points, factor, 0
+        self.hessians = curvature_at(points, case.own, case.parameters)
+
+    def tangents(self, directions):
+        """Propagate directions, shape (2nd, m), over all steps in place; NaN where a step cannot be solved."""
+        case = self.case
+        self.count += directions.shape[1]
+        h = case.duration / case.steps
+        if not tangents(self.hessians, self.points, case.steps, h, case.own, case.parameters, directions):
+            directions[:] = np.nan
+        return directions
+
+    def product(self, change):
+        """The change of the residual for a change of the initial momenta, shape (nd,)."""
+        directions = np.zeros((2 * change.size, 1))
+        directions[change.size :, 0] = change
+        return arrival(self.tangents(directions), self.case.sigma)[:, 0]
+
+    def matrix(self):
+        """The derivative as a matrix, shape (nd, nd)."""
+        size = self.case.start.size
+        return arrival(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
+
+    def solved(self, right, forcing):
+        """The change of initial momenta that changes the residual by `right`; NaN where there is none."""
+        if right.size > DENSE:
+            return self.gmres(right, forcing)
+        matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right[:, None].copy()
+        if not factor_dense(matrix, pivots):
+            return np.full(right.size, np.nan)
+        solve_factored(matrix, pivots, solution)
+        return solution[:, 0]
+
+    def preconditioned(self, vector):
+        """The preconditioner's inverse times a vector, shape (nd,)."""
+        if self.factor is None:
+            return vector
+        result = vector.copy().reshape(self.factor.shape[0], -1)
+        solve_cholesky(self.factor, result)
+        return result.ravel()
+
+    def gmres(self, right, forcing):
+        """Solve to a relative residual of `forcing`, as far as BASIS directions go."""
+        most, norm = min(BASIS, right.size), np.linalg.norm(right)
+        basis, hessenberg = np.empty((most + 1, right.size)), np.zeros((most + 1, most))
+        basis[0], wanted = right / norm, np.zeros(most + 1)
+        wanted[0], weights = norm, np.zeros(0)
+        for k in range(most):
+            new = self.product(self.preconditioned(basis[k]))
+            for _ in range(2):  # the second time removes what rounding left
+                parts = basis[: k + 1] @ new
+                hessenberg[: k + 1, k] += parts
+                new = new - parts @ basis[: k + 1]
+            length = np.linalg.norm(new)
+            if not length < np.inf:
+                return np.full(right.size, np.nan)
+            hessenberg[k + 1, k] = length
+            system = hessenberg[: k + 2, : k + 1]
+            weights = np.linalg.lstsq(system, wanted[: k + 2], rcond=None)[0]
+            if np.linalg.norm(system @ weights - wanted[: k + 2]) <= forcing * norm or length <= 1e-14 * norm:
+                break
+            basis[k + 1] = new / length
+        return self.preconditioned(weights @ basis[: weights.size])
+
+
+def preconditioner(case):
+    """The Cholesky factor of duration times H_pp at the start, None if that is not positive definite."""
+    size = case.start.shape[0] if BLOCKS == 1 else case.start.size
     matrix = np.empty((size, size))
-    momentum_matrix(state, own, parameters, matrix)
-    matrix *= duration
-    if cholesky(matrix):
-        return matrix
-    return np.empty((0, 0))
+    momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
+    matrix *= case.duration
+    return matrix if cholesky(matrix) else None
 
 
-@njit(cache=True, error_model="numpy")
-def preconditioned(factor, vector):
-    """The preconditioner's inverse times a vector, shape (nd,)."""
-    if factor.shape[0] == 0:
-        return vector.copy()
-    result = vector.copy().reshape((factor.shape[0], vector.size // factor.shape[0]))
-    solve_cholesky(factor, result)
-    return result.reshape(-1)
-
-
-@njit(cache=True, error_model="numpy")
-def sensitivity(hessians, points, steps, h, own, parameters, sigma, change):
-    """The change of the residual for a change of the initial momenta, shape (nd,)."""
-    half = change.size
-    directions = np.zeros((2 * half, 1))
-    directions[half:, 0] = change
-    if not tangents(hessians, points, steps, h, own, parameters, directions):
-        return np.full(half, np.nan)
-    return arrival(directions, sigma)[:, 0].copy()
-
-
-@njit(cache=True, error_model="numpy")
-def shooting_jacobian(hessians, points, steps, h, own, parameters, sigma):
-    """The derivative of the residual by the initial momenta, shape (nd, nd)."""
-    half = points[0].size // 2
-    directions = np.zeros((2 * half, half))
-    for c in range(half):
-        directions[half + c, c] = 1.0
-    if not tangents(hessians, points, steps, h, own, parameters, directions):
-        return np.full((half, half), np.nan)
-    return arrival(directions, sigma)
-
-
-@njit(cache=True, error_model="numpy")
-def gmres(hessians, points, steps, h, own, parameters, sigma, factor, right, forcing):
-    """Solve sensitivity(x) = right to a relative residual of `forcing`; return x and the number of products."""
-    size = right.size
-    most = min(BASIS, size)
-    norm = np.sqrt((right * right).sum())
-    basis = np.empty((most + 1, size))
-    rotated = np.zeros((most, most + 1))  # columns of the Hessenberg matrix, rotated to triangular form
-    cosines, sines, remainder = np.empty(most), np.empty(most), np.zeros(most + 1)
-    basis[0], remainder[0], count = right / norm, norm, 0
-    for k in range(most):
-        new = sensitivity(hessians, points, steps, h, own, parameters, sigma, preconditioned(factor, basis[k]))
-        for row in range(k + 1):
-            product = (new * basis[row]).sum()
-            rotated[k, row] = product
-            new -= product * basis[row]
-        length = np.sqrt((new * new).sum())
-        if not length < np.inf:
-            break
-        for row in range(k):
-            upper = cosines[row] * rotated[k, row] + sines[row] * rotated[k, row + 1]
-            rotated[k, row + 1] = cosines[row] * rotated[k, row + 1] - sines[row] * rotated[k, row]
-            rotated[k, row] = upper
-        radius = np.hypot(rotated[k, k], length)
-        if not radius > 0.0:
-            break
-        cosines[k], sines[k] = rotated[k, k] / radius, length / radius
-        rotated[k, k] = radius
-        remainder[k + 1] = -sines[k] * remainder[k]
-        remainder[k] *= cosines[k]
-        count = k + 1
-        if abs(remainder[k + 1]) <= forcing * norm or length <= 1e-15 * radius:
-            break
-        basis[k + 1] = new / length
-    solution = np.zeros(size)
-    for k in range(count - 1, -1, -1):
-        for column in range(k + 1, count):
-            remainder[k] -= rotated[column, k] * remainder[column]
-        remainder[k] /= rotated[k, k]
-        solution += remainder[k] * basis[k]
-    return preconditioned(factor, solution), count
-
-
-@njit(cache=True, error_model="numpy")
-def newton_direction(hessians, points, steps, h, own, parameters, sigma, factor, right, forcing):
-    """The change of initial momenta that changes the residual by `right`, and the number of tangents taken."""
-    if right.size > DENSE:
-        return gmres(hessians, points, steps, h, own, parameters, sigma, factor, right, forcing)
-    matrix = shooting_jacobian(hessians, points, steps, h, own, parameters, sigma)
-    solution = right.copy().reshape((right.size, 1))
-    if not solve_dense(matrix, solution):
-        return np.full(right.size, np.nan), right.size
-    return solution[:, 0].copy(), right.size
-
-
-@njit(cache=True, error_model="numpy")
-def largest(values):
-    """Max-norm; infinite when an entry is not a number."""
-    size = 0.0
-    for value in values.flat:
-        if not abs(value) < np.inf:
-            return np.inf
-        size = max(size, abs(value))
-    return size
-
-
-@njit(cache=True, error_model="numpy")
-def shoot(h, own, parameters, target, sigma, tolerance, max_iterations, path, points, log):
+def shoot(case, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
     A row of `log` is (residual, tangents, step length). Return how it ended, the iterations and the last residual.
     """
-    steps, half = path.shape[0] - 1, path[0].size // 2
-    factor = preconditioner(path[0], h * steps, own, parameters)
-    residual, trial = np.empty(half), np.empty(half)
-    trial_path, trial_points = np.empty(path.shape), np.empty(points.shape)
-    outcome = follow(h, own, parameters, path, points)
+    h, factor = case.duration / case.steps, preconditioner(case)
+    trial_path, trial_points = np.empty_like(path), np.empty_like(points)
+    outcome = follow(h, case.own, case.parameters, path, points)
     if outcome < 0:
         return outcome, 0, np.inf
-    end_residual(path[steps], target, sigma, residual)
-    error, forcing, previous = largest(residual), 0.1, np.inf
-    for iteration in range(max_iterations):
+    residual, previous = end_residual(path[-1], case.target, case.sigma), np.inf
+    for iteration in range(case.max_iterations + 1):
+        error, norm = largest(residual), np.linalg.norm(residual)
         log[iteration, 0] = error
-        if error <= tolerance:
-            return SOLVED, iteration, error
-        norm = np.sqrt((residual * residual).sum())
-        forcing = max(min(0.1, 0.9 * (norm / previous) ** 2), min(0.1, 0.1 * tolerance / error), 1e-10)
-        previous = norm
-        hessians = curvature_at(points, own, parameters)
-        change, log[iteration, 1] = newton_direction(
-            hessians, points, steps, h, own, parameters, sigma, factor, -residual, forcing
-        )
-        if not largest(change) < np.inf:
+        if error <= case.tolerance or iteration == case.max_iterations:
+            return SOLVED if error <= case.tolerance else LIMIT, iteration, error
+        forcing = max(min(0.1, 0.9 * (norm / previous) ** 2), min(0.1, 0.1 * case.tolerance / error), 1e-10)
+        previous, linear = norm, Linearised(case, points, factor)
+        change = linear.solved(-residual, forcing).reshape(case.start.shape)
+        log[iteration, 1] = linear.count
+        if not np.isfinite(change).all():
             return SINGULAR, iteration, error
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
-            trial_path[0, 0] = path[0, 0]
-            trial_path[0, 1] = path[0, 1] + length * change.reshape(path[0, 1].shape)
-            if follow(h, own, parameters, trial_path, trial_points) >= 0:
-                end_residual(trial_path[steps], target, sigma, trial)
-                if np.sqrt((trial * trial).sum()) <= (1.0 - 1e-4 * length) * norm:
+            trial_path[0, 0], trial_path[0, 1] = path[0, 0], path[0, 1] + length * change
+            if follow(h, case.own, case.parameters, trial_path, trial_points) >= 0:
+                trial = end_residual(trial_path[-1], case.target, case.sigma)
+                if np.linalg.norm(trial) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True
                     break
             length *= 0.5
-        log[iteration, 2] = length if accepted else 0.0
         if not accepted:
             return SOLVED if error <= ROUNDING else STALLED, iteration, error
-        path[:], points[:], residual[:] = trial_path, trial_points, trial
-        error = largest(residual)
-    log[max_iterations, 0] = error
-    return SOLVED if error <= tolerance else LIMIT, max_iterations, error
+        log[iteration, 2] = length
+        path[:], points[:], residual = trial_path, trial_points, trial
+    raise AssertionError("unreachable")
 
 
-@njit(cache=True, error_model="numpy")
-def all_states(h, own, parameters, target, sigma, tolerance, max_iterations, path, points, log):
+def all_states(case, path, points, log):
     """Improve all states of `path` but the places at the start; otherwise as `shoot`.
 
     The residual is the largest of all defects of steps and of the end conditions.
     """
-    steps, half = path.shape[0] - 1, path[0].size // 2
-    factor = preconditioner(path[0], h * steps, own, parameters)
-    errors, trial_errors = np.empty((steps, *path[0].shape)), np.empty((steps, *path[0].shape))
-    residual, trial = np.empty(half), np.empty(half)
-    trial_path, trial_points = np.empty(path.shape), np.empty(points.shape)
-    outcome = defects(h, own, parameters, path, points, errors)
+    h, factor = case.duration / case.steps, preconditioner(case)
+    errors, trial_errors = np.empty_like(path[1:]), np.empty_like(path[1:])
+    trial_path, trial_points = np.empty_like(path), np.empty_like(points)
+    outcome = defects(h, case.own, case.parameters, path, points, errors)
     if outcome < 0:
         return outcome, 0, np.inf
-    end_residual(path[steps], target, sigma, residual)
-    for iteration in range(max_iterations):
-        error = max(largest(errors), largest(residual))
+    residual = end_residual(path[-1], case.target, case.sigma)
+    for iteration in range(case.max_iterations + 1):
+        error = max(largest(errors.ravel()), largest(residual))
         log[iteration, 0] = error
-        if error <= tolerance:
-            return SOLVED, iteration, error
-        norm = np.sqrt((errors * errors).sum() + (residual * residual).sum())
-        hessians = curvature_at(points, own, parameters)
-        shifts = np.zeros((steps + 1, 2 * half, 1))
-        if not shifted(hessians, points, h, own, parameters, errors, shifts):
-            return SINGULAR, iteration, error
-        right = -residual - arrival(shifts[steps], sigma)[:, 0]
-        change, log[iteration, 1] = newton_direction(
-            hessians, points, steps, h, own, parameters, sigma, factor, right, 1e-6
-        )
-        shifts[0, half:, 0] = change
-        if not shifted(hessians, points, h, own, parameters, errors, shifts) or not largest(shifts) < np.inf:
+        if error <= case.tolerance or iteration == case.max_iterations:
+            return SOLVED if error <= case.tolerance else LIMIT, iteration, error
+        norm = np.hypot(np.linalg.norm(errors), np.linalg.norm(residual))
+        linear = Linearised(case, points, factor)
+        shifts = np.zeros((case.steps + 1, 2 * residual.size, 1))
+        shift_states(linear, errors, shifts)
+        right = -residual - arrival(shifts[-1], case.sigma)[:, 0]
+        shifts[0, residual.size :, 0] = linear.solved(right, min(1e-3, 0.1 * error)) if right.any() else 0.0
+        shift_states(linear, errors, shifts)
+        log[iteration, 1] = linear.count + 2
+        if not np.isfinite(shifts).all():
             return SINGULAR, iteration, error
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
             trial_path[:] = path + length * shifts.reshape(path.shape)
-            if is_inside(trial_path) and defects(h, own, parameters, trial_path, trial_points, trial_errors) >= 0:
-                end_residual(trial_path[steps], target, sigma, trial)
-                size = np.sqrt((trial_errors * trial_errors).sum() + (trial * trial).sum())
-                if size <= (1.0 - 1e-4 * length) * norm:
+            inside = all(domain_margin(z) > 0.0 for z in trial_path)
+            if inside and defects(h, case.own, case.parameters, trial_path, trial_points, trial_errors) >= 0:
+                trial = end_residual(trial_path[-1], case.target, case.sigma)
+                if np.hypot(np.linalg.norm(trial_errors), np.linalg.norm(trial)) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True
                     break
             length *= 0.5
-        log[iteration, 2] = length if accepted else 0.0
         if not accepted:
             return SOLVED if error <= ROUNDING else STALLED, iteration, error
-        path[:], points[:], residual[:], errors[:] = trial_path, trial_points, trial, trial_errors
-    error = max(largest(errors), largest(residual))
-    return SOLVED if error <= tolerance else LIMIT, max_iterations, error
+        log[iteration, 2] = length
+        path[:], points[:], residual, errors[:] = trial_path, trial_points, trial, trial_errors
+    raise AssertionError("unreachable")
 
 
-@njit(cache=True, error_model="numpy")
-def shifted(hessians, points, h, own, parameters, errors, shifts):
+def shift_states(linear, errors, shifts):
     """Fill shifts[1:] with the linearised trajectory from shifts[0] that removes the defects."""
-    for k in range(errors.shape[0]):
-        if not advance_directions(hessians, points, k * POINTS, h, own, parameters, shifts[k], shifts[k + 1]):
-            return False
-        shifts[k + 1, :, 0] += errors[k].reshape(-1)
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def is_inside(path):
-    """Whether every particle is in its domain at every node."""
-    for k in range(path.shape[0]):
-        if not domain_margin(path[k]) > 0.0:
-            return False
-    return True
+    case = linear.case
+    h = case.duration / case.steps
+    for k, error in enumerate(errors):
+        solved = advance_directions(
+            linear.hessians, linear.points, k * POINTS, h, case.own, case.parameters, shifts[k], shifts[k + 1]
+        )
+        shifts[k + 1, :, 0] += error.ravel() if solved else np.nan

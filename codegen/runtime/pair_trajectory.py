@@ -43,7 +43,10 @@ def defects(h, own, parameters, path, points, errors):
         outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after)
         if outcome < 0:
             return outcome
-        errors[k] = after - path[k + 1]
+        for s in range(2):
+            for i in range(after.shape[1]):
+                for a in range(after.shape[2]):
+                    errors[k, s, i, a] = after[s, i, a] - path[k + 1, s, i, a]
         iterations += outcome
     return iterations
 
