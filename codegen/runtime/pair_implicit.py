@@ -125,11 +125,13 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
         if not change < np.inf:
             break
         previous = change
-    return hessians.shape[0] > 0 and direct_directions(hessians[k], step, a, b, before, middle, products, after)
+    if hessians is None:
+        return False
+    return direct_directions(hessians[k], step, a, b, before, middle, after)
 
 
 @njit(cache=True, error_model="numpy")
-def direct_directions(hessian, step, a, b, before, middle, products, after):
+def direct_directions(hessian, step, a, b, before, middle, after):
     """Solve the linear equations of a substep by elimination."""
     size, half = hessian.shape[0], hessian.shape[0] // 2
     matrix, pivots = np.empty((size, size)), np.empty(size, np.int64)

@@ -51,6 +51,37 @@ def end_residual(state, target, sigma):
     return (state[0] + sigma[:, None] ** 2 * state[1] - target).ravel()
 
 
+@njit(cache=True, error_model="numpy")
+def extend_basis(k, basis, rotated, rotations, remainder):
+    """One step of GMRES: make row k + 1 of `basis` orthonormal to those before, and rotate its coefficients.
+
+    Row k of `rotated` takes them as a column of a triangular matrix; the size of remainder[k + 1] is the residual.
+    Source: Saad (2003), Iterative methods for sparse linear systems, algorithm 6.9 and section 6.5.3.
+    """
+    new, before = basis[k + 1], 0.0
+    for row in range(k + 1):
+        product = 0.0
+        for i in range(new.size):
+            product += new[i] * basis[row, i]
+        rotated[k, row] = product
+        for i in range(new.size):
+            new[i] -= product * basis[row, i]
+    for i in range(new.size):
+        before += new[i] * new[i]
+    length = np.sqrt(before)
+    for row in range(k):
+        upper = rotations[row, 0] * rotated[k, row] + rotations[row, 1] * rotated[k, row + 1]
+        rotated[k, row + 1] = rotations[row, 0] * rotated[k, row + 1] - rotations[row, 1] * rotated[k, row]
+        rotated[k, row] = upper
+    radius = np.hypot(rotated[k, k], length)
+    rotations[k, 0], rotations[k, 1] = rotated[k, k] / radius, length / radius
+    rotated[k, k], rotated[k, k + 1] = radius, 0.0
+    remainder[k + 1] = -rotations[k, 1] * remainder[k]
+    remainder[k] *= rotations[k, 0]
+    for i in range(new.size):
+        new[i] /= max(length, 1e-300)
+
+
 class Linearised:
     """The derivative of the residual by the initial momenta, about one trajectory or one sequence of states."""
 
@@ -100,25 +131,19 @@ class Linearised:
     def gmres(self, right, forcing):
         """Solve to a relative residual of `forcing`, as far as BASIS directions go."""
         most, norm = min(BASIS, right.size), np.linalg.norm(right)
-        basis, hessenberg = np.empty((most + 1, right.size)), np.zeros((most + 1, most))
-        basis[0], wanted = right / norm, np.zeros(most + 1)
-        wanted[0], weights = norm, np.zeros(0)
+        basis, rotated = np.empty((most + 1, right.size)), np.zeros((most, most + 1))
+        rotations, remainder = np.zeros((most, 2)), np.zeros(most + 1)
+        basis[0], remainder[0], count = right / norm, norm, 0
         for k in range(most):
-            new = self.product(self.preconditioned(basis[k]))
-            for _ in range(2):  # the second time removes what rounding left
-                parts = basis[: k + 1] @ new
-                hessenberg[: k + 1, k] += parts
-                new = new - parts @ basis[: k + 1]
-            length = np.linalg.norm(new)
-            if not length < np.inf:
+            basis[k + 1] = self.product(self.preconditioned(basis[k]))
+            extend_basis(k, basis, rotated, rotations, remainder)
+            if not np.isfinite(remainder[k + 1]):
                 return np.full(right.size, np.nan)
-            hessenberg[k + 1, k] = length
-            system = hessenberg[: k + 2, : k + 1]
-            weights = np.linalg.lstsq(system, wanted[: k + 2], rcond=None)[0]
-            if np.linalg.norm(system @ weights - wanted[: k + 2]) <= forcing * norm or length <= 1e-14 * norm:
+            count = k + 1
+            if abs(remainder[k + 1]) <= forcing * norm:
                 break
-            basis[k + 1] = new / length
-        return self.preconditioned(weights @ basis[: weights.size])
+        weights = np.linalg.solve(rotated[:count, :count].T, remainder[:count])
+        return self.preconditioned(weights @ basis[:count])
 
 
 def preconditioner(case):
