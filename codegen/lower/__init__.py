@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from codegen.derive import ControlDerivatives, StepDerivatives
 from codegen.differentiate.pairwise import PairDerivatives
-from codegen.lower.connect import lower_connect
+from codegen.lower.connect import lower_connect, lower_particles
 from codegen.lower.control import lower_control
 from codegen.lower.module import Module
 from codegen.lower.simulate import lower_step
@@ -19,7 +19,7 @@ def lower(
     """Write a program and its derivatives as strings."""
     if isinstance(program, PairwiseProgram):
         assert isinstance(derivatives, PairDerivatives)
-        return lower_connect(program, derivatives)
+        return (lower_connect if program.model.task == "connect" else lower_particles)(program, derivatives)
     if isinstance(program, ControlProgram):
         assert isinstance(derivatives, ControlDerivatives)
         return lower_control(program, derivatives)

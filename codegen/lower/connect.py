@@ -10,7 +10,7 @@ from sympy import Symbol
 from codegen.differentiate.pairwise import PairDerivatives
 from codegen.lower.kernels import Line, Output, kernel
 from codegen.lower.module import Argument, Module
-from codegen.lower.pairwise import PairLoop, domain_code, pair_loops
+from codegen.lower.pairwise import PairLoop, domain_code, pair_loops, separable_loops
 from codegen.lower.printer import scalar_code
 from codegen.model.pairwise import FRACTION
 from codegen.transcribe.connect import PairwiseProgram
@@ -69,6 +69,79 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
     )
 
 
+@dataclass(frozen=True)
+class ParticlesModule(Module):
+    """A module that follows particles from a start; fields as in ConnectModule, numbers of the default particles."""
+
+    loops: tuple[PairLoop, ...]
+    singles: tuple[str, ...]
+    domain: tuple[str, ...]
+    guide_inputs: tuple[Line, ...]
+    guide_body: tuple[Line, ...]
+    guide: tuple[Line, ...]
+    own: tuple[Argument, ...]
+    duration: str
+    dimension: int
+    start: tuple[tuple[tuple[float, ...], ...], ...]
+    own_values: tuple[tuple[float, ...], ...]
+
+
+def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> ParticlesModule:
+    """Write the loops over pairs of a simulation as strings; those of second derivatives only if steps are implicit."""
+    model = program.model
+    by_turns = derivatives.separable and bool(program.substeps) and all({a, b} <= {0, 1} and a * b == 0 for _, a, b in program.substeps)
+    singles, loops = (separable_loops if by_turns else pair_loops)(model, derivatives)
+    code = [line.code for visit in loops for line in (*visit.pair, *visit.pair_outputs, *visit.alone)]
+    names = [f"{name}_{i + 1}" for i in range(len(model.start[0])) for name in model.coordinates]
+    rates = [f"{name}_{i + 1}" for i in range(len(model.start[0])) for name in model.momenta]
+    metadata = [entry for entry in _metadata(program, derivatives, loops) if entry[0] not in ("adaptive", "points")]
+    metadata = [e for e in metadata if e[0] not in ("coordinates", "rates")]
+    metadata += [("coordinates", repr(tuple(names))), ("rates", repr(tuple(rates)))]
+    implicit = _implicit(program) and not by_turns
+    step = ["pair_separable"] if by_turns else [
+        "pair_algebra", "pair_curvature", "pair_substeps" if program.substeps else "pair_runge_kutta",
+        *(["pair_implicit"] if implicit else []),
+    ]  # fmt: skip
+    left_out = [line for line in _left_out(program, derivatives, singles) if "action" not in line and "H_pp" not in line]
+    if by_turns:
+        left_out = [line for line in left_out if "explicit" not in line]
+        left_out.append("Newton's method and second derivatives: H is separable, so that steps are explicit")
+    return ParticlesModule(
+        template="particles.py.j2",
+        name=model.name,
+        title=model.title,
+        description=tuple(_description(program, derivatives, loops)),
+        left_out=tuple(left_out),
+        metadata=tuple(metadata),
+        constants=tuple(_constants(program, derivatives)),
+        kernels=(),
+        runtime=(*_special(code, singles, domain_code(model)), *step, "pair_motion"),
+        sizes=(("IMPLICIT", int(implicit)),),
+        arguments=tuple(
+            Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
+        ),
+        steps=model.steps,
+        loops=loops,
+        singles=singles,
+        domain=(),
+        guide_inputs=(),
+        guide_body=(),
+        guide=(),
+        own=tuple(Argument(name, "") for name in model.own),
+        duration=scalar_code(model.duration),
+        dimension=len(model.coordinates),
+        start=model.start,
+        own_values=model.own_values,
+    )
+
+
+def _special(code: list[str], singles: tuple[str, ...], domain: tuple[str, ...]) -> tuple[str, ...]:
+    """The files of special functions that are called."""
+    special = any("x_minus_log1p(" in c or "log1p_minus_ratio(" in c for c in code)
+    accurate = any("accurate_dot(" in c for c in (*singles, *domain))
+    return (*(["pair_special"] if special else []), *(["pair_accurate"] if accurate else []))
+
+
 def _guide(program: PairwiseProgram) -> tuple[tuple[Line, ...], tuple[Line, ...], tuple[Line, ...]]:
     model = program.model
     places: dict[Symbol, str] = {x: f"start[i, {a}]" for a, x in enumerate(model.first.q)}
@@ -113,8 +186,7 @@ def _runtime(
     program: PairwiseProgram, loops: tuple[PairLoop, ...], singles: tuple[str, ...], domain: tuple[str, ...]
 ) -> tuple[str, ...]:
     code = [line.code for visit in loops for line in (*visit.pair, *visit.pair_outputs, *visit.alone)]
-    files = [*(["pair_special"] if any("x_minus_log1p(" in c or "log1p_minus_ratio(" in c for c in code) else [])]
-    files += ["pair_accurate"] if any("accurate_dot(" in c for c in (*singles, *domain)) else []
+    files = [*_special(code, singles, domain)]
     step = "pair_substeps" if program.substeps else "pair_runge_kutta"
     files += ["pair_algebra", "pair_curvature", step, *(["pair_implicit"] if _implicit(program) else [])]
     files += ["pair_trajectory", "pair_shooting", "pair_case", "pair_ladder"]
@@ -183,6 +255,8 @@ def _equations(program: PairwiseProgram) -> list[str]:
         "full": "all steps and q_N + sigma^2 p_N = target, for all inner places and all momenta",
         "action": "minimise 2 h sum H such that (q_k+1 - q_k)/h = H_p, whose conditions these steps are",
     }
+    if program.model.task == "simulate":
+        return lines
     return [*lines, "", f"What is solved ({program.method}): {names[program.method]}."]
 
 

@@ -6,8 +6,9 @@ z.reshape(2 n d). Every loop visits each pair once and writes to both of its par
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import sympy
 from sympy import Expr, Symbol
@@ -47,6 +48,7 @@ class PairLoop:
     results: tuple[str, ...]
     operations_before: int
     operations_after: int
+    has_pairs: bool
 
 
 class _Writer:
@@ -142,6 +144,7 @@ class _Writer:
             results=tuple(results),
             operations_before=pair.operations_before,
             operations_after=pair.operations_after,
+            has_pairs=bool(pair.outputs or directions[1]),
         )
 
 
@@ -156,6 +159,34 @@ def pair_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[tupl
         _hessian_products(writer),
         _momentum_matrix(writer),
     )
+
+
+def separable_loops(
+    model: PairwiseModel, derivatives: PairDerivatives
+) -> tuple[tuple[str, ...], tuple[PairLoop, ...]]:
+    """The code of the scalars of single particles, and the loops for H, H_q and H_p of a separable Hamiltonian."""
+    writer = _Writer(model, derivatives)
+    singles = tuple(_accurate_sum(e, model) for e in writer.singles)
+    return singles, (_hamiltonian(writer), _part(writer, "slope", 0), _part(writer, "velocity", 1))
+
+
+def _part(writer: _Writer, name: str, part: int) -> PairLoop:
+    """H_q (part 0) or H_p (part 1) alone."""
+    model, size = writer.model, writer.dimension
+    alone, pair = writer.derivatives.alone, writer.derivatives.pair
+    sums = [f"by_{s}" for s in model.first.moving][part * size : (part + 1) * size]
+    own = [(target, "=", _float(value)) for target, value in zip(sums, alone.gradient[part * size :], strict=False)]
+    first, second = pair.gradient[part * size :], pair.gradient[(2 + part) * size :]
+    both = [(target, "+=", value) for target, value in zip(sums, first, strict=False)]
+    both += [(f"rates[j, {a}]", "+=", value) for a, value in enumerate(second[:size])]
+    quantity = "H_p" if part else "H_q"
+    return writer.loop(
+        name, f"Fill `rates`, shape (n, d), with {quantity}.", (*_STATE, "rates"),
+        writer.lowered(alone, own, alone.slopes),
+        writer.lowered(pair, [entry for entry in both if entry[2] != 0], pair.slopes),
+        head=[Line("rates[:]", "0.0")],
+        after=[Line(f"rates[i, {a}]", target, operator="+=") for a, target in enumerate(sums)],
+    )  # fmt: skip
 
 
 def domain_code(model: PairwiseModel) -> tuple[str, ...]:
@@ -178,7 +209,7 @@ def _gradient(writer: _Writer) -> PairLoop:
     model, size = writer.model, writer.dimension
     alone, pair = writer.derivatives.alone, writer.derivatives.pair
     sums = [f"by_{s}" for s in model.first.moving]
-    own = [(target, "=", value) for target, value in zip(sums, alone.gradient, strict=True)]
+    own = [(target, "=", _float(value)) for target, value in zip(sums, alone.gradient, strict=True)]
     both = [(target, "+=", value) for target, value in zip(sums, pair.gradient, strict=False)]
     both += [
         (f"gradient[{k // size}, j, {k % size}]", "+=", value) for k, value in enumerate(pair.gradient[2 * size :])
@@ -190,6 +221,11 @@ def _gradient(writer: _Writer) -> PairLoop:
         head=[Line("gradient[:]", "0.0")],
         after=[Line(f"gradient[{k // size}, i, {k % size}]", name, operator="+=") for k, name in enumerate(sums)],
     )  # fmt: skip
+
+
+def _float(value: Expr) -> Expr:
+    """A sum that begins with zero begins with a floating-point number."""
+    return sympy.Float(0) if value == 0 else value
 
 
 def _entries(term: TermDerivatives) -> list[tuple[str, int, int, Expr]]:
@@ -246,34 +282,76 @@ def _hessian(writer: _Writer) -> PairLoop:
 
 
 def _extended(made: Kernel, inputs: Sequence[Line], outputs: Sequence[Line]) -> Kernel:
-    from dataclasses import replace
-
     return replace(made, body=(*inputs, *made.body, *made.outputs), outputs=tuple(outputs))
 
 
 def _hessian_products(writer: _Writer) -> PairLoop:
+    """The derivative of the gradient along directions, which takes fewer operations than the second derivatives."""
     size = writer.dimension
     alone, pair = writer.derivatives.alone, writer.derivatives.pair
     half, row_i, row_j = _offsets(size)
-    lines = []
-    for term in (alone, pair):
-        rows: dict[int, list[str]] = {}
-        for name, row, column, _ in _entries(term):
-            rows.setdefault(row, []).append(f"{name}*directions[{_row(column, size)}, c]")
-            if row != column:
-                rows.setdefault(column, []).append(f"{name}*directions[{_row(row, size)}, c]")
-        lines.append([Line(f"products[{_row(r, size)}, c]", " + ".join(t), operator="+=") for r, t in sorted(rows.items())])
-    first = writer.lowered(alone, _named(_entries(alone)), alone.slopes + alone.curvatures)
-    second = writer.lowered(pair, _named(_entries(pair)), pair.slopes + pair.curvatures)
+    kernels, lines = [], []
+    for term, row in ((alone, row_i), (pair, row_j)):
+        named = [(str(writer.renamed(term, s)), "=", value) for s, value in (*term.slopes, *term.curvatures)]
+        made = writer.lowered(term, named)
+        kernels.append(replace(made, body=(row, *made.body, *made.outputs), outputs=()))
+        lines.append(_along_direction(writer, term))
     return writer.loop(
         "hessian_products",
         "Fill `products`, shape (2nd, m), with the second derivatives of H times m directions, shape (2nd, m).",
         (*_STATE, "directions", "products"),
-        _extended(first, (row_i,), ()),
-        _extended(second, (row_j,), ()),
+        kernels[0],
+        kernels[1],
         head=[half, Line("products[:]", "0.0")],
         directions=(lines[0], lines[1]),
+    )
+
+
+def _along_direction(writer: _Writer, term: TermDerivatives) -> list[Line]:
+    """Lines for one direction c: changes of the scalars, of the derivatives by them, and of the gradient."""
+    size, moving = writer.dimension, term.moving
+    changes = {z: Symbol(f"d_{z.name}", real=True) for z in moving}
+    changes |= {d: Symbol(f"d_{d.name}", real=True) for d, _ in term.differences}
+
+    def change(expression: Expr) -> Expr:
+        return sum((sympy.diff(expression, z) * dz for z, dz in changes.items()), sympy.S.Zero)
+
+    assignments = [(changes[d], change(difference)) for d, difference in term.differences]
+    by_scalar: dict[Symbol, Expr] = {}
+    for symbol, polynomial in term.scalars:
+        by_scalar[symbol] = Symbol(f"d_{symbol.name}", real=True)
+        assignments.append((by_scalar[symbol], change(polynomial)))
+    total = {slope: sympy.S.Zero for slope, _ in term.slopes}
+    for (symbol, _), (slope, _) in zip(term.scalars, term.slopes, strict=True):
+        for curvature, _ in term.curvatures:
+            first, second = curvature.name.removeprefix("by_").split("_")
+            for one, other in {(first, second), (second, first)}:
+                if symbol.name == one:
+                    total[slope] += curvature * next(d for s, d in by_scalar.items() if s.name == other)
+    slope_changes = {slope: Symbol(f"d_{slope.name}", real=True) for slope in total}
+    assignments += [(slope_changes[slope], value) for slope, value in total.items()]
+    outputs = []
+    for row, value in enumerate(term.gradient):
+        changed = change(value) + sum((sympy.diff(value, f) * df for f, df in slope_changes.items()), sympy.S.Zero)
+        if changed != 0:
+            outputs.append((f"products[{_row(row, size)}, c]", changed))
+    needed = _needed(assignments, [value for _, value in outputs])
+    places: dict[Symbol, str] = {changes[z]: f"directions[{_row(k, size)}, c]" for k, z in enumerate(moving)}
+    known = (*moving, *(d for d, _ in term.differences), *(s for s, _ in (*term.scalars, *term.slopes, *term.curvatures)))
+    places |= {writer.renamed(term, symbol): writer.renamed(term, symbol).name for symbol in known}
+    made = kernel(
+        "", "", (), places,
+        [Output(target, writer.renamed(term, value), "", "+=") for target, value in outputs],
+        assignments=[(symbol, writer.renamed(term, value)) for symbol, value in needed],
     )  # fmt: skip
+    # Names of common parts begin anew in the innermost loop; those of the pair must keep their values.
+    lines = [*made.inputs, *made.body, *made.outputs]
+    return [replace(line, target=_inner(line.target), code=_inner(line.code)) for line in lines]
+
+
+def _inner(code: str) -> str:
+    """Code with its common parts x0, x1, ... called y0, y1, ..."""
+    return re.sub(r"\bx(\d+)\b", r"y\1", code)
 
 
 def _momentum_matrix(writer: _Writer) -> PairLoop:

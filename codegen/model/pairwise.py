@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,8 @@ from codegen.problem import Simulate
 from codegen.symbols import Parameter, Quantity
 
 
+_GENERATED = re.compile(r"[hsxy]\d+$")
+"""Names that generated loops over pairs use for scalars, entries and common parts."""
 FRACTION = Symbol("fraction", real=True)
 """The fraction of the way from start to target."""
 
@@ -172,6 +175,8 @@ def _require_symbols(
     for symbol in declared:
         if isinstance(symbol, Parameter) and symbol not in used:
             raise SymbolError(f"{symbol} is declared but never used", "remove it, or use it")
+        if _GENERATED.match(symbol.name):
+            raise SymbolError(f"{symbol.name!r} is reserved for generated code", "choose another name")
         if symbol.name in names:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
         names.add(symbol.name)
