@@ -167,7 +167,8 @@ def solve(
     json: Json = False,
     log: Log = False,
     tolerance: Annotated[
-        float | None, typer.Option(metavar="E", help="Largest error of an equation, or of an adaptive step (particles).")
+        float | None,
+        typer.Option(metavar="E", help="Largest error of an equation, or of an adaptive step (particles)."),
     ] = None,
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[

@@ -27,6 +27,7 @@ from codegen.problem_file import input_digest, load_problem, split_points
 if TYPE_CHECKING:
     from codegen.lower.module import Origin
     from codegen.model import Model
+    from codegen.model.pairwise import PairwiseModel
 
 DEFAULT_SCHEME = "midpoint"
 GENERATED = Path("generated")
@@ -99,7 +100,7 @@ def generate(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
     return generate_from_model(model, choices, origin_of(path, arguments, choices))
 
 
-def generate_from_model(model: Model, choices: Choices, origin: Origin) -> str:
+def generate_from_model(model: Model | PairwiseModel, choices: Choices, origin: Origin) -> str:
     """The pipeline itself, from a checked problem to the text of its module."""
     from codegen import derive, lower, transcribe
 

@@ -27,6 +27,7 @@ from codegen.errors import ArgumentError, CodegenError, ProblemFileError
 
 if TYPE_CHECKING:
     from codegen.model import Model
+    from codegen.model.pairwise import PairwiseModel
 
 
 def parse_arguments(items: Sequence[str]) -> dict[str, str]:
@@ -90,7 +91,7 @@ def _point_arguments(path: Path) -> set[str]:
     }
 
 
-def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model:
+def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
     """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise what it returns.
 
     The model is named after the file and titled by the first line of its docstring. The file is run anew each time;

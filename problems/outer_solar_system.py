@@ -35,9 +35,7 @@ def problem() -> Simulate:
     distance = sqrt(sum((a - b) ** 2 for a, b in zip(i.q, j.q, strict=True)))
     momenta = [[m * v for m, v in zip(MASSES, column, strict=True)] for column in zip(*VELOCITIES, strict=True)]
     return Simulate(
-        hamiltonian=Pairwise(
-            (i, j), self_term=sum(p**2 for p in i.p) / (2 * m), pair_term=-G * m * m_j / distance
-        ),
+        hamiltonian=Pairwise((i, j), self_term=sum(p**2 for p in i.p) / (2 * m), pair_term=-G * m * m_j / distance),
         start={
             **dict(zip(i.q, zip(*PLACES, strict=True), strict=True)),
             **dict(zip(i.p, momenta, strict=True)),

@@ -21,14 +21,17 @@ from codegen.checks import (
     noether,
     null_controls,
     optimum,
+    pairwise,
     provenance,
     second_order,
     sparsity,
     symplecticity,
 )
 from codegen.checks.base import Check, Context, Finding
+from codegen.checks.pairwise import is_pairwise_module
 from codegen.compiler import Choices
 from codegen.load import load
+from codegen.model import Model
 from codegen.problem_file import load_problem, split_points
 
 __all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]
@@ -85,6 +88,8 @@ def run(
     choices = Choices(scheme, method, controls)
     if module is None:
         module = compiler.build(path, arguments, scheme=scheme, method=method, controls=controls).path
+    if is_pairwise_module(load(module)):
+        return list(pairwise.findings(path, arguments, choices, module))
     context, text = _prepared(path, arguments, choices, module)
     inputs = compiler.origin_of(path, arguments, choices).inputs
     findings = list(provenance.compare(module, context.module, inputs, text))
@@ -117,6 +122,7 @@ def _prepared(path: Path, arguments: Mapping[str, str], choices: Choices, module
     from codegen import derive, lower, transcribe
 
     model = load_problem(path, arguments)
+    assert isinstance(model, Model), "particles have checks of their own"
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     fresh = lower.lower(program, derive.derivatives(program))
     text = emit.render(fresh, compiler.origin_of(path, arguments, choices))

@@ -85,7 +85,9 @@ def _differentiated(term: Expr, first: Sequence[Symbol], second: Sequence[Symbol
     differences = _Differences(first, second)
     polynomials = [differences.inserted(p) for p in parts.polynomials]
     gradients = [[differences.derivative(p, z) for z in moving] for p in polynomials]
-    gradient = [sum((f * g[z] for f, g in zip(slopes, gradients, strict=True)), sympy.S.Zero) for z in range(len(moving))]
+    gradient = [
+        sum((f * g[z] for f, g in zip(slopes, gradients, strict=True)), sympy.S.Zero) for z in range(len(moving))
+    ]
     entries: list[tuple[int, int, Expr]] = []
     for row in range(len(moving)):
         for column in range(row + 1):
@@ -118,7 +120,8 @@ class _Differences:
     def __init__(self, first: Sequence[Symbol], second: Sequence[Symbol]) -> None:
         half = len(second) // 2
         self.pairs = {
-            Symbol(f"d{x.name.removesuffix('_i')}", real=True): (x, y) for x, y in zip(first[:half], second, strict=False)
+            Symbol(f"d{x.name.removesuffix('_i')}", real=True): (x, y)
+            for x, y in zip(first[:half], second, strict=False)
         }
         self.used: list[Assignment] = []
 

@@ -38,7 +38,9 @@ class Driver:
 _ROWS = (
     Driver("newton", "newton", ("control", "simulate", "connect"), "the generated solver"),
     Driver("slsqp", "slsqp", ("control", "connect"), "scipy's sequential least-squares programming, dense"),
-    Driver("trust-constr", "trust_constr", ("control", "connect"), "scipy's trust-region SQP, sparse with exact Hessians"),
+    Driver(
+        "trust-constr", "trust_constr", ("control", "connect"), "scipy's trust-region SQP, sparse with exact Hessians"
+    ),
     Driver("ipopt", "ipopt", ("control",), "IPOPT, an interior point method; needs cyipopt (extra: ipopt)"),
     Driver("fsolve", "fsolve", ("control", "simulate", "connect"), "MINPACK's hybrid Powell method, dense"),
     Driver("fmin", "fmin", ("connect",), "Nelder and Mead's simplex method, for a few particles"),
@@ -77,8 +79,8 @@ def solve(
 
     The first of `repeat` + 1 runs compiles and is not timed. `every` thins the stored steps of a simulation. An
     optimisation may start from the `unknowns` of an earlier result on any number of intervals (`warm`), and may be
-    repeated on twice, four times, ... as many (`doublings`), each time from the solution before. A connect problem needs
-    `points`; its `tolerance` is that of the equations, or of an adaptive integrator's steps. Raises
+    repeated on twice, four times, ... as many (`doublings`), each time from the solution before. A connect problem
+    needs `points`; its `tolerance` is that of the equations, or of an adaptive integrator's steps. Raises
     ArgumentError when the driver does not apply, NumericsError when a number is unusable; numerical failure is a
     status of the result.
     """

@@ -49,7 +49,7 @@ def adaptive(module: ConnectModule, case: Any, request: Request) -> ConnectAttem
         momenta, factor = begin.p[0], module.preconditioner(case)
         path, evaluations = integrated(module, case, momenta, code, tolerance)
         error = _error(module, case, path)
-        for iteration in range(_MAX_ITERATIONS):
+        for iterations in range(1, _MAX_ITERATIONS + 1):  # noqa: B007  it is reported below
             if error <= 1e-13:
                 break
             _, _, points = module.trajectory(case, momenta)
@@ -73,7 +73,7 @@ def adaptive(module: ConnectModule, case: Any, request: Request) -> ConnectAttem
     status = "solved" if error <= max(1e-10, tolerance) else "stalled"
     text = f"{code} at tolerance {tolerance:g} arrives within {error:.1e} after {evaluations} evaluations of the field"
     message = text if status == "solved" else f"stalled: {text}; try a smaller --tolerance"
-    return ConnectAttempt(status, message, iteration + 1, path, max(1e-10, tolerance), begin.attempts)
+    return ConnectAttempt(status, message, iterations, path, max(1e-10, tolerance), begin.attempts)
 
 
 def _error(module: ConnectModule, case: Any, path: Any) -> float:

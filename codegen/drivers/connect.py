@@ -170,7 +170,9 @@ def _require_method(module: ConnectModule, driver: str, methods: tuple[str, ...]
     if method not in methods:
         raise ArgumentError(f"driver {driver} does not solve method {method}", f"use --method {' or '.join(methods)}")
     if module.metadata["adaptive"]:
-        raise ArgumentError(f"driver {driver} needs steps, and {module.metadata['scheme']} chooses its own", "use newton")
+        raise ArgumentError(
+            f"driver {driver} needs steps, and {module.metadata['scheme']} chooses its own", "use newton"
+        )
 
 
 def _require_at_most(size: int, limit: int, driver: str) -> None:

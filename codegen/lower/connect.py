@@ -89,7 +89,11 @@ class ParticlesModule(Module):
 def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> ParticlesModule:
     """Write the loops over pairs of a simulation as strings; those of second derivatives only if steps are implicit."""
     model = program.model
-    by_turns = derivatives.separable and bool(program.substeps) and all({a, b} <= {0, 1} and a * b == 0 for _, a, b in program.substeps)
+    by_turns = (
+        derivatives.separable
+        and bool(program.substeps)
+        and all({a, b} <= {0, 1} and a * b == 0 for _, a, b in program.substeps)
+    )
     singles, loops = (separable_loops if by_turns else pair_loops)(model, derivatives)
     code = [line.code for visit in loops for line in (*visit.pair, *visit.pair_outputs, *visit.alone)]
     names = [f"{name}_{i + 1}" for i in range(len(model.start[0])) for name in model.coordinates]
@@ -102,7 +106,9 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         "pair_algebra", "pair_curvature", "pair_substeps" if program.substeps else "pair_runge_kutta",
         *(["pair_implicit"] if implicit else []),
     ]  # fmt: skip
-    left_out = [line for line in _left_out(program, derivatives, singles) if "action" not in line and "H_pp" not in line]
+    left_out = [
+        line for line in _left_out(program, derivatives, singles) if "action" not in line and "H_pp" not in line
+    ]
     if by_turns:
         left_out = [line for line in left_out if "explicit" not in line]
         left_out.append("Newton's method and second derivatives: H is separable, so that steps are explicit")
@@ -230,7 +236,9 @@ def _description(program: PairwiseProgram, derivatives: PairDerivatives, loops: 
     if model.limit is not None:
         lines += [f"where particles meet, pair tends to {sympy.sstr(model.limit)},"]
         lines += [
-            "and so does its gradient; its kernels attain both limits." if model.smooth else "but its gradient has no limit.",
+            "and so does its gradient; its kernels attain both limits."
+            if model.smooth
+            else "but its gradient has no limit.",
             "",
         ]
     lines += [*_equations(program), ""]
@@ -242,14 +250,17 @@ def _description(program: PairwiseProgram, derivatives: PairDerivatives, loops: 
 def _equations(program: PairwiseProgram) -> list[str]:
     lines = []
     if program.adaptive:
-        lines += [f"Steps are chosen by scipy's {program.adaptive}; the method below, on N steps, gives Newton's matrix.", ""]
+        lines += [
+            f"Steps are chosen by scipy's {program.adaptive}; the method below, on N steps, gives Newton's matrix.",
+            "",
+        ]
     if program.substeps:
         lines += ["One step from z_0 = (q_0, p_0), in substeps that begin where the one before ended:", ""]
         for fraction, a, b in program.substeps:
             scale = "h" if fraction == 1 else f"{sympy.sstr(fraction * Symbol('h'))}"
             lines.append(f"    q_1 = q_0 + {scale} H_p(q, p),  p_1 = p_0 - {scale} H_q(q, p)  at {_between(a, b)}")
     else:
-        lines += [f"One step by the explicit Runge-Kutta method {program.scheme if program.rows else ''} with tables ROWS and WEIGHTS."]
+        lines.append("One step by the explicit Runge-Kutta method of the tables ROWS and WEIGHTS.")
     names = {
         "stepping": "q_N(p_0) + sigma^2 p_N(p_0) = target, for the initial momenta p_0",
         "full": "all steps and q_N + sigma^2 p_N = target, for all inner places and all momenta",

@@ -161,9 +161,7 @@ def pair_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[tupl
     )
 
 
-def separable_loops(
-    model: PairwiseModel, derivatives: PairDerivatives
-) -> tuple[tuple[str, ...], tuple[PairLoop, ...]]:
+def separable_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[tuple[str, ...], tuple[PairLoop, ...]]:
     """The code of the scalars of single particles, and the loops for H, H_q and H_p of a separable Hamiltonian."""
     writer = _Writer(model, derivatives)
     singles = tuple(_accurate_sum(e, model) for e in writer.singles)
@@ -337,7 +335,11 @@ def _along_direction(writer: _Writer, term: TermDerivatives) -> list[Line]:
             outputs.append((f"products[{_row(row, size)}, c]", changed))
     needed = _needed(assignments, [value for _, value in outputs])
     places: dict[Symbol, str] = {changes[z]: f"directions[{_row(k, size)}, c]" for k, z in enumerate(moving)}
-    known = (*moving, *(d for d, _ in term.differences), *(s for s, _ in (*term.scalars, *term.slopes, *term.curvatures)))
+    known = (
+        *moving,
+        *(d for d, _ in term.differences),
+        *(s for s, _ in (*term.scalars, *term.slopes, *term.curvatures)),
+    )
     places |= {writer.renamed(term, symbol): writer.renamed(term, symbol).name for symbol in known}
     made = kernel(
         "", "", (), places,

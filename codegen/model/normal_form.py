@@ -21,7 +21,9 @@ from codegen.problem import Control, Problem, Simulate
 from codegen.symbols import Quantity
 
 
-def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Any:
+def normalise(
+    problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = ""
+) -> Model | PairwiseModel:
     """Check an author's problem and bring it into canonical form.
 
     `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of

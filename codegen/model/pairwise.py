@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import sympy
 from sympy import Expr, Symbol
 
 from codegen import expressions
@@ -18,7 +17,6 @@ from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, Sym
 from codegen.pairwise import Connect, Pairwise, Particle, ParticleQuantity
 from codegen.problem import Simulate
 from codegen.symbols import Parameter, Quantity
-
 
 _GENERATED = re.compile(r"[hsxy]\d+$")
 """Names that generated loops over pairs use for scalars, entries and common parts."""
@@ -160,16 +158,16 @@ def _count(number: Any) -> int:
     return number
 
 
-def _require_symbols(
-    terms: Mapping[str, Expr], pair: tuple[Particle, Particle], declared: Sequence[Quantity]
-) -> None:
+def _require_symbols(terms: Mapping[str, Expr], pair: tuple[Particle, Particle], declared: Sequence[Quantity]) -> None:
     """Every symbol is a parameter or belongs to one of the two particles, every parameter is used, names are unique."""
     known = {s for one in pair for s in (*one.q, *one.p, *one.own)}
     used: set[Symbol] = set()
     for what, expression in terms.items():
         for symbol in sorted(expression.free_symbols, key=str):
             if symbol not in known and not isinstance(symbol, Parameter):
-                raise SymbolError(f"{symbol} in {what} is no parameter and belongs to no particle", "use particles(...)")
+                raise SymbolError(
+                    f"{symbol} in {what} is no parameter and belongs to no particle", "use particles(...)"
+                )
             used.add(symbol)
     names: set[str] = set()
     for symbol in declared:
@@ -199,9 +197,7 @@ def _guessed_path(problem: Connect, first: Place, second: Place) -> tuple[Expr, 
     if problem.path is None:
         return tuple(x + FRACTION * (y - x) for x, y in zip(first.q, second.q, strict=True))
     places = problem.path(first.q, second.q, FRACTION)
-    found = tuple(
-        expressions.tidied(expressions.checked(place, f"path[{axis}]")) for axis, place in enumerate(places)
-    )
+    found = tuple(expressions.tidied(expressions.checked(place, f"path[{axis}]")) for axis, place in enumerate(places))
     if len(found) != len(first.q):
         raise ExpressionError(f"path gives {len(found)} coordinates", f"give {len(first.q)}")
     return found

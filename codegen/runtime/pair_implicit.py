@@ -37,16 +37,17 @@ def implicit_substep(before, step, a, b, own, parameters, gradient, point, after
     """Solve a substep from an explicit Euler step; return the iterations, or why there is no solution."""
     hamiltonian_gradient(before, own, parameters, gradient)
     moved(before, step, gradient, after)
-    previous = np.inf
+    previous, earlier = np.inf, np.inf
     for iteration in range(PLAIN):
         between(before, after, a, b, point)
         hamiltonian_gradient(point, own, parameters, gradient)
         change, size = moved(before, step, gradient, after)
         if is_settled(change, previous, size):
             return iteration + 1
-        if not change < np.inf or (iteration > 3 and change > 0.7 * previous):
+        # Places and momenta take turns, so that two iterations are compared.
+        if not change < np.inf or (iteration > 3 and change > 0.5 * earlier):
             break
-        previous = change
+        previous, earlier = change, previous
     return newton_substep(before, step, a, b, own, parameters, gradient, point, after)
 
 

@@ -9,7 +9,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def x_minus_log1p(x, log):
-    """x - log(1 + x), where `log` is log(1 + x)."""
+    """X - log(1 + x), where `log` is log(1 + x)."""
     if abs(x) > 0.5:
         return x - log
     r = x / (2.0 + x)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import overload
+
 from codegen import schemes
 from codegen.errors import ArgumentError
 from codegen.model import Model
@@ -12,6 +14,18 @@ from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 DEFAULT_SCHEME = "midpoint"
+
+
+@overload
+def transcribe(
+    model: Model, scheme: str | None = None, method: str | None = None, controls: str = "interval"
+) -> ControlProgram | StepProgram: ...
+
+
+@overload
+def transcribe(
+    model: PairwiseModel, scheme: str | None = None, method: str | None = None, controls: str = "interval"
+) -> PairwiseProgram: ...
 
 
 def transcribe(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sympy import Rational
+from sympy import Rational, S
 
 from codegen.errors import ArgumentError, SchemeError
 from codegen.model.pairwise import PairwiseModel
@@ -44,7 +44,7 @@ class PairwiseProgram:
     rows: tuple[tuple[Rational, ...], ...] = ()
     weights: tuple[Rational, ...] = ()
     adaptive: str = ""
-    place: Rational = Rational(0)
+    place: Rational = S.Zero
 
 
 def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None = None) -> PairwiseProgram:
@@ -58,7 +58,8 @@ def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None
         raise ArgumentError(f"method {method!r} does not exist for this problem", f"use {' or '.join(methods)}")
     found = particles.find(scheme or DEFAULT_SCHEME, model.task)
     if method == "action":
-        return PairwiseProgram(model, method, found.name, found.order, **_action(found))
+        place, substep = _action(found)
+        return PairwiseProgram(model, method, found.name, found.order, substeps=(substep,), place=place)
     if isinstance(found, OneStep):
         table = tuple((s.fraction, s.position, s.momentum) for s in found.substeps)
         return PairwiseProgram(model, method, found.name, found.order, substeps=table)
@@ -71,8 +72,8 @@ def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None
     )
 
 
-def _action(scheme: OneStep | ExplicitRungeKutta | Adaptive) -> dict[str, object]:
-    """The symplectic scheme whose equations are stationarity of the action that a scheme's evaluation defines."""
+def _action(scheme: OneStep | ExplicitRungeKutta | Adaptive) -> tuple[Rational, tuple[Rational, Rational, Rational]]:
+    """Where the action takes H, and the symplectic scheme whose equations are its stationarity."""
     if not isinstance(scheme, OneStep) or len(scheme.substeps) > 1:
         raise SchemeError(
             f"scheme {scheme.name} evaluates H more than once in a step, so that no action belongs to it",
@@ -81,4 +82,4 @@ def _action(scheme: OneStep | ExplicitRungeKutta | Adaptive) -> dict[str, object
     (substep,) = scheme.substeps
     place, half = substep.position, Rational(1, 2)
     momentum = half if place == half else 1 - place
-    return {"substeps": ((Rational(1), place, momentum),), "place": place}
+    return place, (Rational(1), place, momentum)
