@@ -8,11 +8,10 @@ import sympy
 from sympy import Symbol
 
 from codegen.differentiate.pairwise import PairDerivatives
-from codegen.lower.kernels import Line, Output, kernel
+from codegen.lower.kernels import Line
 from codegen.lower.module import Argument, Module
-from codegen.lower.pairwise import PairLoop, domain_code, pair_loops, separable_loops
+from codegen.lower.pairwise import PairLoop, ParticleLoop, pair_loops, particle_loops, separable_loops
 from codegen.lower.printer import scalar_code
-from codegen.model.pairwise import FRACTION
 from codegen.transcribe.connect import PairwiseProgram
 
 
@@ -20,16 +19,11 @@ from codegen.transcribe.connect import PairwiseProgram
 class ConnectModule(Module):
     """A module that connects given points by the motion of particles.
 
-    `singles` and `domain` are code for particle i at a state z; `guide_inputs`, `guide_body` and `guide` are lines for
-    particle i on its way from `start` to `target`; `own` are a particle's own parameters, `method` is the module's.
+    `own` are a particle's own parameters, `method` is the module's.
     """
 
+    particle_loops: tuple[ParticleLoop, ...]
     loops: tuple[PairLoop, ...]
-    singles: tuple[str, ...]
-    domain: tuple[str, ...]
-    guide_inputs: tuple[Line, ...]
-    guide_body: tuple[Line, ...]
-    guide: tuple[Line, ...]
     own: tuple[Argument, ...]
     method: str
     duration: str
@@ -40,7 +34,7 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
     """Write every loop over pairs, and what surrounds it, as strings."""
     model = program.model
     singles, loops = pair_loops(model, derivatives)
-    guide = _guide(program)
+    around = particle_loops(model, singles)
     return ConnectModule(
         template="connect.py.j2",
         name=model.name,
@@ -50,18 +44,14 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         metadata=tuple(_metadata(program, derivatives, loops)),
         constants=tuple(_constants(program, derivatives)),
         kernels=(),
-        runtime=_runtime(program, loops, singles, domain_code(model)),
+        runtime=_runtime(program, loops, around),
         sizes=(("IMPLICIT", int(_implicit(program))),),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),
         steps=model.steps,
+        particle_loops=around,
         loops=loops,
-        singles=singles,
-        domain=domain_code(model),
-        guide_inputs=guide[0],
-        guide_body=guide[1],
-        guide=guide[2],
         own=tuple(Argument(name, "1.0") for name in model.own),
         method=program.method,
         duration=scalar_code(model.duration),
@@ -73,12 +63,8 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
 class ParticlesModule(Module):
     """A module that follows particles from a start; fields as in ConnectModule, numbers of the default particles."""
 
+    particle_loops: tuple[ParticleLoop, ...]
     loops: tuple[PairLoop, ...]
-    singles: tuple[str, ...]
-    domain: tuple[str, ...]
-    guide_inputs: tuple[Line, ...]
-    guide_body: tuple[Line, ...]
-    guide: tuple[Line, ...]
     own: tuple[Argument, ...]
     duration: str
     dimension: int
@@ -95,7 +81,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         and all({a, b} <= {0, 1} and a * b == 0 for _, a, b in program.substeps)
     )
     singles, loops = (separable_loops if by_turns else pair_loops)(model, derivatives)
-    code = [line.code for visit in loops for line in (*visit.pair, *visit.pair_outputs, *visit.alone)]
+    around = particle_loops(model, singles)
     names = [f"{name}_{i + 1}" for i in range(len(model.start[0])) for name in model.coordinates]
     rates = [f"{name}_{i + 1}" for i in range(len(model.start[0])) for name in model.momenta]
     metadata = [entry for entry in _metadata(program, derivatives, loops) if entry[0] not in ("adaptive", "points")]
@@ -121,18 +107,14 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         metadata=tuple(metadata),
         constants=tuple(_constants(program, derivatives)),
         kernels=(),
-        runtime=(*_special(code, singles, domain_code(model)), *step, "pair_motion"),
+        runtime=(*_special(loops, around), *step, "pair_motion"),
         sizes=(("IMPLICIT", int(implicit)),),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),
         steps=model.steps,
+        particle_loops=around,
         loops=loops,
-        singles=singles,
-        domain=(),
-        guide_inputs=(),
-        guide_body=(),
-        guide=(),
         own=tuple(Argument(name, "") for name in model.own),
         duration=scalar_code(model.duration),
         dimension=len(model.coordinates),
@@ -141,20 +123,12 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
     )
 
 
-def _special(code: list[str], singles: tuple[str, ...], domain: tuple[str, ...]) -> tuple[str, ...]:
+def _special(loops: tuple[PairLoop, ...], around: tuple[ParticleLoop, ...]) -> tuple[str, ...]:
     """The files of special functions that are called."""
+    code = [line.code for visit in loops for line in (*visit.pair, *visit.pair_outputs, *visit.alone)]
     special = any("x_minus_log1p(" in c or "log1p_minus_ratio(" in c for c in code)
-    accurate = any("accurate_dot(" in c for c in (*singles, *domain))
+    accurate = any("accurate_dot(" in line.code for visit in around for line in visit.lines)
     return (*(["pair_special"] if special else []), *(["pair_accurate"] if accurate else []))
-
-
-def _guide(program: PairwiseProgram) -> tuple[tuple[Line, ...], tuple[Line, ...], tuple[Line, ...]]:
-    model = program.model
-    places: dict[Symbol, str] = {x: f"start[i, {a}]" for a, x in enumerate(model.first.q)}
-    places |= {x: f"target[i, {a}]" for a, x in enumerate(model.second.q)}
-    places[FRACTION] = "fraction"
-    made = kernel("", "", (), places, [Output(f"place[i, {a}]", e, "") for a, e in enumerate(model.path)])
-    return made.inputs, made.body, made.outputs
 
 
 def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[Line]:
@@ -189,10 +163,9 @@ def _floats(values: list[sympy.Rational] | tuple[sympy.Rational, ...]) -> str:
 
 
 def _runtime(
-    program: PairwiseProgram, loops: tuple[PairLoop, ...], singles: tuple[str, ...], domain: tuple[str, ...]
+    program: PairwiseProgram, loops: tuple[PairLoop, ...], around: tuple[ParticleLoop, ...]
 ) -> tuple[str, ...]:
-    code = [line.code for visit in loops for line in (*visit.pair, *visit.pair_outputs, *visit.alone)]
-    files = [*_special(code, singles, domain)]
+    files = [*_special(loops, around)]
     step = "pair_substeps" if program.substeps else "pair_runge_kutta"
     files += ["pair_algebra", "pair_curvature", step, *(["pair_implicit"] if _implicit(program) else [])]
     files += ["pair_trajectory", "pair_shooting", "pair_case", "pair_ladder"]

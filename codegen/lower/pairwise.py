@@ -15,7 +15,7 @@ from sympy import Expr, Symbol
 
 from codegen.differentiate.pairwise import Assignment, PairDerivatives, TermDerivatives
 from codegen.lower.kernels import Kernel, Line, Output, kernel
-from codegen.model.pairwise import PairwiseModel
+from codegen.model.pairwise import FRACTION, PairwiseModel
 
 CLOSEST = Symbol("CLOSEST", positive=True)
 """The least squared distance that kernels tell from zero, where a limit exists."""
@@ -28,7 +28,8 @@ class PairLoop:
 
     `head` comes first; for each particle i `inputs`, `alone` and `alone_outputs`; for each j < i `pair_inputs`, `pair`
     and `pair_outputs`; then `after` for particle i, and at last `tail` and `results`. Lines of `alone_directions` and
-    `pair_directions` are repeated for each of several `directions`.
+    `pair_directions` are repeated for each of several `directions`. `over_pairs` and `over_directions` are the code of
+    these loops, none where there is nothing to repeat.
     """
 
     name: str
@@ -48,7 +49,21 @@ class PairLoop:
     results: tuple[str, ...]
     operations_before: int
     operations_after: int
-    has_pairs: bool
+    over_pairs: tuple[str, ...]
+    over_directions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ParticleLoop:
+    """A function that visits all particles: `head`, then `lines` in the loop `over` them, and `results`."""
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    head: tuple[Line, ...]
+    over: tuple[str, ...]
+    lines: tuple[Line, ...]
+    results: tuple[str, ...]
 
 
 class _Writer:
@@ -144,7 +159,8 @@ class _Writer:
             results=tuple(results),
             operations_before=pair.operations_before,
             operations_after=pair.operations_after,
-            has_pairs=bool(pair.outputs or directions[1]),
+            over_pairs=("for j in range(i):",) if pair.outputs or directions[1] else (),
+            over_directions=("for c in range(directions.shape[1]):",) if directions[1] else (),
         )
 
 
@@ -187,9 +203,40 @@ def _part(writer: _Writer, name: str, part: int) -> PairLoop:
     )  # fmt: skip
 
 
-def domain_code(model: PairwiseModel) -> tuple[str, ...]:
-    """Code of the expressions that must be positive, for particle i."""
-    return tuple(_accurate_sum(e, model) for e in model.domain)
+def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[ParticleLoop, ...]:
+    """The scalars of single particles, if there are any; for a connect problem the domain and the guessed way."""
+    loops = []
+    if singles:
+        size = f"{len(singles)}"
+        loops.append(
+            ParticleLoop(
+                "single_values", f"Scalars of single particles that all their pairs share, shape (n, {size}).", ("z",),
+                (Line("singles", f"np.empty((z.shape[1], {size}))"),), ("for i in range(z.shape[1]):",),
+                tuple(Line(f"singles[i, {k}]", code) for k, code in enumerate(singles)), ("singles",),
+            )
+        )  # fmt: skip
+    if model.task != "connect":
+        return tuple(loops)
+    domain = tuple(_accurate_sum(e, model) for e in model.domain)
+    loops.append(
+        ParticleLoop(
+            "domain_margin", "The least value of what must be positive wherever a particle is.", ("z",),
+            (Line("margin", "np.inf"),), ("for i in range(z.shape[1]):",) if domain else (),
+            tuple(Line("margin", f"min(margin, {code})") for code in domain), ("margin",),
+        )
+    )  # fmt: skip
+    places: dict[Symbol, str] = {x: f"start[i, {a}]" for a, x in enumerate(model.first.q)}
+    places |= {x: f"target[i, {a}]" for a, x in enumerate(model.second.q)}
+    places[FRACTION] = "fraction"
+    made = kernel("", "", (), places, [Output(f"place[i, {a}]", e, "") for a, e in enumerate(model.path)])
+    loops.append(
+        ParticleLoop(
+            "guide", "Fill `place`, shape (n, d), with where particles may be after a fraction of their way.",
+            ("start", "target", "fraction", "place"), (), ("for i in range(start.shape[0]):",),
+            (*made.inputs, *made.body, *made.outputs), (),
+        )
+    )  # fmt: skip
+    return tuple(loops)
 
 
 def _hamiltonian(writer: _Writer) -> PairLoop:

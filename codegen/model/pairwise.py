@@ -186,7 +186,7 @@ def _require_scope(pair: Expr, self_term: Expr | None, first: Place, second: Pla
         raise ExpressionError("self_term depends on the second particle", "write it in quantities of the first")
     one, other = (*first.moving, *first.own), (*second.moving, *second.own)
     swapped = pair.xreplace(dict(zip((*one, *other), (*other, *one), strict=True)))
-    points = expressions.trial_points(pair.free_symbols, {}, {})
+    points = expressions.trial_points(pair.free_symbols | swapped.free_symbols, {}, {})
     for point in [next(points) for _ in range(4)]:
         values = [expressions.number_at(e, point) for e in (pair, swapped)]
         if None not in values and not np.isclose(values[0], values[1], rtol=1e-12):  # type: ignore[arg-type]
