@@ -303,10 +303,10 @@ def test_a_false_claim_of_success_is_downgraded(module):
 def test_what_does_not_fit_is_refused(module):
     with pytest.raises(ArgumentError, match="use --method action"):
         drivers.solve(module("midpoint"), "slsqp", points=few())
+    row = np.stack([0.01 * np.arange(13), np.zeros(13)], axis=1)
+    thirteen = PointSet(row, row + 0.1, np.zeros(13))
     with pytest.raises(ArgumentError, match="at most 24"):
-        points = PointSet(np.zeros((13, 2)) + 0.01 * np.arange(13)[:, None], 0.1 + np.zeros((13, 2)), np.zeros(13))
-        points = PointSet(points.start, points.start + 0.1, points.sigma)
-        drivers.solve(module("explicit-euler"), "fmin", points=points)
+        drivers.solve(module("explicit-euler"), "fmin", points=thirteen)
     with pytest.raises(PointsError, match="no points"):
         drivers.solve(module("midpoint"))
     with pytest.raises(SchemeError, match="no action belongs to it"):

@@ -335,13 +335,15 @@ def _hessian_products(writer: _Writer) -> PairLoop:
     size = writer.dimension
     alone, pair = writer.derivatives.alone, writer.derivatives.pair
     half, row_i, row_j = _offsets(size)
-    kernels, lines = [], []
+    kernels, lines, operations = [], [], (0, 0)
     for term, row in ((alone, row_i), (pair, row_j)):
         named = [(str(writer.renamed(term, s)), "=", value) for s, value in (*term.slopes, *term.curvatures)]
         made = writer.lowered(term, named)
         kernels.append(replace(made, body=(row, *made.body, *made.outputs), outputs=()))
-        lines.append(_along_direction(writer, term))
-    return writer.loop(
+        along = _along_direction(writer, term)
+        lines.append(_inner_lines(along))
+        operations = made.operations_before + along.operations_before, made.operations_after + along.operations_after
+    visit = writer.loop(
         "hessian_products",
         "Fill `products`, shape (2nd, m), with the second derivatives of H times m directions, shape (2nd, m).",
         (*_STATE, "directions", "products"),
@@ -350,10 +352,11 @@ def _hessian_products(writer: _Writer) -> PairLoop:
         head=[half, Line("products[:]", "0.0")],
         directions=(lines[0], lines[1]),
     )
+    return replace(visit, operations_before=operations[0], operations_after=operations[1])
 
 
-def _along_direction(writer: _Writer, term: TermDerivatives) -> list[Line]:
-    """Lines for one direction c: changes of the scalars, of the derivatives by them, and of the gradient."""
+def _along_direction(writer: _Writer, term: TermDerivatives) -> Kernel:
+    """What is computed for one direction c: changes of the scalars, of the derivatives by them, and of the gradient."""
     size, moving = writer.dimension, term.moving
     changes = {z: Symbol(f"d_{z.name}", real=True) for z in moving}
     changes |= {d: Symbol(f"d_{d.name}", real=True) for d, _ in term.differences}
@@ -388,12 +391,15 @@ def _along_direction(writer: _Writer, term: TermDerivatives) -> list[Line]:
         *(s for s, _ in (*term.scalars, *term.slopes, *term.curvatures)),
     )
     places |= {writer.renamed(term, symbol): writer.renamed(term, symbol).name for symbol in known}
-    made = kernel(
+    return kernel(
         "", "", (), places,
         [Output(target, writer.renamed(term, value), "", "+=") for target, value in outputs],
         assignments=[(symbol, writer.renamed(term, value)) for symbol, value in needed],
     )  # fmt: skip
-    # Names of common parts begin anew in the innermost loop; those of the pair must keep their values.
+
+
+def _inner_lines(made: Kernel) -> list[Line]:
+    """The lines of a kernel inside a loop over pairs, whose own common parts must keep their values."""
     lines = [*made.inputs, *made.body, *made.outputs]
     return [replace(line, target=_inner(line.target), code=_inner(line.code)) for line in lines]
 

@@ -94,6 +94,11 @@ def guide(start, target, fraction, place):
     place[:] = start + fraction * (target - start)
 
 
+def make_own():
+    """Particles have no parameters of their own."""
+    return np.zeros((1, 0))
+
+
 @njit(cache=True, error_model="numpy")
 def velocity(z, own, parameters, rates):
     """H_p of a separable Hamiltonian, as an example: unit masses."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.example_pairs import DIMENSION, POINTS, hamiltonian
+from codegen.runtime.example_pairs import DIMENSION, POINTS, hamiltonian, make_own
 from codegen.runtime.pair_separable import advance
 
 FAILURES = {
@@ -139,8 +139,3 @@ def energy(state, t, parameters, own=None):
     """H at a state, shape (2 n d,), for the default particles unless their own parameters are given."""
     own = make_own() if own is None else own
     return hamiltonian(np.ascontiguousarray(state, dtype=float).reshape(2, -1, DIMENSION), own, parameters)
-
-
-def make_own():
-    """Own parameters of the default particles; the generated module has its own."""
-    return np.zeros((1, 0))
