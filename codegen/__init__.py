@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _HOMES = {
-    **dict.fromkeys(["Control", "Simulate"], "codegen.problem"),
+    **dict.fromkeys(["Control", "Phases", "Simulate"], "codegen.problem"),
     **dict.fromkeys(
         "body_number canonical_pair canonical_pairs control controls coordinate coordinates free_parameter parameter "
         "parameters states time".split(),
@@ -24,6 +24,7 @@ __all__ = [
     "Connect",
     "Control",
     "Pairwise",
+    "Phases",
     "Points",
     "Simulate",
     "body_number",
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from codegen.load import load
     from codegen.pairwise import Connect, Pairwise, particles
     from codegen.points import Points
-    from codegen.problem import Control, Simulate
+    from codegen.problem import Control, Phases, Simulate
     from codegen.symbols import (
         body_number,
         canonical_pair,

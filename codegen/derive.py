@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import sympy
 from sympy import Expr, Symbol
@@ -51,14 +51,20 @@ class ControlDerivatives:
     `condensed` is how many of an interval's last unknowns can be eliminated inside it: slacks always, because their
     barrier terms are positive, and controls when their block of the Hessian is constant and regular;
     `linear_quadratic` says that no Hessian entry depends on an unknown and one Newton step suffices (not so with nodal
-    controls, which can make the system singular).
+    controls, which can make the system singular). `elements` are the shares of all kinds of intervals, of which there
+    are several where there are phases; their Hessians have one pattern.
     """
 
-    element: ElementDerivatives
+    elements: tuple[ElementDerivatives, ...]
     start: ElementDerivatives
     end: ElementDerivatives
     condensed: int
     linear_quadratic: bool
+
+    @property
+    def element(self) -> ElementDerivatives:
+        """The first of them, which is the only one where there are no phases."""
+        return self.elements[0]
 
 
 @dataclass(frozen=True)
@@ -75,16 +81,17 @@ class StepDerivatives:
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     """Differentiate the interval's scalar and both end elements twice."""
     unknowns = program.element_symbols
-    element = _element(program.element, unknowns, program.cost)
+    elements = _with_one_pattern([_element(e.element, unknowns, e.cost) for e in program.interval_elements])
     start = _end_element(program.start, (*program.left_symbols, *program.shared_symbols))
     end = _end_element(program.end, (*program.right_symbols, *program.shared_symbols))
-    variables = element.varying | start.varying | end.varying
-    entries = (*element.hessian, *start.hessian, *end.hessian)
+    shares = (*elements, start, end)
+    variables = set[Symbol]().union(*(share.varying for share in shares))
+    entries = [entry for share in shares for entry in share.hessian]
     return ControlDerivatives(
-        element=element,
+        elements=elements,
         start=start,
         end=end,
-        condensed=_condensed(program, element, element.varying),
+        condensed=_condensed(program, elements),
         linear_quadratic=not program.nodal_controls
         and not program.has_inequalities
         and not program.couplings
@@ -138,6 +145,18 @@ def _long_element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: C
     )
 
 
+def _with_one_pattern(shares: Sequence[ElementDerivatives]) -> tuple[ElementDerivatives, ...]:
+    """The same derivatives, with zeros where another share has an entry of the Hessian."""
+    if len(shares) == 1:
+        return tuple(shares)
+    pattern = sorted({(row, column) for share in shares for row, column, _ in share.hessian})
+    values = [{(row, column): value for row, column, value in share.hessian} for share in shares]
+    return tuple(
+        replace(share, hessian=tuple((*place, own.get(place, sympy.S.Zero)) for place in pattern))
+        for share, own in zip(shares, values, strict=True)
+    )
+
+
 def _end_element(end: EndElement, unknowns: tuple[Symbol, ...]) -> ElementDerivatives:
     """Derivatives of an end's share; what is pinned there is a number and not differentiated twice."""
     return _element(end.element, unknowns, end.cost, {i for i, _ in end.pins})
@@ -152,9 +171,9 @@ def _vanishes(expression: Expr) -> bool:
     return False
 
 
-def _condensed(program: ControlProgram, element: ElementDerivatives, unknowns: set[Symbol]) -> int:
+def _condensed(program: ControlProgram, elements: Sequence[ElementDerivatives]) -> int:
     slacks = len(program.slacks)
-    if _constant_and_regular(program, element, unknowns):
+    if all(_constant_and_regular(program, element, element.varying) for element in elements):
         return slacks + len(program.control_symbols)
     return slacks
 

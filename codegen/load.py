@@ -84,6 +84,8 @@ class ControlModule(Protocol):
     jacobian: Callable[[Grid, Vector], Entries]
     hessian: Callable[[Grid, Vector], Entries]
     stationarity: Callable[[Grid, Vector], Vector]
+    evaluate: Callable[[Grid, Vector], Any]
+    worst_row: Callable[[Grid, Any], str]
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
@@ -179,7 +181,7 @@ GeneratedModule: TypeAlias = ControlModule | SimulateModule | ConnectModule
 _FUNCTIONS = {
     "control": (
         "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
-        "constraints jacobian hessian stationarity unpack"
+        "constraints jacobian hessian stationarity evaluate worst_row unpack"
     ).split(),
     "simulate": "solve make_grid energy path_residual".split(),
     "connect": "solve solve_case make_case residual jacobian path_cost path_errors hamiltonian".split(),

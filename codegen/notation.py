@@ -16,7 +16,7 @@ from codegen.model import Model
 
 WIDTH = 100
 _LATEX_WIDTH = 90
-_INDEX = re.compile(r"^(?P<base>.+?)(?:_(?:stage(?P<stage>\d+)|k(?P<shift>1|-1)?)|@(?P<end>[0T]))?$")
+_INDEX = re.compile(r"^(?P<base>.+?)(?:_(?:stage(?P<stage>\d+)|k(?P<shift>1|-1)?)|@(?P<end>[0T])|@(?P<side>[+-]))?$")
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma tau upsilon phi chi "
     "psi omega"
@@ -48,8 +48,9 @@ class Block:
 class Notation:
     """Symbols of the pipeline to symbols as they are written; `velocities` maps the name dq to that of q.
 
-    Names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the ends of time; they
-    begin with `rate ` for one derivative by time, with `acceleration ` for two, with `f- ` or `f+ ` for forces.
+    Names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the ends of time, in `@-`
+    and `@+` before and after a switch; they begin with `rate ` for one derivative by time, with `acceleration ` for
+    two, with `f- ` or `f+ ` for forces.
     """
 
     velocities: dict[str, str]
@@ -75,9 +76,12 @@ class Notation:
         match = _INDEX.match(symbol.name)
         assert match is not None
         index = ""
-        if symbol.name != match["base"] and not match["end"]:
+        if symbol.name != match["base"] and not match["end"] and not match["side"]:
             index = {None: "k", "1": "k+1", "-1": "k-1"}[match["shift"]]
-        return self._written(match["base"], match["stage"], index) + (f"({match['end']})" if match["end"] else "")
+        written = self._written(match["base"], match["stage"], index)
+        if match["side"]:
+            return written + (f"^{{{match['side']}}}" if self.latex else match["side"].translate(_HIGH))
+        return written + (f"({match['end']})" if match["end"] else "")
 
     def _written(self, base: str, stage: str | None, index: str) -> str:
         letter, low, high, dots = self._parts(base)

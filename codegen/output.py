@@ -140,13 +140,24 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD)
+    silent = sum(not finding.applies for finding in findings)
+    failed = sum(not finding.passed for finding in findings)
+    passed = len(findings) - silent - failed
+    caption = f"{passed} passed, {failed} failed, {silent} do not apply"
+    table = Table(box=box.SIMPLE_HEAD, caption=caption, caption_justify="left")
     for heading in ("check", "subject", "", "detail"):
         table.add_column(heading)
     for finding in findings:
-        verdict = "[green]passed[/]" if finding.passed else "[bold red]FAILED[/]"
-        table.add_row(_escaped(finding.check), _escaped(finding.subject), verdict, _escaped(finding.detail))
+        detail = finding.detail if finding.applies else finding.detail.removeprefix("does not apply: ")
+        table.add_row(_escaped(finding.check), _escaped(finding.subject), _verdict(finding), _escaped(detail))
     return table
+
+
+def _verdict(finding: Finding) -> str:
+    """A check that says nothing about a problem has not passed."""
+    if not finding.applies:
+        return "[dim]does not apply[/]"
+    return "[green]passed[/]" if finding.passed else "[bold red]FAILED[/]"
 
 
 def _escaped(text: str) -> str:

@@ -81,3 +81,25 @@ class Control(Problem):
     periodic: Mapping[Any, Expression] | Sequence[Any] = ()
     bodies: int = 1
     guess: Mapping[Any, Expression] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, init=False)
+class Phases:
+    """Control problems that follow each other in time, where dynamics, bounds and cost may change from one to the next.
+
+    All phases are given in the same way (Lagrangian, Hamiltonian or dynamics) and have the same coordinates or states;
+    each has a duration and `steps` intervals of its own. Time does not begin anew with a phase. Only the first phase
+    has a `start`; what an earlier phase says of its end (`end`, `end_conditions`, `terminal_cost`) holds at the switch
+    to the next one, before the jump there.
+
+    `jumps` has one mapping for each switch, which gives states, or coordinates and velocities (or momenta), their
+    values after the switch in terms of those before it, as in `jumps=[{m: m - dry_mass}]` or `jumps=[{dq: -e * dq}]`.
+    What is left out has the same value after as before; of a Lagrangian these are velocities, whatever momenta do.
+    """
+
+    phases: tuple[Control, ...]
+    jumps: Sequence[Mapping[Any, Expression]]
+
+    def __init__(self, *phases: Control, jumps: Sequence[Mapping[Any, Expression]] = ()) -> None:
+        object.__setattr__(self, "phases", phases)
+        object.__setattr__(self, "jumps", jumps)

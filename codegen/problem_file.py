@@ -104,6 +104,7 @@ def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model |
     title, code = _compiled(path)
 
     from codegen.model import normalise
+    from codegen.model.pairwise import is_pairwise, normalise_pairwise
     from codegen.symbols import recorded_declarations
 
     with _fresh_module(path) as module, redirect_stdout(sys.stderr):
@@ -114,6 +115,8 @@ def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model |
         with _blaming(path), recorded_declarations() as declared:
             problem = function(**keywords)
     try:
+        if is_pairwise(problem):
+            return normalise_pairwise(problem, declared, name=path.stem, title=title)
         return normalise(problem, declared, name=path.stem, title=title)
     except CodegenError as error:
         raise _with_place(error, str(path)) from error

@@ -20,6 +20,7 @@ from codegen.discretise import (
 )
 from codegen.model import Boundary, Model
 from codegen.model.pairwise import PairwiseModel
+from codegen.model.values import prescribed
 from codegen.notation import Block, Notation, written
 from codegen.problem_file import load_problem, split_points
 from codegen.schemes import DiscreteLagrangian, OneStep
@@ -68,19 +69,43 @@ def equations(
     program = transcribe.transcribe(model, scheme, method, controls)
     notation = Notation.of(model, _side(model, program.method), latex=latex)
     title = f"{model.title.rstrip('.')} ({program.method} method, scheme {program.scheme})"
-    blocks = [
-        *_continuous(model, program.method),
-        *_discrete(model, program),
-        *_ends(program),
-        _layout(program, notation),
-    ]
-    return written(title, blocks, notation)
+    own = (
+        _of_phases(model, program)
+        if model.phases
+        else (*_continuous(model, program.method), *_discrete(model, program))
+    )
+    return written(title, [*own, *_ends(program), _layout(program, notation)], notation)
+
+
+def _of_phases(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
+    """What each phase is by itself, in its own time, and what happens at the switches between them."""
+    assert isinstance(program, ControlProgram), "a simulation has a single phase"
+    for number, phase in enumerate(model.phases, start=1):
+        if number > 1:
+            yield _switch(model, number - 1)
+        for block in (*_continuous(phase, program.method), *_discrete(phase, program)):
+            yield replace(block, heading=f"Phase {number}: {block.heading}")
+
+
+def _switch(model: Model, number: int) -> Block:
+    """Values before a switch that are prescribed, conditions there, and values after it."""
+    before = model.phases[number - 1]
+    rows = [(_named(f"{symbol}@-"), value) for symbol, value in prescribed(before, "end").items()]
+    here = {symbol: _named(f"{symbol}@-") for symbol in (*before.coordinates, *before.rates)}
+    rows += [(_named(f"{symbol}@+"), value.xreplace(here)) for symbol, value in model.jumps[number - 1]]
+    rows += [(_named("cost"), before.terminal_cost.xreplace(here))] if before.terminal_cost != 0 else []
+    conditions = ", ".join(condition.name for condition in before.end_conditions)
+    told = f"before it {conditions}" if conditions else "" if rows else "everything is continuous"
+    remarks = ((told, told),) if told else ()
+    return Block(f"Switch from phase {number} to phase {number + 1}", tuple(rows), remarks)
 
 
 def _side(model: Model, method: str) -> Model:
     """The model on the side of mechanics where the method works, without boundaries."""
     free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
     model = replace(model, start=free, end=free)
+    if model.form == "first-order":
+        return model
     return legendre.lagrangian_form(model) if method == "variational" else legendre.hamiltonian_form(model)
 
 
@@ -91,6 +116,11 @@ def _named(name: str) -> Symbol:
 def _continuous(given: Model, method: str) -> Iterator[Block]:
     """What the author wrote, what follows on the other side, and the forced equations of motion."""
     model = _side(given, method)
+    if model.form == "first-order":
+        pairs = zip(model.coordinates, model.dynamics, strict=True)
+        yield Block("Dynamics", tuple((_named(f"rate {x}"), f) for x, f in pairs))
+        yield from _cost(model)
+        return
     if given.form != model.form:
         yield Block(given.form.capitalize(), ((_named(given.form[0].upper()), given.function),))
     letter = model.form[0].upper()
@@ -106,6 +136,10 @@ def _continuous(given: Model, method: str) -> Iterator[Block]:
         states = (*model.coordinates, *model.rates)
         rates = tuple((_named(f"rate {x}"), _shortest(e)) for x, e in zip(states, field, strict=True))
         yield Block(f"{forced}Hamilton's equations", rates)
+    yield from _cost(model)
+
+
+def _cost(model: Model) -> Iterator[Block]:
     if model.cost is not None:
         yield Block("Rate of the cost, and duration", ((_named("C"), model.cost), (_named("T"), model.duration)))
 

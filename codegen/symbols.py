@@ -26,10 +26,11 @@ _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities",
 
 RESERVED = frozenset(
     "np math numba njit sys h steps grid unknowns parameters gradient hessian residual jacobian interval state "
-    "duration start end every guess tolerance max_iterations log rows status iterations point boundary prescribed "
-    "nodes intervals last views Solution Grid make_grid checked_grid replace_values initial_state initial_guess "
-    "with_pinned_values minimise evaluate describe unpack print_log integrate NODE START OWN "
-    "warm BODIES bodies shared own common coupling couplings slack slacks lower upper bounds variable_bounds".split()
+    "duration start end every guess tolerance max_iterations log rows status message iterations point boundary "
+    "prescribed nodes intervals last views Solution Grid make_grid checked_grid replace_values initial_state "
+    "initial_guess with_pinned_values minimise evaluate describe unpack print_log integrate NODE START OWN "
+    "warm BODIES bodies shared own common coupling couplings slack slacks lower upper bounds variable_bounds "
+    "node_times interval_times phase_durations PHASES".split()
 )
 """Names that generated modules use for their own purposes."""
 _INNER_STAGE = re.compile(r"_stage\d+$")

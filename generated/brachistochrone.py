@@ -56,7 +56,7 @@ metadata = {
     "node": ('x', 'y', 'v'),
     "interval": ('mu_x', 'mu_y', 'mu_v', 'theta'),
     "shared": ('T',),
-    "meanings": {},
+    "meanings": {'mu_x': 'multiplier of the step of x', 'mu_y': 'multiplier of the step of y', 'mu_v': 'multiplier of the step of v'},
     "inequalities": True,
     "boundary": ('start x', 'start y', 'start v', 'end x', 'end y'),
     "operations": {'interval_gradient': (95, 50), 'interval_hessian': (143, 49), 'start_gradient': (0, 0), 'end_gradient': (0, 0)},
@@ -369,8 +369,8 @@ class Point(NamedTuple):
 
     @property
     def error(self):
-        """Max-norm of all equations of the optimum."""
-        return max(self.residual, self.stationarity)
+        """Max-norm of all equations of the optimum; infinite where the cost is not finite."""
+        return max(self.residual, self.stationarity) if abs(self.cost) < np.inf else np.inf
 
 
 def evaluate(grid, unknowns):
@@ -382,33 +382,41 @@ def evaluate(grid, unknowns):
 
 # Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
 #
-# An element's unknowns are those of its left node, of the interval and of its right node, without those that are
-# eliminated inside the interval; then the shared unknowns.
+# The rows of an element matrix are those of block k, which is node k and its interval without what is eliminated inside
+# the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns.
+
+
+def padded(size):
+    """The next multiple of four: four entries of a row are computed at once."""
+    return (size + 3) // 4 * 4
+
 
 BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
-SIZE = BLOCK + NODE  # unknowns of an element, shared ones aside
+SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
+FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
+BORDER = FIRST.size
+TAIL = SIZE + BORDER  # where shared unknowns begin
+ROWS = TAIL + SHARED  # of an element matrix
+WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 IS_CURVATURE = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] == LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS]
 
 
-@njit(error_model="numpy", inline="always")
-def add_diagonal_and_pin(k, steps, diagonal, element):
-    """Add a body's share of `diagonal`, and pin what is given at the ends.
+@njit(error_model="numpy")
+def pin_ends(k, steps, diagonal, element):
+    """Add the last node's share of `diagonal`, and pin what is given at the ends.
 
-    A node's diagonal is added in the element on its right, the last node's in the last element. The row and column
-    of an unknown that a boundary condition gives are those of the unit matrix.
+    The row and column of an unknown that a boundary condition gives are those of the unit matrix.
     """
-    for i in range(BLOCK):
-        element[i, i] += diagonal[k * STRIDE + i]
     if k == steps - 1:
         for i in range(NODE):
-            element[BLOCK + i, BLOCK + i] += diagonal[(k + 1) * STRIDE + i]
+            element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
     if k == 0:
-        release_rows(START_SHARED_PLACES, START_SHARED, 0, SIZE, element)
+        release_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
         for i in START_PINNED:
             pin(i, element)
     if k == steps - 1:
-        release_rows(END_SHARED_PLACES, END_SHARED, BLOCK, SIZE, element)
+        release_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
         for i in END_PINNED:
             pin(BLOCK + i, element)
 
@@ -425,10 +433,10 @@ def pin(place, element):
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
-    """Add the diagonal of an element matrix and pin what is given."""
-    add_diagonal_and_pin(k, steps, diagonal, element)
+    """Pin what is given."""
+    pin_ends(k, steps, diagonal, element)
 
 
 def end_entries(grid, unknowns):
@@ -436,7 +444,177 @@ def end_entries(grid, unknowns):
     return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
 
 
+# Symmetric elimination with pivots of one or two rows: factors, and the number of negative eigenvalues.
+#
+# Rows are eliminated one or two at a time, in an order that is chosen on the way and stays a list: no row is moved. What
+# is kept are the rows of the unit factor U, strictly triangular when sorted by that order, and the inverse of the pivots
+# D: K = U' D U. Rows are as wide as a multiple of four, and what they do not need is zero: entries are taken four at a
+# time, which a compiler turns into one instruction each (numba does where NUMBA_SLP_VECTORIZE is set, as `codegen build`
+# sets it). Source: Bunch and Kaufman (1977), Some stable methods for calculating inertia and solving symmetric linear
+# systems; Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
+
+BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
+
+
+@njit(error_model="numpy")
+def eliminate_rows(matrix, count, width, upper, inverse, order):
+    """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
+
+    The first `count` rows of `matrix`, `width` columns, are read and overwritten by D U. `upper` (count, width) takes U
+    without its unit diagonal. `order` says which row was eliminated when; `inverse` (count, 2), in that order, is the
+    inverse of the pivots: its diagonal, and what is between a row and the next one.
+    """
+    for c in range(count):
+        order[c] = c
+    negative, c = 0, 0
+    while c < count:
+        # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
+        row, place = order[c], c
+        own, beside = abs(matrix[row, row]), 0.0
+        for k in range(c + 1, count):
+            if abs(matrix[row, order[k]]) > beside:
+                beside, place = abs(matrix[row, order[k]]), k
+        if not 0.0 < max(own, beside) < np.inf:
+            return -1
+        pair = False
+        if own < BALANCE * beside:
+            other, largest = order[place], 0.0
+            for k in range(c, count):
+                if k != place:
+                    largest = max(largest, abs(matrix[other, order[k]]))
+            if own * largest < BALANCE * beside * beside:
+                pair = abs(matrix[other, other]) < BALANCE * largest
+                to = c + 1 if pair else c
+                order[place], order[to] = order[to], order[place]
+        if pair:
+            eliminate_pair(matrix, c, count, width, upper, inverse, order)
+            negative += 1
+            c += 2
+        else:
+            negative += eliminate_one(matrix, c, count, width, upper, inverse, order)
+            c += 1
+    return negative
+
+
+@njit(error_model="numpy")
+def eliminate_one(matrix, c, count, width, upper, inverse, order):
+    """Eliminate the row that comes at place c; return whether its pivot is negative."""
+    p = order[c]
+    reciprocal = 1.0 / matrix[p, p]
+    inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
+    for k in range(c + 1, count):
+        i = order[k]
+        subtract_row(matrix[i, p] * reciprocal, matrix, p, width, matrix, i)
+        matrix[i, p] = 0.0
+    for j in range(width):
+        upper[p, j] = matrix[p, j] * reciprocal
+    upper[p, p] = 0.0
+    return reciprocal < 0.0
+
+
+@njit(error_model="numpy")
+def eliminate_pair(matrix, c, count, width, upper, inverse, order):
+    """Eliminate the rows that come at places c and c + 1 together; one of two such pivots is negative."""
+    p, q = order[c], order[c + 1]
+    a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
+    determinant = a * d - b * b
+    first, both, second = d / determinant, -b / determinant, a / determinant
+    inverse[c, 0], inverse[c, 1], inverse[c + 1, 0], inverse[c + 1, 1] = first, both, second, 0.0
+    for k in range(c + 2, count):
+        i = order[k]
+        x, y = matrix[i, p], matrix[i, q]
+        subtract_row(x * first + y * both, matrix, p, width, matrix, i)
+        subtract_row(x * both + y * second, matrix, q, width, matrix, i)
+        matrix[i, p] = matrix[i, q] = 0.0
+    for j in range(width):
+        x, y = matrix[p, j], matrix[q, j]
+        upper[p, j] = x * first + y * both
+        upper[q, j] = x * both + y * second
+    upper[p, p] = upper[p, q] = upper[q, p] = upper[q, q] = 0.0
+
+
+@njit(error_model="numpy", fastmath={"contract"})
+def subtract_row(multiple, source, p, width, target, i):
+    """Subtract a multiple of row p of one matrix from row i of another, or of the same."""
+    for j in range(0, width, 4):
+        one = target[i, j] - multiple * source[p, j]
+        two = target[i, j + 1] - multiple * source[p, j + 1]
+        three = target[i, j + 2] - multiple * source[p, j + 2]
+        four = target[i, j + 3] - multiple * source[p, j + 3]
+        target[i, j] = one
+        target[i, j + 1] = two
+        target[i, j + 2] = three
+        target[i, j + 3] = four
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def subtract_products(upper, matrix, count, first, rows, width, rest):
+    """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
+
+    `rest` has that many rows and is `width` columns wide; afterwards its upper triangle is right.
+    """
+    for i in range(rows):
+        for j in range(i // 4 * 4, width, 4):
+            one = two = three = four = 0.0
+            for c in range(count):
+                multiple = upper[c, first + i]
+                one += multiple * matrix[c, first + j]
+                two += multiple * matrix[c, first + j + 1]
+                three += multiple * matrix[c, first + j + 2]
+                four += multiple * matrix[c, first + j + 3]
+            one, two = rest[i, j] - one, rest[i, j + 1] - two
+            three, four = rest[i, j + 2] - three, rest[i, j + 3] - four
+            rest[i, j] = one
+            rest[i, j + 1] = two
+            rest[i, j + 2] = three
+            rest[i, j + 3] = four
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def solve_forward(upper, order, count, width, values):
+    """Overwrite the first `count` values by inverse(U') times them; the rest loses its share."""
+    for c in range(count):
+        p = order[c]
+        value = values[p]
+        for j in range(0, width, 4):
+            one, two = values[j] - upper[p, j] * value, values[j + 1] - upper[p, j + 1] * value
+            three, four = values[j + 2] - upper[p, j + 2] * value, values[j + 3] - upper[p, j + 3] * value
+            values[j] = one
+            values[j + 1] = two
+            values[j + 2] = three
+            values[j + 3] = four
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def solve_pivots(inverse, order, count, values):
+    """Multiply the first `count` values by the inverse of the pivots."""
+    carried = 0.0
+    for c in range(count):
+        value = values[order[c]]
+        values[order[c]] = inverse[c, 0] * value + carried
+        if inverse[c, 1] != 0.0:
+            values[order[c]] += inverse[c, 1] * values[order[c + 1]]
+        carried = inverse[c, 1] * value
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def solve_backward(upper, order, count, width, values):
+    """Overwrite the first `count` values by the solution with U, in which the rest is known."""
+    for c in range(count - 1, -1, -1):
+        p = order[c]
+        one = two = three = four = 0.0
+        for j in range(0, width, 4):
+            one += upper[p, j] * values[j]
+            two += upper[p, j + 1] * values[j + 1]
+            three += upper[p, j + 2] * values[j + 2]
+            four += upper[p, j + 3] * values[j + 3]
+        values[p] -= (one + two) + (three + four)
+
+
 # An interval's element matrix, with all its unknowns kept: none can be eliminated beforehand.
+
+PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER)
+PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER)
 
 
 def allocate_condensed(grid):
@@ -454,7 +632,7 @@ def prepare_condensed(weight, diagonal, condensed):
 def add_element(hessian, diagonal, condensed, interval, element):
     """Add the Hessian of an interval to the element matrix."""
     for j in range(hessian.size):
-        row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
+        row, column = PLACE_ROWS[j], PLACE_COLUMNS[j]
         element[row, column] += hessian[j]
         if row != column:
             element[column, row] += hessian[j]
@@ -477,136 +655,6 @@ def expand(gradient, condensed, steps, reduced, root, step):
             step[body * (steps * STRIDE + NODE) + i] = reduced[body, i]
 
 
-# Symmetric elimination with pivots of one or two rows: factors, and the number of negative eigenvalues.
-#
-# Source: Bunch and Parlett (1971), Direct methods for solving symmetric indefinite systems of linear equations; Higham
-# (2002), Accuracy and stability of numerical algorithms, section 11.1.
-
-BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
-
-
-@njit(error_model="numpy", inline="always")
-def eliminate_symmetric(matrix, count, rows, lower, inverse, places):
-    """Eliminate the first `count` of `rows` unknowns; return how many pivots are negative, or -1 if one vanishes.
-
-    Of the matrix the first `count` columns and the lower triangle of the rest are read; the rest becomes the Schur
-    complement. `lower` takes the unit lower factor, `inverse` (count, 2) the inverse of the pivots: diagonal and what
-    is beside it in a pivot of two rows. `places` says with which row each was exchanged, -1 - row in a pair's second.
-    """
-    negative, c = 0, 0
-    while c < count:
-        place, largest, row, column, beside = c, -1.0, c, c, 0.0
-        for i in range(c, count):
-            if abs(matrix[i, i]) > largest:
-                place, largest = i, abs(matrix[i, i])
-            for j in range(c, i):
-                if abs(matrix[i, j]) > beside:
-                    row, column, beside = i, j, abs(matrix[i, j])
-        if not 0.0 < max(largest, beside) < np.inf:
-            return -1
-        if largest >= BALANCE * beside:
-            exchange(matrix, c, c, place, count, rows)
-            places[c] = place
-            negative += matrix[c, c] < 0.0
-            inverse[c, 0] = 1.0 / matrix[c, c]
-            inverse[c, 1] = 0.0
-            for i in range(c + 1, rows):
-                lower[i, c] = matrix[i, c] * inverse[c, 0]
-                for j in range(c + 1, count):
-                    matrix[i, j] -= lower[i, c] * matrix[c, j]
-            c += 1
-        else:
-            exchange(matrix, c, c, column, count, rows)
-            exchange(matrix, c, c + 1, row, count, rows)
-            places[c], places[c + 1] = column, -1 - row
-            negative += 1
-            a, b, d = matrix[c, c], matrix[c + 1, c], matrix[c + 1, c + 1]
-            determinant = a * d - b * b
-            inverse[c, 0], inverse[c + 1, 0] = d / determinant, a / determinant
-            inverse[c, 1] = inverse[c + 1, 1] = -b / determinant
-            for i in range(c + 2, rows):
-                one, two = matrix[i, c], matrix[i, c + 1]
-                lower[i, c] = one * inverse[c, 0] + two * inverse[c, 1]
-                lower[i, c + 1] = one * inverse[c, 1] + two * inverse[c + 1, 0]
-                for j in range(c + 2, count):
-                    matrix[i, j] -= lower[i, c] * matrix[c, j] + lower[i, c + 1] * matrix[c + 1, j]
-            c += 2
-    # Columns of the eliminated unknowns hold what they were when their turn came: lower times pivots.
-    for i in range(count, rows):
-        for j in range(count, i + 1):
-            value = 0.0
-            for c in range(count):
-                value += matrix[i, c] * lower[j, c]
-            matrix[i, j] -= value
-    return negative
-
-
-@njit(error_model="numpy")
-def exchange(matrix, first, i, j, count, rows):
-    """Exchange two of the unknowns `first` to `count`, which are not eliminated yet."""
-    if i != j:
-        for k in range(first, count):
-            matrix[i, k], matrix[j, k] = matrix[j, k], matrix[i, k]
-        for k in range(first, rows):
-            matrix[k, i], matrix[k, j] = matrix[k, j], matrix[k, i]
-
-
-@njit(error_model="numpy", inline="always")
-def solve_lower(lower, places, count, right):
-    """Overwrite the first `count` entries of a right-hand side by their solution with the unit lower factor."""
-    c = 0
-    while c < count:
-        pair = c + 1 < count and places[c + 1] < 0
-        swap(right, c, places[c])
-        if pair:
-            swap(right, c + 1, -1 - places[c + 1])
-        for i in range(c + 1 + pair, count):
-            right[i] -= lower[i, c] * right[c]
-            if pair:
-                right[i] -= lower[i, c + 1] * right[c + 1]
-        c += 1 + pair
-
-
-@njit(error_model="numpy", inline="always")
-def solve_pivots(inverse, places, count, right):
-    """Multiply the first `count` entries by the inverse of the pivots."""
-    c = 0
-    while c < count:
-        if c + 1 < count and places[c + 1] < 0:
-            one, two = right[c], right[c + 1]
-            right[c] = inverse[c, 0] * one + inverse[c, 1] * two
-            right[c + 1] = inverse[c, 1] * one + inverse[c + 1, 0] * two
-            c += 2
-        else:
-            right[c] *= inverse[c, 0]
-            c += 1
-
-
-@njit(error_model="numpy", inline="always")
-def solve_upper(lower, places, count, right):
-    """Overwrite the first `count` entries by their solution with the transposed factor, in the original order."""
-    c = count - 1
-    while c >= 0:
-        pair = places[c] < 0
-        first = c - pair
-        for i in range(c + 1, count):
-            right[first] -= lower[i, first] * right[i]
-            if pair:
-                right[c] -= lower[i, c] * right[i]
-        if pair:
-            swap(right, c, -1 - places[c])
-        swap(right, first, places[first])
-        c = first - 1
-
-
-@njit(error_model="numpy", inline="always")
-def swap(values, i, j):
-    """Exchange two entries."""
-    value = values[i]
-    values[i] = values[j]
-    values[j] = value
-
-
 # Frontal factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete, count inertia.
 #
 # The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Block k holds
@@ -617,29 +665,38 @@ def swap(values, i, j):
 # The pivots' signs give the inertia of the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program
 # for finite element analysis; Haynsworth (1968), Determination of the inertia of a partitioned Hermitian matrix; Rao,
 # Wright and Rawlings (1998), Application of interior-point methods to model predictive control, for the Riccati view.
+#
+# Too many negative pivots show before the end. At a minimum, the rows that are eliminated and the multipliers of all
+# equations that reach into them make a matrix with one negative eigenvalue for every multiplier; without the multipliers
+# that are still to come it has at most as many (Cauchy's interlacing theorem).
 
-FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
-BORDER = FIRST.size
-FRONT = SIZE + BORDER + SHARED  # rows of the front: block k, node k + 1, block 0, shared unknowns
+REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
+REST_WIDTH = padded(REST)
 LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
+LAST_WIDTH = padded(LAST + padded(SHARED))
+SHARED_WIDTH, ROOT_WIDTH = padded(SHARED), padded(ROOT)
+MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
+ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
+COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
 
 
 def allocate_system(grid):
     """Room for the factors, for what is condensed, and the number of equations.
 
-    The factors of all blocks, of the last nodes and of the shared unknowns are a lower factor, the inverse of the
-    pivots and the exchanges each.
+    The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
+    the pivots and the order of elimination each. Orders are valid indices from the start: what solves with factors that
+    were never made, as it does to be compiled, must stay inside the arrays.
     """
     factors = (
-        np.zeros((BODIES, grid.steps, FRONT, BLOCK)),
-        np.zeros((BODIES, grid.steps, BLOCK, 2)),
-        np.zeros((BODIES, grid.steps, BLOCK), np.int64),
-        np.zeros((BODIES, LAST + SHARED, LAST)),
-        np.zeros((BODIES, LAST, 2)),
-        np.zeros((BODIES, LAST), np.int64),
-        np.zeros((ROOT, ROOT)),
-        np.zeros((ROOT, 2)),
-        np.zeros(ROOT, np.int64),
+        np.empty((BODIES, grid.steps, BLOCK, WIDTH)),
+        np.empty((BODIES, grid.steps, BLOCK, 2)),
+        np.zeros((BODIES, grid.steps, BLOCK), np.uint64),
+        np.empty((BODIES, LAST, LAST_WIDTH)),
+        np.empty((BODIES, LAST, 2)),
+        np.zeros((BODIES, LAST), np.uint64),
+        np.empty((ROOT, ROOT_WIDTH)),
+        np.empty((ROOT, 2)),
+        np.zeros(ROOT, np.uint64),
         allocate_condensed(grid),
     )
     return factors, multiplier_unknowns(grid).size
@@ -648,157 +705,149 @@ def allocate_system(grid):
 def factor_kkt(grid, unknowns, weight, diagonal, system):
     """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
 
-    Zero means that the reduced Hessian is positive definite, as at a minimum. None means that the matrix is singular,
-    or that a block that is condensed is not positive definite. The Hessian by primal unknowns is multiplied by
-    `weight`; then `diagonal`, an array as long as the unknowns, is added to the diagonal of the whole matrix.
+    Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
+    elimination stops when there are too many. None means that the matrix is singular, or that a block that is
+    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
+    array as long as the unknowns, is added to the diagonal of the whole matrix.
     """
     factors, equations = system
-    negative = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, factors)
-    return None if negative < 0 else negative - equations
+    regular, excess = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, factors)
+    return excess if regular else None
 
 
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def factor(unknowns, steps, h, parameters, weight, diagonal, factors):
-    """Run the front over all intervals of all bodies; the number of negative pivots, or -1 where it cannot go on."""
-    lower, inverse, places, last_lower, last_inverse, last_places, root_lower, root_inverse, root_places = factors[:9]
+def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
+    """Run the front over all intervals of all bodies; whether it came through, and the excess of negative pivots."""
+    upper, inverse, order, last_upper, last_inverse, last_order, root_upper, root_inverse, root_order = factors[:9]
     condensed = factors[9]
     if not prepare_condensed(weight, diagonal, condensed):
-        return -1
-    chain, negative = steps * STRIDE + NODE, 0
-    front, element = np.empty((FRONT, FRONT)), np.empty((SIZE + SHARED, SIZE + SHARED))
-    last, root, hessian = np.empty((LAST + SHARED, LAST + SHARED)), np.zeros((ROOT, ROOT)), np.empty(HESSIAN_ROWS.size)
+        return False, 0
+    chain, negative, multipliers = steps * STRIDE + NODE, 0, 0
+    element, rest, hessian = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH)), np.empty(HESSIAN_ROWS.size)
+    last, left = np.empty((LAST, LAST_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
+    root = np.zeros((ROOT, ROOT_WIDTH))
     for body in range(BODIES):
         read_shared(unknowns, body, parameters)
         own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
         for k in range(steps):
             interval = body * steps + k
-            if not fill_element(
-                own, k, steps, h, parameters[body], weight, added, hessian, condensed, interval, element
-            ):
-                return -1
+            interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters[body], hessian)
+            if weight != 1.0:
+                weigh(weight, hessian)
+            element[:] = 0.0
+            if not add_element(hessian, added[k * STRIDE : (k + 1) * STRIDE], condensed, interval, element):
+                return False, 0
+            for i in range(BLOCK):
+                element[i, i] += added[k * STRIDE + i]
+            if k == 0 or k == steps - 1:
+                close_element(own, k, steps, h, parameters[body], weight, added, element)
             if k == 0:
-                begin_front(element, front)
+                begin_front(element, rest)
                 continue
-            add_to_front(element, front)
-            found = eliminate_symmetric(front, BLOCK, FRONT, lower[body, k], inverse[body, k], places[body, k])
+            move_front(element, rest)
+            found = eliminate_rows(element, BLOCK, WIDTH, upper[body, k], inverse[body, k], order[body, k])
             if found < 0:
-                return -1
+                return False, 0
             negative += found
-            move_on(front)
-        end_front(front, last)
-        found = eliminate_symmetric(last, LAST, LAST + SHARED, last_lower[body], last_inverse[body], last_places[body])
+            multipliers += MULTIPLIERS
+            if negative > multipliers + ENDING + COMMON:  # node k + 1 has as many as the last one
+                return True, negative - multipliers - ENDING - COMMON
+            subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
+        end_front(rest, last, left)
+        found = eliminate_rows(last, LAST, LAST_WIDTH, last_upper[body], last_inverse[body], last_order[body])
         if found < 0:
-            return -1
+            return False, 0
         negative += found
+        multipliers += ENDING
+        if negative > multipliers + COMMON:  # no multiplier of another body reaches into this one
+            return True, negative - multipliers - COMMON
+        subtract_products(last_upper[body], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
         for i in range(SHARED):
             for j in range(SHARED):
-                root[root_place(body, i), root_place(body, j)] += last[LAST + max(i, j), LAST + min(i, j)]
+                root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
     for i in range(ROOT):
         root[i, i] += diagonal[diagonal.size - ROOT + i]
-    found = eliminate_symmetric(root, ROOT, ROOT, root_lower, root_inverse, root_places)
+    found = eliminate_rows(root, ROOT, ROOT_WIDTH, root_upper, root_inverse, root_order)
     if found < 0:
-        return -1
+        return False, 0
     negative += found
-    return negative
-
-
-@njit(error_model="numpy", inline="always")
-def fill_element(own, k, steps, h, parameters, weight, added, hessian, condensed, interval, element):
-    """Fill the element matrix of interval k of a body; False when what is condensed is not positive definite."""
-    interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
-    if weight != 1.0:
-        for j in range(hessian.size):
-            if IS_CURVATURE[j]:
-                hessian[j] *= weight
-    for i in range(SIZE + SHARED):
-        for j in range(SIZE + SHARED):
-            element[i, j] = 0.0
-    regular = add_element(hessian, added[k * STRIDE : (k + 1) * STRIDE], condensed, interval, element)
-    close_element(own, k, steps, h, parameters, weight, added, element)
-    return regular
+    return True, negative - equations
 
 
 @njit(error_model="numpy")
-def begin_front(element, front):
-    """Put the first element matrix into an empty front: node 1 where node k stands, block 0 into the border."""
-    for i in range(FRONT):
-        for j in range(FRONT):
-            front[i, j] = 0.0
-    for i in range(NODE):
-        for j in range(NODE):
-            front[i, j] = element[BLOCK + i, BLOCK + j]
-        for j in range(BORDER):
-            front[SIZE + j, i] = element[FIRST[j], BLOCK + i]
-        for j in range(SHARED):
-            front[SIZE + BORDER + j, i] = element[SIZE + j, BLOCK + i]
+def weigh(weight, hessian):
+    """Multiply the second derivatives by primal unknowns."""
+    for j in range(hessian.size):
+        if IS_CURVATURE[j]:
+            hessian[j] *= weight
+
+
+@njit(error_model="numpy")
+def begin_front(element, rest):
+    """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
     for i in range(BORDER):
-        for j in range(BORDER):
-            front[SIZE + i, SIZE + j] = element[FIRST[i], FIRST[j]]
-        for j in range(SHARED):
-            front[SIZE + BORDER + j, SIZE + i] = element[SIZE + j, FIRST[i]]
-    for i in range(SHARED):
-        for j in range(SHARED):
-            front[SIZE + BORDER + i, SIZE + BORDER + j] = element[SIZE + i, SIZE + j]
+        for j in range(ROWS):
+            element[SIZE + i, j] = element[FIRST[i], j]
+        for j in range(ROWS):
+            element[j, SIZE + i] = element[j, FIRST[i]]
+    for i in range(REST):
+        for j in range(REST):
+            rest[i, j] = element[BLOCK + i, BLOCK + j]
 
 
 @njit(error_model="numpy", inline="always")
-def add_to_front(element, front):
-    """Add the element matrix of interval k to the front, where node k stands already."""
-    for i in range(BLOCK):
-        for j in range(BLOCK):
-            front[i, j] += element[i, j]
-    for i in range(BLOCK, SIZE):
-        for j in range(i + 1):
-            front[i, j] += element[i, j]
-    for i in range(SHARED):
-        for j in range(SIZE):
-            front[SIZE + BORDER + i, j] += element[SIZE + i, j]
-        for j in range(i + 1):
-            front[SIZE + BORDER + i, SIZE + BORDER + j] += element[SIZE + i, SIZE + j]
+def move_front(element, rest):
+    """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
 
-
-@njit(error_model="numpy", inline="always")
-def move_on(front):
-    """Move what elimination left of node k + 1 to the place of node k, and clear the rest of the block."""
+    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k. Of `rest`, only
+    the upper triangle is in use.
+    """
     for i in range(NODE):
-        for j in range(i + 1):
-            front[i, j] = front[BLOCK + i, BLOCK + j]
-            front[j, i] = front[i, j]
-    for i in range(SIZE, FRONT):
-        for j in range(NODE):
-            front[i, j] = front[i, BLOCK + j]
-        for j in range(NODE, SIZE):
-            front[i, j] = 0.0
-    for i in range(NODE, SIZE):
-        for j in range(i + 1):
-            front[i, j] = 0.0
-            if i < BLOCK:
-                front[j, i] = 0.0
+        element[i, i] += rest[i, i]
+        for j in range(i + 1, NODE):
+            element[i, j] += rest[i, j]
+            element[j, i] += rest[i, j]
+        for j in range(NODE, REST):
+            element[i, BLOCK + j] += rest[i, j]
+    for i in range(NODE):
+        for j in range(REST):
+            rest[i, j] = element[BLOCK + i, BLOCK + j]
+    for i in range(SHARED):
+        for j in range(SHARED):
+            rest[LAST + i, LAST + j] += element[TAIL + i, TAIL + j]
 
 
 @njit(error_model="numpy")
-def end_front(front, last):
-    """The last node, block 0 and the shared unknowns without the gap between them, both triangles."""
-    for i in range(LAST + SHARED):
-        row = i if i < NODE else i + BLOCK
-        for j in range(i + 1):
-            last[i, j] = front[row, j if j < NODE else j + BLOCK]
-            last[j, i] = last[i, j]
+def end_front(rest, last, left):
+    """The rows of the last node and of block 0, both triangles; what is left for the shared unknowns."""
+    last[:] = 0.0
+    for i in range(LAST):
+        last[i, i] = rest[i, i]
+        for j in range(i + 1, REST):
+            last[i, j] = rest[i, j]
+            if j < LAST:
+                last[j, i] = rest[i, j]
+    for i in range(SHARED):
+        for j in range(SHARED):
+            left[i, j] = rest[LAST + i, LAST + j]
 
 
 def solve_kkt(grid, system, gradient, step):
-    """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt."""
+    """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt gave a number.
+
+    That number must not have been positive.
+    """
     substitute(gradient, grid.steps, system[0], step)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def substitute(gradient, steps, factors, step):
     """Solve with the factors: forward over all bodies, the shared unknowns, backward over all bodies."""
-    lower, inverse, places, last_lower, last_inverse, last_places, root_lower, root_inverse, root_places = factors[:9]
+    upper, inverse, order, last_upper, last_inverse, last_order, root_upper, root_inverse, root_order = factors[:9]
     condensed = factors[9]
-    reduced, last = np.zeros((BODIES, steps * BLOCK + NODE)), np.empty((BODIES, LAST))
-    shared = np.empty(ROOT)
+    reduced, last = np.empty((BODIES, steps * BLOCK + NODE)), np.zeros((BODIES, LAST_WIDTH))
+    shared = np.zeros(ROOT_WIDTH)
     for i in range(ROOT):
         shared[i] = -gradient[gradient.size - ROOT + i]
     condense(gradient, condensed, steps, reduced, shared)
@@ -808,90 +857,66 @@ def substitute(gradient, steps, factors, step):
             right[i] = 0.0
         for i in END_PINNED:
             right[steps * BLOCK + i] = 0.0
-        forward(lower[body], places[body], body, right, shared)
-        gather_last(right, steps, last[body])
-        solve_lower(last_lower[body], last_places[body], LAST, last[body])
+        forward(upper[body], order[body], right, last[body])
+        solve_forward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
         for i in range(SHARED):
-            for c in range(LAST):
-                shared[root_place(body, i)] -= last_lower[body, LAST + i, c] * last[body, c]
-    solve_lower(root_lower, root_places, ROOT, shared)
-    solve_pivots(root_inverse, root_places, ROOT, shared)
-    solve_upper(root_lower, root_places, ROOT, shared)
+            shared[root_place(body, i)] += last[body, LAST + i]
+    solve_forward(root_upper, root_order, ROOT, ROOT_WIDTH, shared)
+    solve_pivots(root_inverse, root_order, ROOT, shared)
+    solve_backward(root_upper, root_order, ROOT, ROOT_WIDTH, shared)
     for i in range(ROOT):
         step[step.size - ROOT + i] = shared[i]
     for body in range(BODIES):
-        solve_pivots(last_inverse[body], last_places[body], LAST, last[body])
         for i in range(SHARED):
-            for c in range(LAST):
-                last[body, c] -= last_lower[body, LAST + i, c] * shared[root_place(body, i)]
-        solve_upper(last_lower[body], last_places[body], LAST, last[body])
-        scatter_last(last[body], steps, reduced[body])
-        backward(lower[body], inverse[body], places[body], body, shared, reduced[body])
+            last[body, LAST + i] = shared[root_place(body, i)]
+        solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
+        solve_backward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        backward(upper[body], inverse[body], order[body], last[body], reduced[body])
     expand(gradient, condensed, steps, reduced, shared, step)
     follow_shared(steps * STRIDE + NODE, step)
 
 
-@njit(error_model="numpy")
-def forward(lower, places, body, right, shared):
-    """Solve with the lower factors of the blocks of a body, and subtract from what borders them."""
-    for k in range(1, lower.shape[0]):
-        block = right[k * BLOCK : (k + 1) * BLOCK]
-        solve_lower(lower[k], places[k], BLOCK, block)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def forward(upper, order, right, last):
+    """Solve with the upper factors of the blocks of a body, transposed; `last` takes what borders the blocks."""
+    steps, front = upper.shape[0], np.zeros(WIDTH)
+    for k in range(1, steps):
+        for i in range(BLOCK):
+            front[i] = right[k * BLOCK + i]
         for i in range(NODE):
-            right[(k + 1) * BLOCK + i] -= product(lower[k, BLOCK + i], block)
-        for i in range(BORDER):
-            right[FIRST[i]] -= product(lower[k, SIZE + i], block)
-        for i in range(SHARED):
-            shared[root_place(body, i)] -= product(lower[k, SIZE + BORDER + i], block)
-
-
-@njit(error_model="numpy", inline="always")
-def product(row, block):
-    """Scalar product of two vectors of a block's size."""
-    value = 0.0
-    for c in range(BLOCK):
-        value += row[c] * block[c]
-    return value
-
-
-@njit(error_model="numpy")
-def backward(lower, inverse, places, body, shared, right):
-    """Solve with the pivots and transposed factors, from the last block to block 1."""
-    for k in range(lower.shape[0] - 1, 0, -1):
-        block = right[k * BLOCK : (k + 1) * BLOCK]
-        solve_pivots(inverse[k], places[k], BLOCK, block)
+            front[BLOCK + i] = right[(k + 1) * BLOCK + i]
+        solve_forward(upper[k], order[k], BLOCK, WIDTH, front)
+        for i in range(BLOCK):
+            right[k * BLOCK + i] = front[i]
         for i in range(NODE):
-            subtract(lower[k, BLOCK + i], right[(k + 1) * BLOCK + i], block)
-        for i in range(BORDER):
-            subtract(lower[k, SIZE + i], right[FIRST[i]], block)
-        for i in range(SHARED):
-            subtract(lower[k, SIZE + BORDER + i], shared[root_place(body, i)], block)
-        solve_upper(lower[k], places[k], BLOCK, block)
-
-
-@njit(error_model="numpy", inline="always")
-def subtract(row, value, block):
-    """Subtract a multiple of a factor's row from a block."""
-    for c in range(BLOCK):
-        block[c] -= row[c] * value
-
-
-@njit(error_model="numpy")
-def gather_last(right, steps, last):
-    """The entries of the last node and of block 0."""
+            right[(k + 1) * BLOCK + i] = front[BLOCK + i]
     for i in range(NODE):
         last[i] = right[steps * BLOCK + i]
     for i in range(BORDER):
-        last[NODE + i] = right[FIRST[i]]
+        last[NODE + i] = right[FIRST[i]] + front[SIZE + i]
+    for i in range(SHARED):
+        last[LAST + i] = front[TAIL + i]
 
 
-@njit(error_model="numpy")
-def scatter_last(last, steps, right):
-    """Put the solution of the last node and of block 0 into its places."""
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def backward(upper, inverse, order, last, right):
+    """Solve with the pivots and the upper factors, from the last node and block 0, in `last`, to block 1."""
+    steps, front = upper.shape[0], np.zeros(WIDTH)
     for i in range(NODE):
         right[steps * BLOCK + i] = last[i]
     for i in range(BORDER):
-        right[FIRST[i]] = last[NODE + i]
+        right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
+    for i in range(SHARED):
+        front[TAIL + i] = last[LAST + i]
+    for k in range(steps - 1, 0, -1):
+        for i in range(BLOCK):
+            front[i] = right[k * BLOCK + i]
+        for i in range(NODE):
+            front[BLOCK + i] = right[(k + 1) * BLOCK + i]
+        solve_pivots(inverse[k], order[k], BLOCK, front)
+        solve_backward(upper[k], order[k], BLOCK, WIDTH, front)
+        for i in range(BLOCK):
+            right[k * BLOCK + i] = front[i]
 
 
 # How large the terms of the equations are: what a residual has to be compared with.
@@ -910,6 +935,7 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     hessian = np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
     for body in range(BODIES):
+        read_shared(unknowns, body, parameters)
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
@@ -1271,9 +1297,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if measured[1] <= tolerance and is_solved(grid, point, tolerance):
-            # Newton's steps went downhill; a start that is stationary already may be no minimum.
-            minimum = iteration > 0 or regularised_step(search, iterate, mu, 0.0).shift == 0.0
-            return ("solved" if minimum else "saddle point"), point, iteration
+            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+            doubtful = iteration == 0 or shift > 0.0
+            return ("saddle point" if doubtful and not is_minimum(search, iterate) else "solved"), point, iteration
         if is_boundless(grid, point):
             return "unbounded", point, iteration
         if iteration == max_iterations:
@@ -1300,6 +1326,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
                 return status, point, iteration
         iterate = trial
     return "iteration limit", point, max_iterations
+
+
+def is_minimum(search, iterate):
+    """Whether a stationary point is a minimum to second order, up to rounding, with the barrier to stand for bounds."""
+    grid, bounds, system = search
+    diagonal = np.empty(iterate.point.unknowns.size)
+    barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, FLAT, FLAT, diagonal)
+    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
 def first_iterate(search, unknowns, mu, warm):
@@ -1450,18 +1484,7 @@ def restored(search, iterate, mu, filtered):
     return status, None if unknowns is None else with_multipliers(search, unknowns, mu)
 
 
-# What surrounds the solver: the time grid and its checks, views of the unknowns, messages, the iteration log.
-
-REMEDIES = {
-    "iteration limit": "raise max_iterations, or start from a better guess",
-    "non-finite": "a kernel returned NaN or infinity; change the guess or the parameters",
-    "rank-deficient": "the optimality conditions are singular: a control is free of cost, or a boundary condition is"
-    " redundant or out of reach; run codegen check",
-    "saddle point": "the guess is stationary, but no minimum; start from another guess",
-    "unbounded": "the cost has no minimum under the constraints; check the sign of the cost",
-    "stalled": "no further progress in floating-point arithmetic; loosen the tolerance or rescale the problem",
-    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps",
-}
+# What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
 
 
 def checked_grid(steps, duration, parameters):
@@ -1476,9 +1499,11 @@ def checked_grid(steps, duration, parameters):
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
-    chain = np.append(np.tile(IS_MULTIPLIER, steps), IS_MULTIPLIER[:NODE])
-    is_multiplier = np.zeros(BODIES * chain.size + ROOT, dtype=bool)
-    is_multiplier[: BODIES * chain.size] = np.tile(chain, BODIES)
+    chain = steps * STRIDE + NODE
+    is_multiplier = np.zeros(BODIES * chain + ROOT, dtype=bool)
+    chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
+    chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
+    chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
     return Grid(steps, float(duration) / steps, table, is_multiplier)
 
 
@@ -1504,27 +1529,6 @@ def views(grid, unknowns):
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
     return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
-
-
-def describe(grid, point, status):
-    """One sentence on how the solution ended, naming the worst equation and its node where it failed."""
-    if status == "solved":
-        return f"all equations hold to {point.error:.1e}"
-    size = np.abs(point.gradient)
-    worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
-    where = f"by {unknown_name(grid, worst)}"
-    return f"{status}: the derivative of the Lagrangian {where} is {point.gradient[worst]:.1e}; {REMEDIES[status]}"
-
-
-def unknown_name(grid, place):
-    """What an unknown is called and where it lives, as in `r at node 3`."""
-    chain = grid.steps * STRIDE + NODE
-    if place >= BODIES * chain:
-        return metadata["shared"][place - BODIES * chain]
-    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
-    name = (*metadata["node"], *metadata["interval"])[local]
-    of_body = f" of body {body}" if BODIES > 1 else ""
-    return f"{name} at {'node' if local < NODE else 'interval'} {k}{of_body}"
 
 
 def print_log(rows):
@@ -1630,6 +1634,328 @@ def interval_hessians(unknowns, steps, h, parameters, values):
             interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
 
 
+# Which unknowns lie on their bounds.
+
+
+def at_limits(grid, unknowns):
+    """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
+    lower, upper = variable_bounds(grid)
+    scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
+    return (unknowns - lower <= scale) | (upper - unknowns <= scale)
+
+
+# The direction along which the cost curves downwards most while the equations hold to first order.
+
+FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
+ITERATIONS = 4
+
+
+def least_shift(grid, unknowns, system):
+    """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
+
+    No more than ten times as much as is needed, and infinite where no shift helps.
+    """
+    shift = FLAT
+    while shift < 1e20:
+        diagonal = np.where(grid.is_multiplier, -FLAT, shift)
+        if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
+            return shift
+        shift *= 10.0
+    return np.inf
+
+
+def falling_direction(grid, unknowns):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps."""
+    system = allocate_system(grid)
+    direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
+    if least_shift(grid, unknowns, system) == np.inf:
+        return np.zeros(unknowns.size)
+    free = free_unknowns(grid) & ~grid.is_multiplier
+    for _ in range(ITERATIONS):
+        right = np.where(free, direction / np.abs(direction[free]).max(initial=1e-300), 0.0)
+        direction = np.empty(unknowns.size)
+        solve_kkt(grid, system, right, direction)
+    return np.where(free, direction, 0.0)
+
+
+# The word for how a solution ended, corrected by what can be seen only afterwards.
+
+GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
+HUGE = 1e6  # multipliers above it belong to equations that depend on each other
+HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
+
+
+def final_status(grid, guess, point, status):
+    """The status that a solver gave, or a better one.
+
+    Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
+    hold, a solver that cannot go on has not found them infeasible, but dependent on each other.
+    """
+    if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
+        return status
+    if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, point.unknowns)):
+        return "non-finite"
+    if not least_duration(grid, point.unknowns) > 0.0:
+        return "unbounded"
+    if runaways(grid, guess, point, status == "solved").any():
+        return "unbounded"
+    if status in ("infeasible", "stalled") and point.residual <= HOLDS:
+        return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
+    return status
+
+
+def least_duration(grid, unknowns):
+    """The length of the time interval, or of the shortest phase."""
+    least = duration_of(grid, unknowns)
+    return least
+
+
+def is_finite_matrix(grid, unknowns):
+    """Whether all second derivatives are finite."""
+    return all(np.isfinite(entries(grid, unknowns)[2]).all() for entries in (hessian, jacobian))
+
+
+def largest_multiplier(grid, point):
+    """The largest modulus of a multiplier."""
+    return np.abs(point.unknowns[grid.is_multiplier]).max(initial=0.0)
+
+
+def runaways(grid, guess, point, is_stationary):
+    """Boolean mask of unknowns that have grown beyond reason, and that go on growing.
+
+    At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
+    ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
+    """
+    unknowns = point.unknowns
+    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
+    if is_stationary:
+        grown[: unknowns.size - ROOT] = False
+    if not grown.any():
+        return grown
+    grown &= ~at_limits(grid, unknowns)
+    if is_stationary:
+        return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
+    falls = point.gradient * unknowns < -0.1 * abs(point.cost)
+    return grown & falls & (point.cost < evaluate(grid, guess).cost)
+
+
+def newton_step(grid, point):
+    """Newton's step from a point with the unknowns on their bounds held fast; infinite where there is none."""
+    system, step = allocate_system(grid), np.empty_like(point.unknowns)
+    fixed = at_limits(grid, point.unknowns) & ~grid.is_multiplier
+    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) != 0:
+        return np.full(step.size, np.inf)
+    solve_kkt(grid, system, point.gradient, step)
+    return step
+
+
+# One sentence on how a solution ended: what is wrong, in which row and where, and what to try.
+
+REMEDIES = {
+    "iteration limit": "raise max_iterations, or start from a better guess",
+    "non-finite": "change the guess or the parameters, or keep away from there by bounds",
+    "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
+    "saddle point": "this point is stationary, but no minimum; start from another guess",
+    "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
+    "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
+    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
+    " relax a condition or bound",
+}
+NAMED = 3  # how many equations a message names
+
+
+def describe(grid, guess, point, status):
+    """The status, judged once more, and the sentence."""
+    status = final_status(grid, guess, point, status)
+    if status == "solved":
+        return status, f"all equations hold to {point.error:.1e}"
+    return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
+
+
+def finding(grid, guess, point, status):
+    """What was seen, by the names of the author."""
+    if status == "non-finite":
+        return not_finite(grid, point)
+    if status == "infeasible" or (status == "rank-deficient" and point.residual > HOLDS):
+        return violated(grid, point)
+    if status == "rank-deficient":
+        return dependent(grid, point)
+    if status == "saddle point":
+        return f"the cost falls along {falling_unknown(grid, point)}"
+    if status == "unbounded":
+        return run_away(grid, guess, point)
+    return worst_row(grid, point)
+
+
+def worst_row(grid, point):
+    """The equation that is farthest from zero, or the derivative where the equations hold."""
+    size = np.where(grid.is_multiplier == (point.residual > HOLDS), np.abs(point.gradient), -1.0)
+    return row_text(grid, point, int(np.argmax(size)))
+
+
+def row_text(grid, point, place):
+    """Name and value of a row of the optimality conditions."""
+    value = point.gradient[place]
+    if grid.is_multiplier[place]:
+        return f"{equation_name(grid, point.unknowns, place)} is off by {value:.1e}"
+    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)} is {value:.1e}"
+
+
+def violated(grid, point):
+    """The equations that are off most, each at its worst place, and the bounds that stand against them."""
+    rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
+    text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
+    blocked = columns[at_limits(grid, point.unknowns)[columns]]
+    names = dict.fromkeys(bounded_name(grid, place) for place in blocked)
+    if names:
+        text += f", with bounds active on {', '.join(names)}"
+    if rows.size > columns.size:
+        text += f"; there are {rows.size} equations for {columns.size} unknowns"
+    return text
+
+
+def dependent(grid, point):
+    """The equations with the largest multipliers, or the count where no multiplier is large."""
+    rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
+    places = leading(grid, point.unknowns, rows)
+    if places and abs(point.unknowns[places[0]]) > 1e3:
+        names = " and ".join(equation_name(grid, point.unknowns, place) for place in places)
+        return f"equations depend on each other, or have no slope where they hold: {names}"
+    if rows.size > columns.size:
+        return f"there are {rows.size} equations for {columns.size} unknowns"
+    return f"the cost does not change along {falling_unknown(grid, point)}, so that its least value is not unique"
+
+
+def leading(grid, values, rows):
+    """Places of the largest values among some rows, one for each name, as long as they are comparable."""
+    order, places = rows[np.argsort(-np.abs(values[rows]), kind="stable")], {}
+    for place in order:
+        if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
+            break
+        places.setdefault(local_name(grid, place), int(place))
+    return list(places.values())
+
+
+def run_away(grid, guess, point):
+    """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
+    if not least_duration(grid, point.unknowns) > 0.0:
+        return f"a duration has become {least_duration(grid, point.unknowns):.1e}, and needs a lower bound"
+    growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
+    shared = growth.size - ROOT
+    place = int(np.argmax(growth))
+    if growth[shared:].max(initial=0.0) > GROWTH:
+        place = shared + int(np.argmax(growth[shared:]))
+    if growth[place] > GROWTH:
+        return f"{unknown_name(grid, point.unknowns, place)} has grown to {point.unknowns[place]:.1e}"
+    return f"the cost falls for ever along {falling_unknown(grid, point)}"
+
+
+def falling_unknown(grid, point):
+    """The unknown that changes most along the direction in which the cost curves downwards most, or least upwards."""
+    direction = np.where(grid.is_multiplier, 0.0, falling_direction(grid, point.unknowns))
+    return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
+
+
+def not_finite(grid, point):
+    """The first derivative, share of the cost or second derivative that is infinite or NaN, and its kernel."""
+    bad = np.flatnonzero(~np.isfinite(point.gradient))
+    if bad.size:
+        place = int(bad[0])
+        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)}"
+        if grid.is_multiplier[place]:
+            text = equation_name(grid, point.unknowns, place)
+        return f"{text} is {point.gradient[place]} (kernel {kernel_name(grid, place)})"
+    if not np.isfinite(point.cost):
+        return cost_not_finite(grid, point)
+    for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
+        row, _, values = entries(grid, point.unknowns)
+        bad = row[~np.isfinite(values)]
+        if bad.size:
+            name = unknown_name(grid, point.unknowns, int(rows[bad[0]]))
+            return f"a second derivative by {name} is not finite (kernel interval_hessian)"
+    return worst_row(grid, point)
+
+
+def cost_not_finite(grid, point):
+    """Where the discrete cost is infinite or NaN."""
+    costs = np.empty((BODIES, grid.steps))
+    interval_costs(point.unknowns, grid.steps, grid.h, grid.parameters, costs)
+    bad = np.argwhere(~np.isfinite(costs))
+    if bad.size:
+        body, k = bad[0]
+        return f"the cost is {costs[body, k]} on interval {k}{of_body(body)} (kernel interval_gradient)"
+    return f"the cost is {point.cost} at the end (kernel end_gradient)"
+
+
+@njit(cache=True, error_model="numpy")
+def interval_costs(unknowns, steps, h, parameters, costs):
+    """Fill in the discrete cost of each interval of each body."""
+    part = np.empty(ELEMENT + SHARED)
+    for body in range(BODIES):
+        read_shared(unknowns, body, parameters)
+        for k in range(steps):
+            here = body * (steps * STRIDE + NODE) + k * STRIDE
+            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+
+
+def kernel_name(grid, place):
+    """The kernels whose values add up to a row."""
+    chain = grid.steps * STRIDE + NODE
+    if place >= grid.is_multiplier.size - COUPLINGS:
+        return "coupling_term"
+    local = place % chain
+    if place >= BODIES * chain or NODE <= local < chain - NODE:
+        return "interval_gradient"
+    return f"interval_gradient or {'start' if local < NODE else 'end'}_gradient"
+
+
+def unknown_name(grid, unknowns, place):
+    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`."""
+    return f"{local_name(grid, place)}{whereabouts(grid, unknowns, place)}"
+
+
+def equation_name(grid, unknowns, place):
+    """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
+    where = whereabouts(grid, unknowns, place)
+    if meaning.endswith(" of an interval"):
+        return meaning.removesuffix("an interval") + where.removeprefix(" on ")
+    if meaning.endswith((" at the start", " at the end")):
+        return meaning + where.partition(")")[2]
+    return meaning + where
+
+
+def local_name(grid, place):
+    """The name of an unknown without its place, or of a shared one with its body."""
+    chain = grid.steps * STRIDE + NODE
+    if place >= BODIES * chain:
+        return metadata["shared"][place - BODIES * chain]
+    return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+
+
+def bounded_name(grid, place):
+    """The name of an unknown without its place, or the inequality whose slack it is."""
+    name = local_name(grid, place)
+    return metadata["meanings"].get(name, name).removeprefix("slack of ").removesuffix(" of an interval")
+
+
+def whereabouts(grid, unknowns, place):
+    """Node or interval, time and body of an unknown."""
+    chain = grid.steps * STRIDE + NODE
+    if place >= BODIES * chain:
+        return ""
+    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
+    kind = "at node" if local < NODE else "on interval"
+    t = duration_of(grid, unknowns) * k / grid.steps
+    return f" {kind} {k} (t = {t:.3g}){of_body(body)}"
+
+
+def of_body(body):
+    """Whose it is, where there are several bodies."""
+    return f" of body {body}" if BODIES > 1 else ""
+
+
 # ---- What is called from outside ----
 
 
@@ -1689,11 +2015,12 @@ def solve(
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
     rows = []
     status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, rows)
+    status, message = describe(grid, unknowns, point, status)
     if log:
         print_log(rows)
     return Solution(
         status,
-        describe(grid, point, status),
+        message,
         float(point.cost),
         float(point.residual),
         float(point.stationarity),
@@ -1809,7 +2136,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_brachistochrone_011f25dcab9492f1"
+_IDENTITY = "codegen_brachistochrone_7c19ef380f0579ee"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -1,7 +1,8 @@
 """Reference values of the gallery: optima of the discrete programs, and what is known of the continuous problems.
 
 `optima` were computed by CasADi 3.8.2 and IPOPT, to a tolerance of 1e-12 and without relaxed bounds, from a second
-description of each problem (`benchmarks/gallery_optima.py` does it again). They belong to the very programs that the
+description of each problem (`benchmarks/gallery_optima.py` does it again, `benchmarks/peers/casadi_phases.py` where
+there are phases, each of N intervals). They belong to the very programs that the
 generated solvers solve, so these are to agree to about nine digits.
 
 `value` is a published number or a closed form for the continuous problem, with its `source`; `error` bounds its
@@ -233,6 +234,22 @@ REFERENCES = (
         error=0.35,
         source="extrapolation by an independent program",
         arguments={"craft": "5"},
+    ),
+    Reference(
+        "two_stage_rocket",
+        {5: -566.256812134, 10: -568.079852789, 20: -568.541156976},
+        value=-568.6954317577531,
+        error=0.16,
+        source="closed form, in the problem's docstring",
+        limit=-568.6954317577531,
+    ),
+    Reference(
+        "bouncing_ball",
+        {5: 17.453985641, 10: 17.3164460201, 20: 17.2823987444},
+        value=17.27107933,
+        error=0.012,
+        source="closed form, least over five numbers, in the problem's docstring",
+        limit=17.27107933,
     ),
 )
 

@@ -1,9 +1,15 @@
 """Generated modules run by the Python interpreter, uncompiled: what tests on many variants and few intervals need."""
 
+import math
 import types
 from pathlib import Path
 
-from codegen.compiler import Choices, generate
+import numpy as np
+
+from codegen.compiler import Choices, generate, generate_from_model
+from codegen.lower.module import Origin
+from codegen.model import normalise
+from codegen.problem import Control, Phases
 
 
 def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:
@@ -15,9 +21,38 @@ def without_compilation(text: str, name: str = "interpreted") -> types.ModuleTyp
     return module
 
 
+def as_machine_code(text: str, name: str = "interpreted") -> types.ModuleType:
+    """The same with functions that return NaN and infinity, as in machine code, where Python's raise errors."""
+    assert text.count("import math\n") == 1
+    return without_compilation(text.replace("import math\n", "from interpreted import silent_math as math\n"), name)
+
+
+def _silent(function):
+    """A function of floats that never raises, from one of numpy."""
+
+    def called(*arguments):
+        with np.errstate(all="ignore"):
+            return np.float64(function(*map(np.float64, arguments)))
+
+    return called
+
+
+silent_math = types.SimpleNamespace(
+    **{name: value for name, value in vars(math).items() if not name.startswith("_")}
+    | {name: _silent(getattr(np, name)) for name in "sin cos tan sinh cosh tanh exp log log1p expm1 sqrt".split()}
+)
+"""The functions of `math` that kernels call most, without errors."""
+
+
 def njit(*_args, **_options):
     """A decorator that leaves a function as it is."""
     return lambda function: function
+
+
+def of_problem(problem: Control | Phases, **choices: str) -> types.ModuleType:
+    """The module of a problem that is in no file."""
+    origin = Origin("test.py", "codegen build test.py", "0", ("codegen",))
+    return without_compilation(generate_from_model(normalise(problem), Choices(**choices), origin))
 
 
 class Interpreted:

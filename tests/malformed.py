@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from malformed_conditions import MALFORMED_CONDITIONS
+from malformed_phases import MALFORMED_PHASES
 from malformed_templates import Malformed, declaring, file_text, optimal, simulation
 
 from codegen.errors import (
@@ -211,5 +212,6 @@ MALFORMED: tuple[Malformed, ...] = (
     *_EXPRESSIONS,
     *_STRUCTURE,
     *MALFORMED_CONDITIONS,
+    *MALFORMED_PHASES,
 )
 """All of them; a file is to be written as `broken.py`, which some fragments name."""

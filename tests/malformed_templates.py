@@ -21,8 +21,8 @@ PRELUDE = '''"""A malformed problem."""
 
 from sympy import *
 
-from codegen import Control, Simulate, canonical_pair, control, controls, coordinate, coordinates, free_parameter
-from codegen import body_number, parameter, parameters, states, time
+from codegen import Control, Phases, Simulate, canonical_pair, control, controls, coordinate, coordinates
+from codegen import body_number, free_parameter, parameter, parameters, states, time
 '''
 """The sound beginning of a file, which every body below follows."""
 
@@ -81,6 +81,23 @@ def group(declare: str = "", **changes: str) -> str:
     }
     symbols = '(x, y), (dx, dy) = coordinates("x y")\nf, g = controls("f g")\nbody = body_number()\n'
     return _problem("Control", symbols + declare, arguments)
+
+
+def phased(
+    declare: str = "",
+    first: dict[str, str] | None = None,
+    second: dict[str, str] | None = None,
+    jumps: str = "",
+    phases: str = "",
+) -> str:
+    """A file with a sound control of a first-order system in two phases, where lines and arguments are replaced."""
+    motion = {"dynamics": "{x: v, v: u}", "cost": "u**2", "duration": "1"}
+    given = [motion | {"start": "{x: 0, v: 0}"} | (first or {}), motion | {"end": "{x: 2, v: 0}"} | (second or {})]
+    written = [", ".join(f"{name}={value}" for name, value in arguments.items() if value) for arguments in given]
+    controls = [f"{name} = Control({arguments})" for name, arguments in zip(("first", "second"), written, strict=True)]
+    result = phases or f"Phases(first, second{f', jumps={jumps}' if jumps else ''})"
+    symbols = 'x, v = states("x v")\nu = control("u")'
+    return file_text("\n".join([symbols, declare, *controls, f"return {result}"]))
 
 
 def declaring(line: str) -> str:

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from malformed import MALFORMED
 from typer.testing import CliRunner
 
 from codegen import checks, cli, drivers, output
+from codegen.checks.base import does_not_apply
 from codegen.cli import main
 from codegen.drivers.result import STATUSES
 
@@ -294,9 +294,7 @@ class TestCheckAndShow:
         monkeypatch.setattr(checks, "run", lambda path, arguments, **choices: made_up, raising=False)
 
         def add(passed):
-            made_up.append(
-                SimpleNamespace(check="rank [of] ends", subject="start", passed=passed, detail="rank 4 of 4")
-            )
+            made_up.append(checks.Finding("rank [of] ends", "start", passed, "rank 4 of 4"))
 
         return add
 
@@ -314,6 +312,14 @@ class TestCheckAndShow:
         assert result.exit_code == 1
         assert "FAILED" in result.stdout
         assert result.stderr == "codegen: 1 of 2 checks failed, first rank [of] ends\n"
+
+    def test_what_does_not_apply_has_not_passed(self, folder, findings, monkeypatch):
+        monkeypatch.setattr(checks, "run", lambda *_, **__: [does_not_apply("optimum", "it has bounds")])
+        result = run("check", PENDULUM)
+        assert result.exit_code == 0
+        assert "0 passed, 0 failed, 1 do not apply" in result.stdout
+        assert result.stdout.count("passed") == 1
+        assert result.stdout.count("apply") == 2
 
     @pytest.mark.parametrize("command", ["check", "show"])
     def test_malformed_file(self, folder, command):

@@ -10,7 +10,7 @@ from conftest import PROBLEMS
 from codegen import Connect, Pairwise, Simulate, parameters, particles
 from codegen.differentiate.invariants import Invariants
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
-from codegen.model import normalise
+from codegen.model.pairwise import normalise_pairwise
 from codegen.problem_file import load_problem
 from codegen.symbols import recorded_declarations
 
@@ -198,7 +198,7 @@ def test_other_kernels_follow_from_the_problem_file_alone(interpreted, kernel, d
 
 def made(problem):
     with recorded_declarations() as declared:
-        return normalise(problem(), declared)
+        return normalise_pairwise(problem(), declared, "made", "")
 
 
 def spring(pair, self_term=0, **options):

@@ -18,6 +18,9 @@ CASES = [
     ("pendulum", {"form": "lagrangian"}, {}),
     ("linear_pendulum", {}, {"controls": "nodal"}),
     ("orbital_transfer", {}, {}),
+    ("goddard_rocket", {}, {}),
+    ("two_stage_rocket", {}, {}),
+    ("bouncing_ball", {}, {"method": "hamiltonian"}),
     *(
         ("orbital_transfer", {}, {"method": method, "scheme": name})
         for method, names in schemes.METHODS.items()
@@ -85,6 +88,21 @@ def test_hamiltonian_step_has_stages():
     text = shown("orbital_transfer", method="hamiltonian", scheme="stormer-verlet")
     assert "One step" in text
     assert "r⁽¹⁾ₖ" in text
+
+
+def test_first_order_dynamics_and_step():
+    text = shown("goddard_rocket", latex=True)
+    assert r"\dot{m} &= - \frac{\mathrm{thrust}}{c}" in text
+    assert r"m_{k+1} &= - \frac{\mathrm{thrust}_{k} h}{c} + m_{k}" in text
+
+
+def test_phases_and_switches():
+    text = shown("bouncing_ball", latex=True)
+    assert text.count("Euler-Lagrange equations.}") == 4
+    assert "Switch from phase 1 to phase 2" in text
+    for row in (r"y^{-} &= 0", r"\dot{x}^{+} &= \dot{x}^{-} f", r"\dot{y}^{+} &= - \dot{y}^{-} e"):
+        assert row in text
+    assert "m⁺ = -dry₁ + m⁻" in shown("two_stage_rocket")
 
 
 def test_initial_state_of_a_simulation():

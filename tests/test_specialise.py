@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from codegen.specialise import specialise
 
-NAMES = ("SHARED", "COUPLINGS")
+NAMES = ("SHARED", "COUPLINGS", "PHASES")
 RUNTIME = sorted(f.name for f in resources.files("codegen.runtime").iterdir() if f.name.endswith(".py"))
 
 

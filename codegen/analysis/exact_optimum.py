@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mpmath  # type: ignore[import-untyped]
@@ -49,7 +49,10 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
     conditions = necessary_conditions(model)
     z = [*conditions.states, *conditions.costates]
     substitution = dict(zip(model.controls, conditions.optimal_control, strict=True))
-    reduced = sympy.expand(conditions.hamiltonian.xreplace(substitution))
+    eliminated = conditions.hamiltonian.xreplace(substitution)
+    if _is_surely_curved(eliminated, z, model):
+        return None
+    reduced = sympy.expand(eliminated)
     at_zero = dict.fromkeys(z, sympy.S.Zero)
     gradient = sympy.Matrix([reduced.diff(symbol) for symbol in z])
     hessian = gradient.jacobian(z).applyfunc(sympy.cancel)
@@ -77,6 +80,22 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
         states=tuple(solution[:half]),
         controls=tuple(u.xreplace(trajectory) for u in conditions.optimal_control),
     )
+
+
+def _is_surely_curved(function: sympy.Expr, z: Sequence[sympy.Symbol], model: Model) -> bool:
+    """Whether third differences on some line, in 60 digits, show that a function of z is not quadratic.
+
+    To expand and cancel a long expression takes a minute, only to find the same.
+    """
+    numbers = model.default_values | {model.time: 0.37}
+    evaluate = sympy.lambdify([*z, *numbers], function, modules="mpmath", cse=True)
+    with mpmath.workdps(60):
+        first = [mpmath.mpf(3 + 2 * i) / 17 for i in range(len(z))]
+        slopes = [mpmath.mpf(5 + 7 * i % 11) / 23 for i in range(len(z))]
+        constants = [mpmath.mpf(value) for value in numbers.values()]
+        values = [evaluate(*(a + k * b for a, b in zip(first, slopes, strict=True)), *constants) for k in range(4)]
+        difference = abs(values[3] - 3 * values[2] + 3 * values[1] - values[0])
+        return bool(difference > mpmath.mpf(10) ** -40 * max(abs(value) for value in values))
 
 
 def _linear_solution(conditions: NecessaryConditions, flow: sympy.Matrix) -> sympy.Matrix | None:

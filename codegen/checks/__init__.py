@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from codegen import compiler, emit, schemes
@@ -25,10 +26,12 @@ from codegen.checks import (
     provenance,
     second_order,
     sparsity,
+    switches,
     symplecticity,
 )
 from codegen.checks.base import Check, Context, Finding
 from codegen.checks.pairwise import is_pairwise_module
+from codegen.checks.phases import phase_contexts
 from codegen.compiler import Choices
 from codegen.load import load
 from codegen.model import Model
@@ -52,6 +55,7 @@ CHECKS: dict[str, Check] = {
     "boundary rank": boundary_rank.check,
     "null controls": null_controls.check,
     "holonomic drift": holonomic_drift.check,
+    "switches": switches.check,
     "second-order condition": second_order.check,
     "optimum": optimum.check,
 }
@@ -67,6 +71,17 @@ _RUN_THE_MODULE = frozenset(CHECKS) - {
     "midpoint equivalence",
 }
 """Checks that call compiled code or trust its tables: all but those that look at expressions alone."""
+
+
+_OF_EACH_PHASE = frozenset(CHECKS) & {
+    "discrete equations",
+    "discrete Noether",
+    "symplecticity",
+    "area preservation",
+    "midpoint equivalence",
+    "null controls",
+}
+"""Checks of the equations of one phase, which are made for each where there are several."""
 
 
 def run(
@@ -111,7 +126,12 @@ def apply(name: str, context: Context) -> list[Finding]:
     try:
         if name in _RUN_THE_MODULE and not all(finding.passed for finding in layout.check(context)):
             return [Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")]
-        return list(CHECKS[name](context))
+        if name not in _OF_EACH_PHASE:
+            return list(CHECKS[name](context))
+        found = [(phase, finding) for phase, own in phase_contexts(context) for finding in CHECKS[name](own)]
+        if not any(finding.applies for _, finding in found):
+            return [found[0][1]]
+        return [replace(finding, subject=f"{phase}{finding.subject}") for phase, finding in found]
     except Exception as error:  # a damaged module may fail in any way
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return [Finding(name, "the check itself", False, f"could not be completed ({text[:300]})")]

@@ -48,7 +48,7 @@ def check(context: Context) -> Iterator[Finding]:
     if not isinstance(program, ControlProgram):
         yield does_not_apply("assembly", "a simulation solves step after step")
         return
-    module, flat = context.module, FlatVector(program, _STEPS)
+    module, flat = context.module, FlatVector.on_grid(program, _STEPS)
     grid = module.make_grid(_STEPS)
     shares = list(_shares(context, program, flat, grid.parameters))
     unknowns, exact = _trial_point(module, grid, flat, shares)
@@ -75,7 +75,7 @@ def check(context: Context) -> Iterator[Finding]:
 def _shares(context: Context, program: ControlProgram, flat: FlatVector, parameters: Vector) -> Iterator[_Share]:
     """All shares of the Lagrangian."""
     others = other_symbols(program)
-    grid_step = (1.0 if program.scaled_time else _duration(context)) / flat.steps
+    grid_step = (1.0 if program.scaled_time else _duration(context)) / flat.phase_steps
 
     def given(body: int, instant: float) -> tuple[float, ...]:
         return (*parameters[body, : len(others) - 2], instant, grid_step)
@@ -83,12 +83,12 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, paramet
     def function(scalar: Expr, unknowns: tuple[Symbol, ...]) -> Function:
         return function_of([*unknowns, *others], [scalar])
 
-    element = function(program.element, program.element_symbols)
+    elements = {e.element: function(e.element, program.element_symbols) for e in program.interval_elements}
     start = function(program.start.element, (*program.left_symbols, *program.shared_symbols))
     end = function(program.end.element, (*program.right_symbols, *program.shared_symbols))
     for body in range(program.bodies):
         for k in range(flat.steps):
-            yield _Share(element, flat.element(body, k), given(body, k * grid_step))
+            yield _Share(elements[flat.share(k).element], flat.element(body, k), given(body, k * grid_step))
         yield _Share(start, flat.end(body, "start"), given(body, 0.0))
         yield _Share(end, flat.end(body, "end"), given(body, flat.steps * grid_step))
     symbols, every = all_shared_symbols(program), np.arange(flat.first_shared, flat.first_coupling)
@@ -167,7 +167,8 @@ def _newton_step(
     for shift in _SHIFTS:
         diagonal = np.zeros(unknowns.size)
         diagonal[free] = np.where(grid.is_multiplier[free], -_DUAL_SHIFT, shift)
-        if module.factor_kkt(grid, unknowns, 1.0, diagonal, system) is not None:
+        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
+        if excess is not None and excess <= 0:  # above zero the elimination has stopped early
             break
     else:
         return Finding("assembly", subject, False, "the KKT matrix cannot be factored, however its Hessian is shifted")

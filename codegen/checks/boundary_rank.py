@@ -60,8 +60,9 @@ def _rank(context: Context, program: ControlProgram) -> Iterator[Finding]:
     lacking, nulls, touched = best
     if lacking == 0:
         conditions = [f"{v.where} {v.quantity}" for v in program.boundary_values]
-        ends = (*program.start.conditions, *program.end.conditions)
-        conditions += [name.partition("(")[2].removesuffix(")") for name, _ in ends if "(" in name]
+        further = [*program.start.conditions, *program.end.conditions]
+        further += [equation for phase in program.phases for equation in phase.switch_equations]
+        conditions += [name.partition("(")[2].removesuffix(")") for name, _ in further if "(" in name]
         detail = f"{rows.size} equations in {free_count} unknowns have full rank (N = {_INTERVALS})"
         yield Finding("boundary rank", "all equations", True, f"{detail}: {', '.join(conditions) or 'no conditions'}")
         return
@@ -137,7 +138,7 @@ def _dense(entries: Any, shape: tuple[int, int]) -> NDArray[np.float64]:
 
 def _named(program: ControlProgram, null: Any, rows: Any, touched: Any) -> str:
     """Which equations depend on each other, and which boundary conditions take part."""
-    flat = FlatVector(program, _INTERVALS)
+    flat = FlatVector.on_grid(program, _INTERVALS)
     weights = np.zeros(flat.size)
     weights[rows] = np.abs(null)
     bound = _TAKES_PART * weights.max()
@@ -145,7 +146,7 @@ def _named(program: ControlProgram, null: Any, rows: Any, touched: Any) -> str:
     equations = dict.fromkeys(meanings[i].removeprefix("multiplier of ") for i in np.flatnonzero(weights > bound))
     conditions = dict[str, None]()
     for body in range(program.bodies):
-        for where, end, k in (("start", program.start, 0), ("end", program.end, _INTERVALS)):
+        for where, end, k in (("start", program.start, 0), ("end", program.end, flat.steps)):
             places = flat.node(body, k)
             conditions |= _conditions(program, where, end, weights[places] > bound, touched[places] > bound)
     listed = ", ".join(conditions) or "no boundary condition"

@@ -26,10 +26,10 @@ from codegen.checks.evaluation import (
     random_points,
     second_differences,
 )
-from codegen.checks.kernel_arguments import other_symbols, parameter_vector, pattern_of
+from codegen.checks.kernel_arguments import kernel_stems, other_symbols, parameter_vector, pattern_of
 from codegen.checks.step_kernels import check_step
 from codegen.discretise import STEP
-from codegen.transcribe.program import ControlProgram, EndElement
+from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement
 
 _COMPLEX_STEP = 1e-30
 _NOT_ANALYTIC = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside, sympy.atan2)
@@ -41,29 +41,30 @@ def check(context: Context) -> Iterator[Finding]:
     if not isinstance(program, ControlProgram):
         yield from check_step(context, program)
         return
-    yield from _interval(context, program)
+    for stem, share in zip(kernel_stems(program), program.interval_elements, strict=True):
+        yield from _interval(context, program, stem, share)
     yield from _end(context, program, "start", program.start, program.left_symbols)
     yield from _end(context, program, "end", program.end, program.right_symbols)
     yield from check_couplings(context, program)
 
 
-def _interval(context: Context, program: ControlProgram) -> Iterator[Finding]:
+def _interval(context: Context, program: ControlProgram, stem: str, share: IntervalElement) -> Iterator[Finding]:
     unknowns = program.element_symbols
     symbols = [*unknowns, *other_symbols(program)]
-    scalar, places = function_of(symbols, [program.element]), range(len(unknowns))
-    cost = function_of(symbols, [program.cost])
+    scalar, places = function_of(symbols, [share.element]), range(len(unknowns))
+    cost = function_of(symbols, [share.cost])
     first, second, steps, block = Agreement(), Agreement(), Agreement(), Agreement()
-    analytic = not program.element.has(*_NOT_ANALYTIC)
+    analytic = not share.element.has(*_NOT_ANALYTIC)
     module, pattern = context.module, pattern_of(context.module, "interval")
     names = [f"dl/d{x}" for x in unknowns]
     local = unknowns[: len(unknowns) - len(program.shared)]
-    for point in random_points([program.element, program.cost], symbols, program.model.default_values):
+    for point in random_points([share.element, share.cost], symbols, program.model.default_values):
         numbers = [point[symbol] for symbol in symbols]
         x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
         t, h = point[program.model.time], point[STEP]
         emitted, entries = np.empty(len(unknowns)), np.empty(len(pattern))
-        found = module.interval_gradient(x, t, h, parameters, emitted)
-        module.interval_hessian(x, t, h, parameters, entries)
+        found = getattr(module, f"{stem}_gradient")(x, t, h, parameters, emitted)
+        getattr(module, f"{stem}_hessian")(x, t, h, parameters, entries)
         with mpmath.workdps(DIGITS):
             first.compare(names, emitted, gradient(scalar, numbers, places))
             first.compare(["Cd"], [found], cost(*map(mpmath.mpf, numbers)))
@@ -73,11 +74,11 @@ def _interval(context: Context, program: ControlProgram) -> Iterator[Finding]:
             if hasattr(module, "control_hessian"):
                 _compare_block(block, module, program, scalar, numbers, h, parameters)
         if analytic:
-            steps.compare(names, emitted, _complex_steps(program.element, symbols, numbers, len(unknowns)))
-    yield first.finding("interval_gradient", "120-digit differences of l")
+            steps.compare(names, emitted, _complex_steps(share.element, symbols, numbers, len(unknowns)))
+    yield first.finding(f"{stem}_gradient", "120-digit differences of l")
     if analytic:
-        yield steps.finding("interval_gradient", "complex steps of l")
-    yield second.finding("interval_hessian", "120-digit second differences of l")
+        yield steps.finding(f"{stem}_gradient", "complex steps of l")
+    yield second.finding(f"{stem}_hessian", "120-digit second differences of l")
     if hasattr(module, "control_hessian"):
         yield block.finding("control_hessian", "120-digit second differences of l")
 

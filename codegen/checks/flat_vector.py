@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.transcribe.program import ControlProgram, Unknown
+from codegen.transcribe.program import ControlProgram, IntervalElement, Unknown
 
 Places = NDArray[np.int64]
 
@@ -22,6 +22,24 @@ class FlatVector:
 
     program: ControlProgram
     steps: int
+
+    @classmethod
+    def on_grid(cls, program: ControlProgram, steps: int) -> FlatVector:
+        """The layout on the module's grid of that many steps, which are those of each phase where there are phases."""
+        return cls(program, steps * max(1, len(program.phases)))
+
+    @property
+    def phase_steps(self) -> int:
+        """The intervals of each phase."""
+        return self.steps // max(1, len(self.program.phases))
+
+    def share(self, k: int) -> IntervalElement:
+        """What interval k adds to the Lagrangian of the optimisation problem."""
+        if not self.program.phases:
+            return self.program.interval_elements[0]
+        place, within = divmod(k, self.phase_steps)
+        phase = self.program.phases[place]
+        return phase.elements[0] if within == 0 else phase.regular
 
     @property
     def inside(self) -> tuple[Unknown, ...]:
@@ -78,15 +96,20 @@ class FlatVector:
         """Which unknowns multiply an equation."""
         chain = [*[u.multiplier for u in self.inside] * self.steps, *[u.multiplier for u in self.program.node]]
         shared = np.zeros(self.size - self.first_shared, bool)
-        shared[self.first_coupling - self.first_shared :] = True
+        common = [u.multiplier for u in self.program.shared[self.program.own :]]
+        first = self.first_coupling - self.first_shared
+        shared[first - len(common) : first] = common
+        shared[first:] = True
         return np.concatenate([np.tile(np.array(chain, bool), self.program.bodies), shared])
 
     def free(self) -> NDArray[np.bool_]:
-        """Which unknowns neither are given at an end, nor equal a shared one, nor lack a meaning at inner nodes."""
+        """Which unknowns neither are given at an end, nor equal a shared one, nor lack a meaning where they are."""
         program, free = self.program, np.ones(self.size, bool)
         for body in range(program.bodies):
             for k in range(1, self.steps):
                 free[self.node(body, k)[list(program.only_at_ends)]] = False
+            for k in range(self.steps):
+                free[self.interval(body, k)[list(self.share(k).lacking)]] = False
             for k, end in ((0, program.start), (self.steps, program.end)):
                 free[self.node(body, k)[[*(i for i, _ in end.pins), *(i for i, _, _ in end.shared)]]] = False
         return free

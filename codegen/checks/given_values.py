@@ -7,7 +7,7 @@ one, and the tables of least and greatest values.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import sympy
@@ -17,12 +17,15 @@ from sympy import Expr
 from codegen import expressions
 from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.flat_vector import FlatVector
+from codegen.model import Model
+from codegen.model.values import prescribed
 from codegen.transcribe.program import ControlProgram, Unknown
 
 _STEPS = 3
 _EQUAL = 1e-12
 
 Values = NDArray[np.float64]
+_Limits: TypeAlias = dict[str, tuple[Expr | None, Expr | None]]
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -63,13 +66,13 @@ def _parameters(context: Context, program: ControlProgram) -> Finding:
 
 def _pinned(context: Context, program: ControlProgram) -> Finding:
     """What `with_pinned_values` overwrites in an arbitrary vector, and with what."""
-    module, flat = context.module, FlatVector(program, _STEPS)
+    module, flat = context.module, FlatVector.on_grid(program, _STEPS)
     grid = module.make_grid(_STEPS)
     before = np.random.default_rng(5).uniform(1.0, 2.0, flat.size)
     wanted = before.copy()
     for body in range(program.bodies):
         known = {v.symbol: _number(v.value, program, body) for v in program.boundary_values}
-        for k, end in ((0, program.start), (_STEPS, program.end)):
+        for k, end in ((0, program.start), (flat.steps, program.end)):
             node, shared = flat.node(body, k), flat.shared(body)
             for place, value in end.pins:
                 wanted[node[place]] = _number(value, program, body, known)
@@ -89,31 +92,55 @@ def _pinned(context: Context, program: ControlProgram) -> Finding:
 
 def _bounds(context: Context, program: ControlProgram) -> Finding:
     """Tables of bounds against those that the author wrote; slacks are not negative, pinned unknowns unbounded."""
-    module, flat = context.module, FlatVector(program, _STEPS)
+    module, flat = context.module, FlatVector.on_grid(program, _STEPS)
     if not program.has_inequalities:
         wrong = ["there are none, but the module has variable_bounds"] if hasattr(module, "variable_bounds") else []
         return _finding("bounds", wrong, "there are none")
     lower, upper = np.full(flat.size, -np.inf), np.full(flat.size, np.inf)
-    written = {bound.symbol.name: (bound.lower, bound.upper) for bound in context.model.bounds}
-    written |= {free.symbol.name: (free.lower, free.upper) for free in context.model.free_parameters}
-    written |= {slack.name: (sympy.S.Zero, None) for slack in program.slacks}
+    written = _written(context.model, program)
 
-    def put(places: NDArray[np.intp], unknowns: Sequence[Unknown], body: int) -> None:
+    def put(places: NDArray[np.intp], unknowns: Sequence[Unknown], body: int, given: _Limits) -> None:
         for place, unknown in zip(places, unknowns, strict=True):
-            for side, value in zip((lower, upper), written.get(unknown.name, (None, None)), strict=True):
-                if value is not None:
-                    side[place] = _number(value, program, body)
+            least, greatest = given.get(unknown.name, (None, None))
+            if least is not None:
+                lower[place] = max(lower[place], _number(least, program, body))
+            if greatest is not None:
+                upper[place] = min(upper[place], _number(greatest, program, body))
 
     for body in range(program.bodies):
-        for k in range(_STEPS + 1):
-            put(flat.node(body, k), program.node, body)
-            if k < _STEPS:
-                put(flat.interval(body, k), flat.inside[len(program.node) :], body)
-        put(flat.shared(body), program.shared, body)
-        for k, end in ((0, program.start), (_STEPS, program.end)):
+        for k in range(flat.steps + 1):
+            # The node at a switch belongs to the phase before it.
+            phase = max(k - 1, 0) // flat.phase_steps
+            put(flat.node(body, k), program.node, body, written[phase])
+            if k < flat.steps:
+                inside = flat.inside[len(program.node) :]
+                put(flat.interval(body, k), inside, body, written[k // flat.phase_steps])
+        put(flat.shared(body), program.shared, body, written[0])
+        for k, end in ((0, program.start), (flat.steps, program.end)):
             lower[flat.node(body, k)[[slack for slack, _ in end.slacks]]] = 0.0
+    for number in range(1, len(program.phases)):
+        node = flat.node(0, number * flat.phase_steps)
+        put(node, program.node, 0, _continued(context.model, number, written[number]))
+        given = {symbol.name for symbol in prescribed(context.model.phases[number - 1], "end")}
+        places = node[[i for i, unknown in enumerate(program.node) if unknown.name in given]]
+        lower[places], upper[places] = -np.inf, np.inf
     lower[~flat.free()], upper[~flat.free()] = -np.inf, np.inf
     return _compared_bounds(module, flat, lower, upper)
+
+
+def _written(model: Model, program: ControlProgram) -> list[_Limits]:
+    """The bounds of every phase by name."""
+    common: _Limits = {free.symbol.name: (free.lower, free.upper) for free in model.free_parameters}
+    slacks = [*program.slacks, *(u for u in program.shared if u.meaning.startswith("slack"))]
+    common |= {slack.name: (sympy.S.Zero, None) for slack in slacks}
+    models = model.phases or (model,)
+    return [common | {bound.symbol.name: (bound.lower, bound.upper) for bound in own.bounds} for own in models]
+
+
+def _continued(model: Model, number: int, bounds: _Limits) -> _Limits:
+    """Those bounds of a phase that hold before the switch to it as well."""
+    jumping = {symbol.name for symbol, _ in model.jumps[number - 1]}
+    return {name: pair for name, pair in bounds.items() if name not in jumping}
 
 
 def _compared_bounds(module: Any, flat: FlatVector, lower: Values, upper: Values) -> Finding:

@@ -17,9 +17,17 @@ def other_symbols(program: ControlProgram) -> list[Symbol]:
     return [*program.model.parameters, *(v.symbol for v in program.boundary_values), program.model.time, STEP]
 
 
+def kernel_stems(program: ControlProgram) -> list[str]:
+    """The names of the kernels of an interval, without `_gradient` or `_hessian`, one for each of its elements."""
+    stems = []
+    for number, phase in enumerate(program.phases, start=1):
+        stems += [f"phase_{number}"] if phase.switch is None else [f"switch_{number - 1}", f"phase_{number}"]
+    return stems or ["interval"]
+
+
 def pattern_of(module: Any, share: str) -> list[tuple[int, int]]:
     """Rows and columns of the emitted Hessian of the interval, the start or the end; none where there is no kernel."""
-    prefix = "" if share == "interval" else f"{share.upper()}_"
+    prefix = f"{share.upper()}_" if share in ("start", "end") else ""
     rows, columns = (getattr(module, f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True)]
 

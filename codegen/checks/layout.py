@@ -14,7 +14,7 @@ import numpy as np
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import random_points
 from codegen.checks.flat_vector import FlatVector
-from codegen.checks.kernel_arguments import all_shared_symbols, other_symbols, parameter_vector
+from codegen.checks.kernel_arguments import all_shared_symbols, kernel_stems, other_symbols, parameter_vector
 from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram, StepProgram
 
@@ -32,7 +32,7 @@ def check(context: Context) -> Iterator[Finding]:
 
 def _control_difference(module: Any, program: ControlProgram) -> str:
     """How tables of the module contradict the program; empty when they do not."""
-    flat = FlatVector(program, _STEPS)
+    flat = FlatVector.on_grid(program, _STEPS)
     names = {
         "node": tuple(u.name for u in program.node),
         "interval": tuple(u.name for u in flat.inside[len(program.node) :]),
@@ -80,6 +80,7 @@ def _sizes(program: ControlProgram) -> dict[str, int]:
         "SHARED": shared,
         "COUPLINGS": couplings,
         "ROOT": program.bodies * own + shared - own + couplings,
+        **({"PHASES": len(program.phases)} if program.phases else {}),
     }
 
 
@@ -111,6 +112,11 @@ def _tables(program: ControlProgram) -> dict[str, list[Any]]:
         first = node + len(program.interval) + len(program.controls)
         tables["SLACKS"] = list(range(first, first + len(program.slacks)))
         tables["SLACK_MULTIPLIERS"] = [node + place for place in program.slack_multipliers]
+    if program.phases:
+        inside = range(len(program.interval) + len(program.controls) + len(program.slacks))
+        tables["PHASE_LACKS"] = [[i in phase.regular.lacking for i in inside] for phase in program.phases]
+        tables["SWITCH_LACKS"] = [[i in phase.elements[0].lacking for i in inside] for phase in program.phases[1:]]
+        tables["SHARED_IS_MULTIPLIER"] = [u.multiplier for u in program.shared]
     return tables
 
 
@@ -168,14 +174,17 @@ def _indices(module: Any, name: str) -> Any:
 def _control_run(module: Any, program: ControlProgram) -> str:
     unknowns = program.element_symbols
     symbols = [*unknowns, *other_symbols(program)]
-    values = [program.element, program.cost, program.start.element, program.end.element]
+    values = [e for share in program.interval_elements for e in (share.element, share.cost)]
+    values += [program.start.element, program.end.element]
     (point,) = random_points(values, symbols, program.model.default_values, count=1)
     shared, size, node = len(program.shared), len(unknowns), len(program.node)
     x, given = np.array([point[s] for s in unknowns[: size - shared]]), parameter_vector(point, program)
     t, h = point[program.model.time], point[STEP]
     entries = _indices(module, "HESSIAN_ROWS").size
-    problem = _run(module, "interval_gradient", (x, t, h, given), gradient=(size,))
-    problem = problem or _run(module, "interval_hessian", (x, t, h, given), hessian=(entries,))
+    problem = ""
+    for stem in dict.fromkeys([*kernel_stems(program), "interval"]):
+        problem = problem or _run(module, f"{stem}_gradient", (x, t, h, given), gradient=(size,))
+        problem = problem or _run(module, f"{stem}_hessian", (x, t, h, given), hessian=(entries,))
     for end, local in (("start", x[:node]), ("end", x[x.size - node :])):
         problem = problem or _run(module, f"{end}_gradient", (local, t, given), adds=True, gradient=(node + shared,))
         entries = _indices(module, f"{end.upper()}_HESSIAN_ROWS").size

@@ -7,6 +7,7 @@ drops the minus sign in 2.4).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mpmath  # type: ignore[import-untyped]
@@ -19,6 +20,7 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.discrete_equations import constraint_multipliers, node_equations
 from codegen.checks.evaluation import DIGITS, function_of, random_points, vanishing
 from codegen.checks.one_step import without_boundaries
+from codegen.checks.phases import phase_contexts
 from codegen.checks.solutions import free_values
 from codegen.discretise import STEP, at_nodes, variational_interval
 from codegen.model import Boundary, Model
@@ -33,9 +35,10 @@ def check(context: Context) -> Iterator[Finding]:
     if program.method != "variational":
         yield does_not_apply("momentum matching", f"the {program.method} method has no discrete Lagrangian")
         return
-    model = legendre.lagrangian_form(without_boundaries(context.model))
-    yield from _matching(context, model)
-    yield from _limits(context, model)
+    for phase, own in phase_contexts(context):
+        model = legendre.lagrangian_form(without_boundaries(own.model))
+        for finding in (*_matching(own, model), *_limits(own, model)):
+            yield replace(finding, subject=f"{phase}{finding.subject}")
     if isinstance(program, ControlProgram):
         yield from _ends(context)
 
@@ -104,8 +107,12 @@ def _limits(context: Context, model: Model) -> Iterator[Finding]:
 
 def _ends(context: Context) -> Iterator[Finding]:
     """Momenta of the generated solution at its ends against D2 L(q, v) of the prescribed positions and velocities."""
-    model = legendre.lagrangian_form(context.model)
-    assert model.end is not None
+    phases = context.model.phases or (context.model,)
+    first, last = (
+        legendre.lagrangian_form(model) for model in (phases[0], replace(phases[-1], duration=context.model.duration))
+    )
+    assert last.end is not None
+    model = context.model
     solution, module, width = context.solution, context.module, len(model.coordinates)
     if solution.status != "solved":
         detail = f"no solution to measure: {solution.message}"
@@ -113,13 +120,13 @@ def _ends(context: Context) -> Iterator[Finding]:
         return
     values: dict[Symbol, Any] = dict(model.default_values)
     values |= dict(zip((p.symbol for p in model.free_parameters), free_values(module, solution), strict=True))
-    for where, boundary, row in (("start", model.start, 0), ("end", model.end, -1)):
+    for where, own, boundary, row in (("start", first, first.start, 0), ("end", last, last.end, -1)):
         instant = 0.0 if where == "start" else float(solution.t[-1])
         errors: dict[str, float] = {}
         for body in range(model.bodies):
             known = values | ({model.body: body} if model.body is not None else {})
             of_body = f" of body {body}" if model.bodies > 1 else ""
-            for i, (name, p) in _prescribed(model, boundary, known, instant).items():
+            for i, (name, p) in _prescribed(own, boundary, known, instant).items():
                 found = float(solution.p[row, body * width + i])
                 errors[f"{name}{of_body}"] = abs(found - p) / max(1.0, abs(p))
         if not errors:

@@ -93,7 +93,7 @@ def generic_model() -> Model:
     """
     q, v = coordinate("q")
     t = time()
-    model = normalise(
+    return normalise(
         Simulate(
             lagrangian=(1 + q**2 / 3) * v**2 / 2 + q**2 * v / 5 - q**3 / 3 + q * t / 7,
             force={q: -q * v / 4 + t**2 / 3 + q**2 / 9},
@@ -102,5 +102,3 @@ def generic_model() -> Model:
         ),
         name="generic",
     )
-    assert isinstance(model, Model)
-    return model

@@ -46,6 +46,7 @@ def check(context: Context) -> Iterator[Finding]:
 def beyond_maximum_principle(model: Model) -> str:
     """What a problem has that the boundary value problem of the maximum principle does not provide for, in words."""
     features = {
+        "several phases": bool(model.phases),
         "a first-order system": model.form == "first-order",
         "bounds": bool(model.bounds),
         "path conditions": bool(model.path),

@@ -30,7 +30,7 @@ def check(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield Finding("second-order condition", subject, False, f"no solution to judge: {solution.message}")
         return
-    grid = module.make_grid(solution.t.size - 1)
+    grid = module.make_grid((solution.t.size - 1) // max(1, len(context.program.phases)))
     diagonal = held_by_bounds(module, grid, solution.unknowns)
     passed, detail = _judged(module, grid, solution.unknowns, diagonal)
     if module.metadata["inequalities"]:
@@ -57,5 +57,5 @@ def _judged(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDA
     if excess == 0:
         return True, f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     if excess is not None and excess > 0:
-        return False, f"no minimum: the cost decreases to second order in {excess} independent directions"
+        return False, f"no minimum: the cost decreases to second order in {excess} or more independent directions"
     return False, "undecided: the KKT matrix is singular, so that the optimum is not isolated"

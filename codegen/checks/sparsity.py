@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 
 from sympy import Expr, Symbol
 
@@ -20,30 +21,31 @@ def check(context: Context) -> Iterator[Finding]:
     if not isinstance(program, ControlProgram):
         yield does_not_apply("sparsity", "a step of a simulation has a dense Jacobian")
         return
-    yield from _compared(context, program, "interval", program.element, program.element_symbols, set())
+    elements = [share.element for share in program.interval_elements]
+    yield from _compared(context, program, "interval", elements, program.element_symbols, set())
     for name, end, node in (
         ("start", program.start, program.left_symbols),
         ("end", program.end, program.right_symbols),
     ):
         pinned = {place for place, _ in end.pins}
-        yield from _compared(context, program, name, end.element, (*node, *program.shared_symbols), pinned)
+        yield from _compared(context, program, name, [end.element], (*node, *program.shared_symbols), pinned)
 
 
 def _compared(
     context: Context,
     program: ControlProgram,
     name: str,
-    scalar: Expr,
+    scalars: Sequence[Expr],
     unknowns: Sequence[Symbol],
     pinned: set[int],
 ) -> Iterator[Finding]:
-    """One share of the Lagrangian; what is pinned counts as a number there."""
+    """Shares of the Lagrangian that have one pattern; what is pinned counts as a number there."""
     symbols = [*unknowns, *other_symbols(program)]
-    function = function_of(symbols, [scalar])
     emitted = pattern_of(context.module, name)
     free = [place for place in range(len(unknowns)) if place not in pinned]
     missing, occupied = set[Pair](), set[Pair]()
-    for point in random_points([scalar], symbols, program.model.default_values, count=2, seed=7):
+    points = random_points(scalars, symbols, program.model.default_values, count=2, seed=7)
+    for function, point in product([function_of(symbols, [scalar]) for scalar in scalars], points):
         numbers = [point[symbol] for symbol in symbols]
         values = second_differences(function, numbers, emitted)
         least = NOTHING * max(map(abs, values.values()), default=0)

@@ -29,6 +29,9 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
             f"{driver} reported success, but the discrete equations have residual {residual:.1e} and the optimality "
             f"conditions {stationarity:.1e}; try more steps, or --driver newton."
         )
+    elif status != "solved" and driver != "newton":
+        # Optimisers of others number the rows; the module has names for them.
+        message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
     return Result(
         problem=metadata["problem"],
@@ -37,7 +40,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         method=metadata["method"],
         scheme=metadata["scheme"],
         driver=driver,
-        steps=grid.steps,
+        steps=request.steps,
         status=status,
         message=message,
         cost=float(module.cost(grid, unknowns)),
@@ -59,6 +62,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
             "largest_control": max_norm(u),
             "stationarity": stationarity,
             **_free_parameters(module, unknowns),
+            **{f"switch_{i}": float(t[i * request.steps]) for i in range(1, metadata.get("phases", 1))},
         },
     )
 

@@ -20,28 +20,34 @@ from codegen.load import ControlModule, Matrix, Vector
 def transferred(module: ControlModule, unknowns: Vector, steps: int) -> Vector:
     """A solution's unknowns on a grid of N intervals, N = `steps`: interpolated in time, without overshoot.
 
-    Nodes are interpolated between nodes, intervals between their midpoints. Raises NumericsError when the vector
-    belongs to another problem.
+    Nodes are interpolated between nodes, intervals between their midpoints, in every phase by itself. Raises
+    NumericsError when the vector belongs to another problem.
     """
-    target = module.make_grid(steps)
-    source = module.make_grid(source_steps(module, unknowns))
+    old_steps = source_steps(module, unknowns)
+    target, source = module.make_grid(steps), module.make_grid(old_steps)
     result = np.zeros(target.is_multiplier.size)
     old_nodes, old_intervals = module.views(source, unknowns)
     new_nodes, new_intervals = module.views(target, result)
-    new_nodes[:] = _interpolated(_times(source.steps, 0.0), old_nodes, _times(steps, 0.0))
-    new_intervals[:] = _interpolated(_times(source.steps, 0.5), old_intervals, _times(steps, 0.5))
+    for phase in range(module.metadata.get("phases", 1)):
+        first = min(phase, 1)  # the node at a switch belongs to the phase before, since it has the values before a jump
+        old, new = (slice(phase * n + first, (phase + 1) * n + 1) for n in (old_steps, steps))
+        times, at = _times(old_steps, 0.0)[first:], _times(steps, 0.0)[first:]
+        new_nodes[:, new] = _interpolated(times, old_nodes[:, old], at)
+        old, new = (slice(phase * n, (phase + 1) * n) for n in (old_steps, steps))
+        new_intervals[:, new] = _interpolated(_times(old_steps, 0.5), old_intervals[:, old], _times(steps, 0.5))
     rest = module.ROOT
     result[result.size - rest :] = unknowns[unknowns.size - rest :]
     return module.with_pinned_values(target, result)
 
 
 def source_steps(module: ControlModule, unknowns: Vector) -> int:
-    """The number of intervals that a vector of unknowns belongs to."""
+    """The number of intervals, of each phase, that a vector of unknowns belongs to."""
     metadata = module.metadata
-    node, interval = len(metadata["node"]), len(metadata["interval"])
+    node, bodies = len(metadata["node"]), metadata["bodies"]
+    phase = metadata.get("phases", 1) * (node + len(metadata["interval"]))
     steps: int
-    steps, rest = divmod((unknowns.size - module.ROOT) // metadata["bodies"] - node, node + interval)
-    if rest or steps < 1 or metadata["bodies"] * (steps * (node + interval) + node) + module.ROOT != unknowns.size:
+    steps, rest = divmod((unknowns.size - module.ROOT) // bodies - node, phase)
+    if rest or steps < 1 or bodies * (steps * phase + node) + module.ROOT != unknowns.size:
         raise NumericsError(
             f"the start has {unknowns.size} unknowns, which fit no number of steps", "use a solution of this problem"
         )

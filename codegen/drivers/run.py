@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from codegen.drivers import Driver
-from codegen.drivers.compilation import SecondProcess, solve_small
+from codegen.drivers.compilation import SecondProcess, packed_operations, solve_small
 from codegen.drivers.connect_result import connect_result
 from codegen.drivers.control_result import control_result
 from codegen.drivers.result import Request, Result
@@ -57,7 +57,8 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
         count = 0 if request.points is None else len(request.points.start)
         numbers = 40 * (request.steps + 1) * count * len(metadata["coordinates"]) + 2 * count**2
     else:
-        numbers = 26 * (request.steps + 1) * (len(metadata["node"]) + len(metadata["interval"]))
+        intervals = request.steps * metadata.get("phases", 1)
+        numbers = 26 * (intervals + 1) * (len(metadata["node"]) + len(metadata["interval"]))
     if not hasattr(os, "sysconf"):
         return
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -71,10 +72,11 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
 def prepare(module: GeneratedModule, helper: SecondProcess) -> float:
     """See `codegen.drivers.prepare`."""
     begin = time.perf_counter()
-    helper.compile(module)
-    if is_connect(module):
-        solve_small(module)
-    else:
+    with packed_operations():
+        helper.compile(module)
+        if is_connect(module):
+            solve_small(module)
+            return time.perf_counter() - begin
         module.solve()
     return time.perf_counter() - begin
 

@@ -17,12 +17,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from scipy.optimize import Bounds
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, lsq_linear
 from threadpoolctl import threadpool_limits
 
 from codegen.drivers.result import Request, max_norm
 from codegen.errors import ArgumentError
 from codegen.load import ControlModule, Entries, Grid, Indices, Vector
+
+_SIGN_ROUNDING = 1e-9
+_DENSE_LIMIT = 1500
 
 
 @contextmanager
@@ -58,6 +62,13 @@ class ScaledProblem:
         """Free primal unknowns of the initial guess."""
         return self.base[self.primal]
 
+    @property
+    def inner_start(self) -> Vector:
+        """The same, moved off and inside the bounds, which some optimisers insist on."""
+        lower, upper = self.bounds
+        push = 1e-2 * np.minimum(np.maximum(1.0, np.abs(self.start)), upper - lower)
+        return np.clip(self.start, lower + push, upper - push)
+
     @cached_property
     def bounds(self) -> tuple[Vector, Vector]:
         """Lower and upper bounds of the free primal unknowns."""
@@ -92,7 +103,8 @@ class ScaledProblem:
         unknowns = self.base.copy()
         unknowns[self.primal] = x
         unknowns[self.dual] = 0.0 if nu is None else self.row_scale * nu / self.cost_scale
-        return unknowns
+        # Unknowns at the ends may equal shared ones, which have just been changed.
+        return self.module.with_pinned_values(self.grid, unknowns) if self.module.ROOT else unknowns
 
     def cost(self, x: Vector) -> float:
         """The scaled cost."""
@@ -121,15 +133,34 @@ class ScaledProblem:
         return self.cost_scale * self.module.stationarity(self.grid, self.unknowns(x, nu))
 
     def multipliers(self, x: Vector) -> Vector:
-        """Scaled multipliers that minimise the 2-norm of the stationarity, by one sparse augmented system.
+        """Scaled multipliers that minimise the 2-norm of the stationarity.
 
-        Unknowns on their bounds are left out, because duals of the bounds balance them.
+        Unknowns on their bounds are left out, because duals of the bounds balance them. Where a dual then has the wrong
+        sign, multipliers and duals are found together by bounded least squares, unless the matrix is too large.
         """
-        jacobian = self.jacobian(x)
+        jacobian, gradient = self.jacobian(x), self.cost_gradient(x)
         lower, upper = self.bounds
         scale = 1e-6 * np.maximum(1.0, np.abs(x))
-        inside = (x - lower > scale) & (upper - x > scale)
-        jacobian, gradient = jacobian[:, inside], self.cost_gradient(x)[inside]
+        held = np.where(x - lower <= scale, 1.0, 0.0) - np.where(upper - x <= scale, 1.0, 0.0)
+        nu = self._balanced(jacobian, gradient, held == 0.0)
+        slope, rounding = gradient + jacobian.T @ nu, _SIGN_ROUNDING * max(1.0, max_norm(gradient))
+        if not (held * slope < -rounding).any() or x.size + nu.size > _DENSE_LIMIT:
+            return nu
+        places = np.flatnonzero(held)
+        duals = np.zeros((x.size, places.size))
+        duals[places, np.arange(places.size)] = -held[places]
+        least = np.concatenate([np.full(nu.size, -np.inf), np.zeros(places.size)])
+        found = lsq_linear(np.hstack([jacobian.T.toarray(), duals]), -gradient, (least, np.inf), method="bvls")
+        return np.asarray(found.x[: nu.size], dtype=float)
+
+    def unbalanced(self, x: Vector, nu: Vector) -> float:
+        """The largest slope times the distance to the bound that it leads to, one where that is farther away."""
+        slope, (lower, upper) = self.stationarity(x, nu), self.bounds
+        return max_norm(slope * np.clip(np.where(slope > 0.0, x - lower, upper - x), 0.0, 1.0))
+
+    def _balanced(self, jacobian: Any, gradient: Vector, inside: NDArray[np.bool_]) -> Vector:
+        """The multipliers with which the stationarity of some unknowns is least, by a sparse augmented system."""
+        jacobian, gradient = jacobian[:, inside], gradient[inside]
         identity = scipy.sparse.identity(gradient.size)
         system = scipy.sparse.bmat([[identity, jacobian.T], [jacobian, None]], format="csc")
         right = np.concatenate([-gradient, np.zeros(self.dual.size)])

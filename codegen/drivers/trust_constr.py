@@ -35,15 +35,22 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
         )
         found = minimize(
             problem.cost,
-            problem.start,
+            problem.inner_start,
             jac=problem.cost_gradient,
             hess=problem.hessian,
             constraints=[equations],
             bounds=problem.scipy_bounds,
             method="trust-constr",
-            options={"maxiter": MAX_ITERATIONS, "gtol": 1e-9, "xtol": 1e-14},
+            options={
+                "maxiter": MAX_ITERATIONS,
+                "gtol": 1e-9 if problem.scipy_bounds is None else 1e-11,
+                "xtol": 1e-14,
+                "barrier_tol": 1e-12,
+            },
         )
-        unknowns = problem.unknowns(found.x, problem.multipliers(found.x))
+        # Where a barrier keeps unknowns off their bounds, the method itself may know better which are held there.
+        nu = min(found.v[0], problem.multipliers(found.x), key=lambda nu: problem.unbalanced(found.x, nu))
+        unknowns = problem.unknowns(found.x, nu)
     if not np.isfinite(found.fun):
         status = "non-finite"
     elif found.status in (_GRADIENT_SMALL, _STEP_SMALL):

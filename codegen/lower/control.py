@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from sympy import Symbol
 
 from codegen.derive import ControlDerivatives, ElementDerivatives
 from codegen.discretise import STEP
+from codegen.lower import control_guesses, phases
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import description, left_out, metadata
 from codegen.lower.coupling import Couplings, lower_couplings
@@ -22,7 +24,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
     model = program.model
     couplings, curved = lower_couplings(program), layout.is_curved(derivatives)
     kernels = (
-        *_interval_kernels(program, derivatives.element),
+        *_all_interval_kernels(program, derivatives),
         *_control_kernels(program, derivatives),
         *_end_kernels(program, program.start, derivatives.start, "start", curved),
         *_end_kernels(program, program.end, derivatives.end, "end", curved),
@@ -36,7 +38,11 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         description=tuple(description(program, kernels)),
         left_out=tuple(left_out(program, derivatives)),
         metadata=tuple(metadata(program, kernels)),
-        constants=(*layout.constants(program, derivatives), *couplings.constants),
+        constants=(
+            *layout.constants(program, derivatives),
+            *couplings.constants,
+            *(phases.constants(program) if program.phases else ()),
+        ),
         kernels=kernels,
         runtime=_runtime(program, derivatives),
         sizes=layout.sizes(program),
@@ -50,12 +56,27 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         boundary_inputs=(Line("body", "np.arange(BODIES)"),) if _numbers_bodies(program) else (),
         coupling_kinds=_dispatch(couplings),
         boundary_example=_boundary_example(program),
-        **layout.guesses(program),
         **layout.pins(program),
+        **layout.views(program),
+        **(_of_phases(program) if program.phases else _of_one_phase(program)),
+    )
+
+
+def _of_one_phase(program: ControlProgram) -> dict[str, Any]:
+    times = "duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps"
+    return {
+        **control_guesses.guesses(program),
         **layout.duration(program),
         **layout.bounds(program),
-        **layout.views(program),
-    )
+        "node_times": times,
+        "phase_durations": (),
+        "choices": (),
+        "of_each_phase": "",
+    }
+
+
+def _of_phases(program: ControlProgram) -> dict[str, Any]:
+    return {**phases.guesses(program), **phases.duration(program), **phases.bounds(program)}
 
 
 def _dispatch(couplings: Couplings) -> tuple[tuple[str, ...], ...]:
@@ -76,9 +97,18 @@ def _places(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol,
     return places
 
 
-def _interval_kernels(program: ControlProgram, element: ElementDerivatives) -> tuple[Kernel, Kernel]:
+def _all_interval_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
+    """The gradient and the Hessian of every kind of interval."""
+    named = zip(phases.named_elements(program), derivatives.elements, strict=True)
+    pairs = [_interval_kernels(program, element, stem, where) for (stem, where), element in named]
+    return tuple(kernel for pair in pairs for kernel in pair)
+
+
+def _interval_kernels(
+    program: ControlProgram, element: ElementDerivatives, stem: str, where: str
+) -> tuple[Kernel, Kernel]:
     places = _places(program, element.unknowns)
-    arguments = ("unknowns", "t", "h", "parameters", "gradient")
+    arguments, share = ("unknowns", "t", "h", "parameters", "gradient"), "an interval's share l of the"
     gradient = [
         Output(f"gradient[{i}]", value, f"dl/d{symbol}")
         for i, (symbol, value) in enumerate(zip(element.unknowns, element.gradient, strict=True))
@@ -89,13 +119,13 @@ def _interval_kernels(program: ControlProgram, element: ElementDerivatives) -> t
     ]
     return (
         kernel(
-            "interval_gradient",
-            "Gradient of an interval's share l of the optimisation problem's Lagrangian; returns the discrete cost.",
+            f"{stem}_gradient",
+            f"Gradient of {share} optimisation problem's Lagrangian{where}; returns the discrete cost.",
             arguments, places, gradient, element.cost, decorators=INNER, straight_line=element.gradient_assignments,
         ),
         kernel(
-            "interval_hessian",
-            "Hessian (lower triangle, structural nonzeros) of an interval's share l of the Lagrangian.",
+            f"{stem}_hessian",
+            f"Hessian (lower triangle, structural nonzeros) of {share} Lagrangian{where}.",
             (*arguments[:-1], "hessian"), places, hessian,
             decorators=INNER, straight_line=element.hessian_assignments,
         ),
@@ -104,7 +134,7 @@ def _interval_kernels(program: ControlProgram, element: ElementDerivatives) -> t
 
 def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
     """The controls' block of the Hessian, where it is the same on every interval."""
-    if not derivatives.condensed or program.has_inequalities:
+    if not derivatives.condensed or program.has_inequalities or program.phases:
         return ()
     controls = {program.control_symbols.index(s): s for s in program.control_symbols}
     first = len(program.left_symbols) + len(program.interval_symbols)
@@ -157,7 +187,8 @@ def _end_kernels(
 
 def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[str, ...]:
     """The files of `codegen/runtime` that the module needs, in the order in which they are to be read."""
-    condensed = ("condensation", "element_barrier" if program.has_inequalities else "element_condensed")
+    differ = program.has_inequalities or program.phases
+    condensed = ("condensation", "element_barrier" if differ else "element_condensed")
     solver: tuple[str, ...] = ("descent", "newton_filter")
     if derivatives.linear_quadratic:
         solver = ("newton_linear",)
@@ -168,13 +199,19 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(("coupling",) if program.couplings else ()),
         "lagrangian", "norms", "point", "elements",
         "ends_curved" if layout.is_curved(derivatives) else "ends_flat",
+        "symmetric",
         *(condensed if derivatives.condensed else ("element_kept",)),
-        "symmetric", "frontal", "rounding",
+        "frontal", "rounding",
         *solver,
         *(("momenta",) if program.method == "variational" else ()),
         "frame",
         *(("slacks",) if layout.slack_places(program) else ()),
+        *(("phases",) if program.phases else ()),
         "callbacks",
+        "limits" if program.has_inequalities else "limits_none",
+        "curvature",
+        "verdict",
+        "messages",
     )  # fmt: skip
 
 

@@ -1,11 +1,10 @@
-"""The layout of a control problem's unknowns as strings: sizes, tables, guesses, pinned values, bounds, views."""
+"""The layout of a control problem's unknowns as strings: sizes, tables, pinned values, bounds, views."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-import sympy
 from sympy import Expr, Symbol
 
 from codegen.derive import ControlDerivatives
@@ -28,6 +27,7 @@ def sizes(program: ControlProgram) -> tuple[tuple[str, int], ...]:
         ("SHARED", shared),
         ("COUPLINGS", couplings),
         ("ROOT", program.bodies * own + shared - own + couplings),
+        ("PHASES", len(program.phases)),
     )
 
 
@@ -78,25 +78,6 @@ def slack_places(program: ControlProgram) -> list[tuple[int, int]]:
     return [(first + j, node + place) for j, place in enumerate(program.slack_multipliers)]
 
 
-def guesses(program: ControlProgram) -> dict[str, Any]:
-    """Guesses as code over arrays of time, and what they read."""
-    common = program.shared_guess[program.own :]
-    return {
-        "guess_inputs": _inputs(program, [*program.node_guess, *program.stage_guess, *program.control_guess]),
-        "node_guess": _node_guess(program),
-        "interval_guess": _interval_guess(program),
-        "interval_times": ("duration * (0.5 + np.arange(grid.steps)) / grid.steps",)
-        if _interval_guess(program)
-        else (),
-        "shared_guess_inputs": (*_scalar_inputs(program, common), *_shared_views(program, "own, common", "unknowns")),
-        "common_guess": _common_guess(program, common),
-        "own_guess": _own_guess(program),
-        "guess_result": "with_slacks(grid, with_pinned_values(grid, unknowns))"
-        if slack_places(program)
-        else "with_pinned_values(grid, unknowns)",
-    }
-
-
 def pins(program: ControlProgram) -> dict[str, Any]:
     """Given values at both ends as code, and what they read."""
     values = [v for end in (program.start, program.end) for _, v in end.pins]
@@ -111,8 +92,8 @@ def pins(program: ControlProgram) -> dict[str, Any]:
                 Line(f"nodes[:, {node}, {place}]", shared if offset == 0 else f"{shared} + {array_code(offset)}")
             )
     needs_shared = bool(program.start.shared or program.end.shared)
-    views = _shared_views(program, "own, common", "unknowns") if needs_shared else ()
-    return {"pin_inputs": (*_inputs(program, values, column=False), *views), "pinned_values": tuple(lines)}
+    views = shared_views(program, "own, common", "unknowns") if needs_shared else ()
+    return {"pin_inputs": (*inputs(program, values, column=False), *views), "pinned_values": tuple(lines)}
 
 
 def duration(program: ControlProgram) -> dict[str, Any]:
@@ -125,17 +106,22 @@ def duration(program: ControlProgram) -> dict[str, Any]:
             "duration_inputs": (),
             "duration": "grid.steps * grid.h",
         }
-    first = len(program.shared) - program.own + len(program.couplings)
-    places = {s: f"unknowns[{j - first}]" for j, s in enumerate(program.shared_symbols[program.own :])}
-    places |= {s: f"grid.parameters[0, {i}]" for i, s in enumerate(program.model.parameters)}
-    used = program.model.duration.free_symbols
     return {
         "duration_arguments": (),
         "default_durations": (),
         "grid_duration": "1.0",
-        "duration_inputs": tuple(Line(s.name, code) for s, code in places.items() if s in used),
+        "duration_inputs": duration_inputs(program, [program.model.duration]),
         "duration": scalar_code(program.model.duration),
     }
+
+
+def duration_inputs(program: ControlProgram, durations: Sequence[Expr]) -> tuple[Line, ...]:
+    """Lines that read what durations depend on, out of the parameters and the unknowns."""
+    first = len(program.shared) - program.own + len(program.couplings)
+    places = {s: f"unknowns[{j - first}]" for j, s in enumerate(program.shared_symbols[program.own :])}
+    places |= {s: f"grid.parameters[0, {i}]" for i, s in enumerate(program.model.parameters)}
+    used = set[Symbol]().union(*(duration.free_symbols for duration in durations))
+    return tuple(Line(s.name, code) for s, code in places.items() if s in used)
 
 
 def bounds(program: ControlProgram) -> dict[str, Any]:
@@ -156,16 +142,31 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
                     target = f"{side}_{group}[{i}]" if group == "common" else f"{side}_{group}[..., {i}]"
                     lines.append(Line(target, array_code(value), unknown.name))
                     values.append(value)
+    views = bound_views(program)
+    return {
+        "bound_inputs": inputs(program, values),
+        "bound_views": views,
+        "bound_lines": ((*lines, *slack_bounds(program)),),
+    }
+
+
+def slack_bounds(program: ControlProgram) -> list[Line]:
+    """The bounds of slacks as code."""
+    lines = []
     first = len(program.interval) + len(program.controls)
     for j, slack in enumerate(program.slacks):
         lines.append(Line(f"lower_intervals[..., {first + j}]", "0.0", slack.name))
     for node, end in (("0", program.start), ("-1", program.end)):
         lines += [Line(f"lower_nodes[:, {node}, {i}]", "0.0", program.node[i].name) for i, _ in end.slacks]
-    views = (
-        *_shared_views(program, "lower_own, lower_common", "lower"),
-        *_shared_views(program, "upper_own, upper_common", "upper"),
+    return lines
+
+
+def bound_views(program: ControlProgram) -> tuple[Line, ...]:
+    """Lines that make views of the bounds of shared unknowns."""
+    return (
+        *shared_views(program, "lower_own, lower_common", "lower"),
+        *shared_views(program, "upper_own, upper_common", "upper"),
     )
-    return {"bound_inputs": _inputs(program, values), "bound_views": views, "bound_lines": (tuple(lines),)}
 
 
 def views(program: ControlProgram) -> dict[str, Any]:
@@ -208,7 +209,7 @@ def _pinned(end: EndElement) -> list[int]:
     return sorted([*(i for i, _ in end.pins), *(i for i, _, _ in end.shared)])
 
 
-def _inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True) -> tuple[Line, ...]:
+def inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True) -> tuple[Line, ...]:
     """Lines that read what expressions depend on, an entry for every body, as columns beside arrays of time."""
     used = set().union(*(value.free_symbols for value in values)) if values else set()
     suffix = ", None" if column else ""
@@ -220,47 +221,7 @@ def _inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True
     return tuple(lines)
 
 
-def _scalar_inputs(program: ControlProgram, values: Sequence[Expr]) -> tuple[Line, ...]:
-    used = set().union(*(value.free_symbols for value in values)) if values else set()
-    known = enumerate(program.model.parameters)
-    return tuple(Line(s.name, f"grid.parameters[0, {i}]") for i, s in known if s in used)
-
-
-def _node_guess(program: ControlProgram) -> tuple[Line, ...]:
-    lines = [Line(str(i), array_code(guess), program.node[i].name) for i, guess in enumerate(program.node_guess)]
-    if program.nodal_controls:
-        first = len(program.node) - len(program.model.controls)
-        controls = zip(program.model.controls, program.control_guess, strict=True)
-        lines += [Line(str(first + i), array_code(guess), u.name) for i, (u, guess) in enumerate(controls)]
-    return tuple(line for line in lines if line.code != "0")
-
-
-def _interval_guess(program: ControlProgram) -> tuple[Line, ...]:
-    """Guesses at the middle of every interval: of stages, and of controls that live there."""
-    guessed = list(enumerate(zip(program.interval_symbols, program.stage_guess, strict=False)))
-    if not program.nodal_controls:
-        controls = zip(program.control_symbols, program.control_guess, strict=True)
-        guessed += enumerate(controls, start=len(program.interval))
-    lines = [Line(str(i), array_code(guess), symbol.name) for i, (symbol, guess) in guessed]
-    return tuple(line for line in lines if line.code != "0")
-
-
-def _common_guess(program: ControlProgram, common: Sequence[Expr]) -> tuple[Line, ...]:
-    names = [unknown.name for unknown in program.shared[program.own :]]
-    return tuple(Line(f"common[{j}]", scalar_code(sympy.sympify(value)), names[j]) for j, value in enumerate(common))
-
-
-def _own_guess(program: ControlProgram) -> tuple[Line, ...]:
-    """Guesses of a body's shared unknowns: what a node's unknown equals is read there."""
-    lines: dict[int, Line] = {}
-    for node, end in (("0", program.start), ("-1", program.end)):
-        for place, j, _ in end.shared:
-            if j < program.own:
-                lines.setdefault(j, Line(f"own[:, {j}]", f"nodes[:, {node}, {place}]", program.shared[j].name))
-    return tuple(lines.values())
-
-
-def _shared_views(program: ControlProgram, target: str, vector: str) -> tuple[Line, ...]:
+def shared_views(program: ControlProgram, target: str, vector: str) -> tuple[Line, ...]:
     """The line that makes views of the shared unknowns, where there are any."""
     return (Line(target, f"shared_views({vector})"),) if program.shared else ()
 

@@ -16,12 +16,13 @@ from codegen.transcribe.program import ControlProgram
 def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[str]:
     """What the module does not hold, and why."""
     model = program.model
+    models = model.phases or (model,)
     out = []
     if derivatives.linear_quadratic:
         out.append("globalisation and inertia correction: the problem is linear-quadratic, one Newton step solves it")
     if derivatives.condensed:
         kind = "controls" if derivatives.condensed > len(program.slacks) else "slacks"
-        why = "" if program.has_inequalities else "their Hessian block is constant, so "
+        why = "" if program.has_inequalities or program.phases else "their Hessian block is constant, so "
         out.append(f"{kind} in the linear system: {why}each interval eliminates its own")
     if not is_curved(derivatives):
         out.append("curvature of the boundary conditions: positions that they depend on are given")
@@ -29,17 +30,17 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
         out.append("interior point: there are no inequalities")
     if not program.shared:
         out.append("a border of the linear system: no unknown is shared by all intervals")
-    functions = (model.function, *model.force, *model.dynamics)
+    functions = tuple(f for m in models for f in (m.function, *m.force, *m.dynamics))
     cyclic = [str(q) for q in model.coordinates if not any(f.has(q) for f in functions)]
     if cyclic:
         what = model.form if model.form != "first-order" else "dynamics"
         out.append(f"derivatives of the {what} by {', '.join(cyclic)}: cyclic")
-    idle = [str(q) for q, f in zip(model.coordinates, model.force, strict=False) if f == 0]
+    forces = zip(*(m.force for m in models), strict=True)
+    idle = [str(q) for q, f in zip(model.coordinates, forces, strict=False) if not any(f)]
     if idle:
         out.append(f"forces on {', '.join(idle)}: there are none")
-    if not any(
-        e.has(model.time) for e in (*functions, model.cost or sympy.S.Zero, *(c.expression for c in model.path))
-    ):
+    others = [e for m in models for e in (m.cost or sympy.S.Zero, *(c.expression for c in m.path))]
+    if not any(e.has(model.time) for e in (*functions, *others)):
         out.append("time in the kernels: nothing depends on it explicitly")
     size = len(program.element_symbols)
     zeros = size * (size + 1) // 2 - len(derivatives.element.hessian)
@@ -51,9 +52,15 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
 def description(program: ControlProgram, kernels: Sequence[Kernel]) -> list[str]:
     """The docstring: discrete equations, conditions at the ends and between bodies, operation counts."""
     lines = ["Discrete equations on the interval from t_k to t_k1 = t_k + h (suffixes _k and _k1 mark its nodes)", ""]
-    if program.scaled_time:
+    if program.phases:
+        lines += [
+            "where t runs from the number of each phase, less one, to its number. An unknown x that an interval lacks",
+            "vanishes by x^2/2 in its share of the Lagrangian.",
+            "",
+        ]
+    elif program.scaled_time:
         lines += ["where t and h are fractions of the duration:", ""]
-    lines += [f"    {name} = {sympy.sstr(value)}" for name, value in program.equations]
+    lines += _phase_equations(program) if program.phases else _listed(program.equations)
     lines.append("")
     if program.method == "variational":
         lines += [
@@ -80,6 +87,24 @@ def description(program: ControlProgram, kernels: Sequence[Kernel]) -> list[str]
     return lines
 
 
+def _listed(equations: Sequence[tuple[str, sympy.Expr]]) -> list[str]:
+    return [f"    {name} = {sympy.sstr(value)}" for name, value in equations]
+
+
+def _phase_equations(program: ControlProgram) -> list[str]:
+    lines = []
+    for number, phase in enumerate(program.phases, start=1):
+        if phase.switch_equations:
+            lines += [f"At switch {number - 1}, where the left node has the values before it:", ""]
+            lines += [*_listed(phase.switch_equations), ""]
+        lacking = {phase.inside[i].name for i in phase.regular.lacking}
+        idle = [u.name for u in program.controls if u.name in lacking]
+        without = f", without {', '.join(idle)}" if idle else ""
+        heading = f"Phase {number}, of duration {sympy.sstr(phase.duration)}{without}:"
+        lines += [heading, "", *_listed(phase.equations), ""]
+    return lines[:-1]
+
+
 def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[str, str]]:
     """Entries of the module's metadata, as code."""
     model = program.model
@@ -99,7 +124,7 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("coordinates", repr(tuple(s.name for s in model.coordinates))),
         ("rates", repr(tuple(s.name for s in model.rates))),
         ("control_names", repr(tuple(s.name for s in model.controls))),
-        ("free_parameters", repr(tuple(u.name for u in common))),
+        ("free_parameters", repr(tuple(p.symbol.name for p in model.free_parameters))),
         ("node", repr(tuple(u.name for u in program.node))),
         ("interval", repr(tuple(u.name for u in (*program.interval, *program.controls, *program.slacks)))),
         ("shared", repr(tuple(shared))),
@@ -107,11 +132,26 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("inequalities", repr(program.has_inequalities)),
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+        *(_of_phases(program) if program.phases else ()),
+    ]
+
+
+def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:
+    """How many phases there are, which coordinates and momenta jump at each switch, what slacks mean in each phase."""
+    first = len(program.interval) + len(program.controls)
+    slacks = [
+        {p.inside[i].name: p.inside[i].meaning for i in range(first, len(p.inside)) if i not in p.regular.lacking}
+        for p in program.phases
+    ]
+    return [
+        ("phases", repr(len(program.phases))),
+        ("jumps", repr(tuple(p.broken for p in program.phases[1:]))),
+        ("slacks", repr(tuple(slacks))),
     ]
 
 
 def _meanings(program: ControlProgram) -> str:
-    """What unknowns mean whose names do not say it: those of conditions that the author wrote."""
+    """What multipliers mean, and other unknowns whose names do not say it: slacks of the author's conditions."""
     unknowns = (*program.node, *program.interval, *program.slacks, *program.shared)
     named = [*unknowns, *(coupling.multiplier for coupling in program.couplings)]
-    return repr({u.name: u.meaning for u in named if u.name.split("_")[-1].isdigit()})
+    return repr({u.name: u.meaning for u in named if u.multiplier or u.name.split("_")[-1].isdigit()})

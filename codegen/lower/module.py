@@ -49,15 +49,27 @@ class Module:
 
 
 @dataclass(frozen=True)
+class Choice:
+    """A function that calls one of several kernels: the first whose condition holds, else the last one."""
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    branches: tuple[tuple[str, str], ...]
+    otherwise: str
+
+
+@dataclass(frozen=True)
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
-    `boundary_values` is code in the arguments and in `boundary_inputs`. Guesses are code over arrays of time (at
-    nodes; at `interval_times`, if there are any), pinned values and bounds are assignments to views of the unknowns;
-    their `..._inputs` read what they depend on. The duration is the argument `duration_arguments` with its default, or
-    code of the unknowns where it is free; `grid_duration` is what the grid divides into steps. `bound_lines` has one
-    group where there are inequalities, and `coupling_kinds` one, of kernels, where bodies are coupled. `positions`,
-    `momenta`, `controls` and `multipliers` are code that reads the solution.
+    `boundary_values` is code in the arguments and in `boundary_inputs`. Guesses, pinned values and bounds are
+    assignments to views of the unknowns; their `..._inputs` read what they depend on. `node_times` is code of the times
+    at nodes. The duration is the argument `duration_arguments` with its default, or code of the unknowns where it is
+    free; `grid_duration` is what the grid divides into steps. `bound_lines` has one group where there are inequalities,
+    and `coupling_kinds` one, of kernels, where bodies are coupled. Where there are several phases, `phase_durations`
+    has one group (inputs, code for each phase), `choices` select kernels, and `of_each_phase` says whose steps are
+    given. `positions`, `momenta`, `controls` and `multipliers` are code that reads the solution.
     """
 
     boundary_values: tuple[Line, ...]
@@ -69,9 +81,7 @@ class ControlModule(Module):
     duration_inputs: tuple[Line, ...]
     duration: str
     guess_inputs: tuple[Line, ...]
-    node_guess: tuple[Line, ...]
-    interval_guess: tuple[Line, ...]
-    interval_times: tuple[str, ...]
+    guess_lines: tuple[Line, ...]
     shared_guess_inputs: tuple[Line, ...]
     common_guess: tuple[Line, ...]
     own_guess: tuple[Line, ...]
@@ -82,6 +92,10 @@ class ControlModule(Module):
     bound_views: tuple[Line, ...]
     bound_lines: tuple[tuple[Line, ...], ...]
     coupling_kinds: tuple[tuple[str, ...], ...]
+    node_times: str
+    phase_durations: tuple[tuple[tuple[Line, ...], tuple[str, ...]], ...]
+    choices: tuple[Choice, ...]
+    of_each_phase: str
     positions: str
     momenta: str
     controls: str

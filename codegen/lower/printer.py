@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 import sympy
@@ -10,6 +11,7 @@ from sympy.codegen.rewriting import expm1_opt, log1p_opt, optimize
 from sympy.printing.pycode import PythonCodePrinter
 
 _SHORT_DENOMINATORS = 64
+_STEEP = 16
 
 
 _NUMPY_NAMES = dict(
@@ -117,8 +119,24 @@ def stabilised(expression: sympy.Expr) -> sympy.Expr:
     if expression.has(sympy.DiracDelta):
         expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
     if expression.has(sympy.log, sympy.exp):
-        expression = optimize(expression, [log1p_opt, expm1_opt])
+        expression = _with_steep_exponentials(expression, lambda e: optimize(e, [log1p_opt, expm1_opt]))
     return expression
+
+
+def _with_steep_exponentials(expression: sympy.Expr, rewrite: Callable[[sympy.Expr], sympy.Expr]) -> sympy.Expr:
+    """Rewrite with symbols in place of arguments such as 1000 x of exponentials.
+
+    To sympy's factorisation exp(1000 x) is a polynomial of degree 1000, which takes minutes.
+    """
+    arguments = {e.args[0] for e in expression.atoms(sympy.exp) if _is_steep(e.args[0])}
+    names = {argument: sympy.Dummy(real=True) for argument in sorted(arguments, key=sympy.default_sort_key)}
+    masked = expression.xreplace({sympy.exp(argument): sympy.exp(name) for argument, name in names.items()})
+    return rewrite(masked).xreplace({name: argument for argument, name in names.items()})
+
+
+def _is_steep(argument: sympy.Expr) -> bool:
+    """Whether a number in an exponent is large, or a fraction of large numbers."""
+    return any(max(abs(r.p), r.q) > _STEEP for r in argument.atoms(sympy.Rational))
 
 
 def scalar_code(expression: sympy.Expr) -> str:

@@ -7,6 +7,6 @@ guesses are finite at the default parameters, and the conditions on one body's m
 """
 
 from codegen.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
-from codegen.model.normal_form import normalise
+from codegen.model.phases import normalise
 
 __all__ = ["Boundary", "Bounds", "Condition", "EndValue", "FreeParameter", "Model", "normalise"]

@@ -70,6 +70,11 @@ class Model:
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
     number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
     of `end_values` and parameters. The duration may depend on free parameters. `drawing` is for pictures alone.
+
+    A problem of several phases has a model for each in `phases`; with P of them, the P - 1 `jumps` give pairs
+    (coordinate or rate, value after the switch in terms of those before). The model itself then holds what belongs to
+    all phases, the start of the first and the end of the last one; controls, parameters and free parameters are those
+    of any phase, `duration` is the sum of all, and the time runs through.
     """
 
     task: str
@@ -104,6 +109,8 @@ class Model:
     end_values: tuple[EndValue, ...] = ()
     couplings: tuple[Condition, ...] = ()
     drawing: tuple[Item, ...] = ()
+    phases: tuple[Model, ...] = ()
+    jumps: tuple[tuple[tuple[sympy.Symbol, sympy.Expr], ...], ...] = ()
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:

@@ -13,7 +13,6 @@ from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, Sym
 from codegen.model import drawings, regularity, values
 from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
-from codegen.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
 from codegen.model.relations import text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
 from codegen.model.written import FORMS, Entry, form_of, used_quantities, written_entries
@@ -21,16 +20,12 @@ from codegen.problem import Control, Problem, Simulate
 from codegen.symbols import Quantity
 
 
-def normalise(
-    problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = ""
-) -> Model | PairwiseModel:
+def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
     """Check an author's problem and bring it into canonical form.
 
     `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of
     CodegenError that names the symbol or expression and the remedy.
     """
-    if is_pairwise(problem):
-        return normalise_pairwise(problem, declared, name, title)
     if not isinstance(problem, (Simulate, Control)):
         raise ProblemFileError(
             f"problem() returned {type(problem).__name__}", "return codegen.Simulate(...) or codegen.Control(...)"
@@ -42,29 +37,55 @@ def normalise(
     used = used_quantities(entries)
     drawing = drawings.checked_drawing(problem)
     drawings.require_derived(drawing, used)
-    _require_unique_names([*used, *declared])
-    _require_all_used([*used, *drawings.drawn_quantities(drawing)], declared)
+    require_unique_names([*used, *declared])
+    require_all_used([*used, *drawings.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
+    if isinstance(problem, Control):
+        require_cost([problem], kinds)
+    model = checked_model(problem, entries, kinds, name, title)
+    values.require_agreement(model)
+    return drawings.with_drawing(model, drawing, plain_symbols(used))
+
+
+def checked_model(
+    problem: Simulate | Control, entries: Sequence[Entry], kinds: Kinds, name: str = "", title: str = ""
+) -> Model:
+    """Check one problem and build its model; whether boundary values agree with conditions is still to be seen."""
+    form = form_of(problem)
     _require_fitting(problem, form, entries, kinds)
     require_keys(entries, kinds)
     require_scope(entries, kinds, form, isinstance(problem, Control))
-    plain = {symbol: sympy.Symbol(symbol.name, real=True) for symbol in used}
-    entries = [_in_plain_symbols(entry, plain) for entry in entries]
+    plain = plain_symbols(used_quantities(entries))
+    entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
     values.require_values(model, bounds_of(entries, list(plain.values())))
     regularity.require_regular(model)
-    values.require_agreement(model)
-    return drawings.with_drawing(model, drawing, plain)
+    return model
 
 
-def _require_unique_names(quantities: Sequence[Quantity]) -> None:
+def plain_symbols(used: Sequence[Quantity]) -> dict[Quantity, sympy.Symbol]:
+    """The symbols of a model that stand for the author's quantities."""
+    return {symbol: sympy.Symbol(symbol.name, real=True) for symbol in used}
+
+
+def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
+    """Refuse controls of which nothing says how they are best, in any of the problems."""
+    if not kinds.controls or any(problem.path for problem in problems):
+        return
+    if all(sympy.sympify(problem.cost) == sympy.sympify(problem.terminal_cost) == 0 for problem in problems):
+        raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
+
+
+def require_unique_names(quantities: Sequence[Quantity]) -> None:
+    """Refuse two quantities of one name."""
     seen: dict[str, Quantity] = {}
     for symbol in quantities:
         if seen.setdefault(symbol.name, symbol) != symbol:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
 
 
-def _require_all_used(used: Sequence[Quantity], declared: Sequence[Quantity]) -> None:
+def require_all_used(used: Sequence[Quantity], declared: Sequence[Quantity]) -> None:
+    """Refuse quantities that were declared to no purpose; SymbolError names one."""
     for symbol in declared:
         if symbol not in used:
             raise SymbolError(f"{symbol} is declared but never used", "remove it, or use it")
@@ -90,8 +111,6 @@ def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kind
 
 
 def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
-    if kinds.controls and not problem.path and sympy.sympify(problem.cost) == sympy.sympify(problem.terminal_cost) == 0:
-        raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
     for entry in entries:
         if entry.role == "constraint" and form != "lagrangian":
             raise ExpressionError(f"{entry.what} beside {form}", "give a Lagrangian, or write the condition in path")
@@ -168,7 +187,8 @@ def _built(
     )
 
 
-def _in_plain_symbols(entry: Entry, plain: Mapping[Quantity, sympy.Symbol]) -> Entry:
+def in_plain_symbols(entry: Entry, plain: Mapping[Quantity, sympy.Symbol]) -> Entry:
+    """An entry in the symbols of a model, with decimal numbers as rationals."""
     expression = expressions.tidied(entry.expression.xreplace(plain))
     return replace(entry, expression=expression, key=plain[entry.key] if entry.key is not None else None)
 

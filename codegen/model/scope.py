@@ -45,6 +45,7 @@ _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
     "upper bound": (Parameter, BodyNumber),
     "first guess": (Parameter,),
     "periodic": (Parameter,),
+    "jump": (*_MOVING, *_STATIC),
 }
 
 _WORDS: tuple[tuple[tuple[type[Quantity], ...], str], ...] = (
@@ -200,6 +201,8 @@ def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
             raise BoundaryError(f"{entry.role} fixes {key}", f"fix {moving} only")
         if entry.role == "periodic" and not (is_position or is_rate):
             raise BoundaryError(f"periodic lists {key}", f"list {moving} only")
+        if entry.role == "jump" and not (is_position or is_rate):
+            raise BoundaryError(f"{entry.what} at a switch", f"let {moving} jump only")
         if entry.role.endswith("bound") and not (
             is_position or is_rate or isinstance(key, (ControlInput, FreeParameter))
         ):

@@ -44,9 +44,9 @@ def form_of(problem: Problem) -> str:
     return given[0]
 
 
-def written_entries(problem: Problem, form: str) -> list[Entry]:
-    """All expressions of the problem, those inside the declarations of its free parameters included."""
-    entries = list(_entries(problem, form))
+def written_entries(problem: Problem, form: str, jump: Sequence[Entry] = ()) -> list[Entry]:
+    """All expressions of the problem, and of the jump before it, with those that declare its free parameters."""
+    entries = [*_entries(problem, form), *jump]
     free = {symbol for entry in entries for symbol in _symbols(entry) if isinstance(symbol, FreeParameter)}
     for symbol in sorted(free, key=lambda symbol: symbol.declared):
         entries += _declared_values(symbol)
@@ -54,6 +54,23 @@ def written_entries(problem: Problem, form: str) -> list[Entry]:
             if sum(entry.role == role and entry.key == symbol for entry in entries) > 1:
                 raise ExpressionError(f"{symbol} has two {role}s", "give it in free_parameter(...) or in bounds")
     return entries
+
+
+def jump_entries(jumps: Any, switches: int) -> list[list[Entry]]:
+    """The expressions of the jumps between phases, one list for each switch; none where there are no jumps at all."""
+    given = _sequence("jumps", jumps, "{state: value after the switch}")
+    if given and len(given) != switches:
+        raise ExpressionError(
+            f"jumps has {len(given)} entries for {switches} switches", "give one mapping for each switch, {} for none"
+        )
+    named = [(f"jumps[{place}]", mapping) for place, mapping in enumerate(given)]
+    return [
+        [
+            _entry("jump", f"{what} of {key}", value, key)
+            for key, value in _mapping(what, mapping, "state: value after the switch").items()
+        ]
+        for what, mapping in named
+    ]
 
 
 def used_quantities(entries: Iterable[Entry], keys: Iterable[Quantity] = ()) -> list[Quantity]:

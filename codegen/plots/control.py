@@ -47,11 +47,12 @@ Row = list[Panel | None]
 
 @dataclass(frozen=True)
 class Time:
-    """The abscissa of all panels over time: its label and the time interval."""
+    """The abscissa of all panels over time: its label, the time interval, and where one phase follows another."""
 
     label: str
     start: float
     end: float
+    switches: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,9 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
         figsize=(WIDTH, 0.9 + shape.height + height), layout=ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05)
     )
     upper, lower = _halves(figure, shape.height, height) if drawings is not None else (None, figure)
-    time = Time(f"time ({unit})" if unit else "time", float(result.t[0]), float(result.t[-1]))
+    phases = int(module.metadata.get("phases", 1))
+    label, switches = f"time ({unit})" if unit else "time", result.t[result.steps : -1 : result.steps]
+    time = Time(label, float(result.t[0]), float(result.t[-1]), tuple(map(float, switches)))
     outcome = "optimum" if result.solved else "last iterate"
     if drawings is not None and beside:
         left, right = _halves(upper, shape.left, 1.0 - shape.left, vertically=False)
@@ -90,7 +93,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
         _draw(upper, drawings, outcome)
     axes = _fill(lower, blocks, time)
     shown = [quantity for group in groups.values() for quantity in group]
-    handles = panels.handles(shown, conditions, outcome)
+    handles = panels.handles(shown, conditions, outcome, phases)
     if handles:
         lower.legend(handles=handles, loc="outside lower center", ncols=12)
     _body_bar(lower, axes, int(module.metadata["bodies"]))
@@ -164,6 +167,7 @@ def _fill(figure: Any, blocks: Sequence[Sequence[Row]], time: Time) -> list[Any]
                         time.start - 0.02 * (time.end - time.start), time.end + 0.02 * (time.end - time.start)
                     )
                     axes.tick_params(labelbottom=ends)
+                    panels.switches(axes, time.switches)
                 made.append(axes)
         first += len(block)
     return made
@@ -224,4 +228,5 @@ def _notes(result: Result, module: ControlModule, groups: dict[str, list[Quantit
     """Further words of the title: free parameters, and what the figure has no room for."""
     free = [f"{name} = {result.summary[name]:.6g}" for name in module.metadata["free_parameters"]]
     many = {"states": len(groups["state"]), "controls": len(groups["control"])}
-    return free + [f"{n - _MOST_ROWS} further {kind} not shown" for kind, n in many.items() if n > _MOST_ROWS]
+    phases = [f"{module.metadata['phases']} phases"] if "phases" in module.metadata else []
+    return phases + free + [f"{n - _MOST_ROWS} further {kind} not shown" for kind, n in many.items() if n > _MOST_ROWS]

@@ -20,6 +20,7 @@ _DOTTED = (0, (1, 1.5))
 _DASHED = (0, (5, 3))
 _ACTIVE: dict[str, Any] = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}
 _GUESS: dict[str, Any] = {"color": GREY, "linestyle": _DOTTED, "linewidth": 1.3, "zorder": 1.9}
+_SWITCH: dict[str, Any] = {"color": GREY, "linewidth": 0.7, "alpha": 0.6, "zorder": 1.1}
 _BOUND: dict[str, Any] = {"color": GREY, "linestyle": _DASHED, "linewidth": 1.0, "zorder": 1.2}
 
 
@@ -32,12 +33,12 @@ def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None
     colours = body_colours(shown.values.shape[1], KINDS[shown.kind])
     width = 1.6 if single else 1.2
     for values, colour in zip(shown.values.T, colours, strict=True):
-        _line(axes, shown.t, values, color=colour, linewidth=width)
+        _line(axes, shown, values, color=colour, linewidth=width)
     if second is not None:
         for values, colour in zip(second.values.T, colours, strict=True):
-            _line(axes, second.t, values, color=colour, linewidth=width, linestyle=_DASHED)
+            _line(axes, second, values, color=colour, linewidth=width, linestyle=_DASHED)
     if shown.guess is not None and single:
-        _line(axes, shown.t, shown.guess[:, 0], **_GUESS)
+        _line(axes, shown, shown.guess[:, 0], **_GUESS)
     if shown.kind == "state":
         for values, colour in zip(shown.values.T, colours, strict=True):
             axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
@@ -87,7 +88,9 @@ def iterations(axes: Any, log: Matrix) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=8, columnspacing=1.0, handlelength=1.5)
 
 
-def handles(quantities: Sequence[Quantity], inequalities: Sequence[Inequality], outcome: str) -> list[Any]:
+def handles(
+    quantities: Sequence[Quantity], inequalities: Sequence[Inequality], outcome: str, phases: int = 1
+) -> list[Any]:
     """Entries of the figure's legend, only for what occurs in it; `outcome` says what the curves of one body are."""
     bodies = quantities[0].values.shape[1]
     bounded = any(np.isfinite(q.lower).any() or np.isfinite(q.upper).any() for q in quantities) or bool(inequalities)
@@ -101,15 +104,24 @@ def handles(quantities: Sequence[Quantity], inequalities: Sequence[Inequality], 
         out += [Line2D([], [], color=colours[i], label=f"body {i}") for i in range(bodies)]
     if bounded:
         out += [Line2D([], [], label="bound", **_BOUND), Patch(color=FORBIDDEN, label="forbidden")]
+    out += [Line2D([], [], label="next phase", **_SWITCH)] if phases > 1 else []
     return out + ([Line2D([], [], label=active, **_ACTIVE)] if any(one.active().any() for one in limited) else [])
 
 
-def _line(axes: Any, t: Vector, values: Vector, **style: Any) -> None:
-    """A polygon through the nodes, or a step for every interval."""
-    if values.size == t.size:
-        axes.plot(t, values, **style)
-    else:
-        axes.stairs(values, t, baseline=None, **style)
+def _line(axes: Any, shown: Quantity, values: Vector, **style: Any) -> None:
+    """A polygon through the nodes, broken where the quantity jumps, or a step for every interval."""
+    if shown.on_intervals:
+        axes.stairs(values, shown.t, baseline=None, **style)
+        return
+    places = [node + 1 for node in shown.jumps]
+    for t, part in zip(np.split(shown.t, places), np.split(values, places), strict=True):
+        axes.plot(t, part, **style)
+
+
+def switches(axes: Any, times: Sequence[float]) -> None:
+    """Where one phase ends and the next begins."""
+    for t in times:
+        axes.axvline(t, **_SWITCH)
 
 
 def _highlight(axes: Any, t: Vector, values: Matrix, where: np.ndarray) -> None:
@@ -139,7 +151,7 @@ def _bounds(axes: Any, shown: Quantity) -> None:
                 edge = low if side < 0 else high
                 if side * (bound - edge) > -0.04 * (high - low):
                     low, high = (bound - 0.08 * (high - low), high) if side < 0 else (low, bound + 0.08 * (high - low))
-                axes.axhline(bound, **_BOUND)
+                _draw_bound(axes, shown.t, bounds, float(bound))
             else:
                 far.append(f"{sign} {bound:.4g}")
     axes.set_ylim(low, high)
@@ -148,14 +160,34 @@ def _bounds(axes: Any, shown: Quantity) -> None:
         axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=7.5, color=GREY)
 
 
+def _draw_bound(axes: Any, t: Vector, bounds: Vector | Matrix, bound: float) -> None:
+    """A dashed line where some body has this bound."""
+    if bounds.ndim == 1:
+        axes.axhline(bound, **_BOUND)
+        return
+    where = (_on_intervals(bounds, t) == bound).any(axis=1)
+    changes = np.flatnonzero(np.diff(where, prepend=False, append=False))
+    axes.hlines(np.full(changes.size // 2, bound), t[changes[::2]], t[changes[1::2]], **_BOUND)
+
+
 def _shade(axes: Any, shown: Quantity) -> None:
     """Colour what no body may enter."""
     low, high = axes.get_ylim()
+    if shown.lower.ndim > 1:
+        lower, upper = (_on_intervals(bounds, shown.t) for bounds in (shown.lower, shown.upper))
+        for edge, bounds in ((low, lower.min(axis=1)), (high, upper.max(axis=1))):
+            axes.stairs(np.clip(bounds, low, high), shown.t, baseline=edge, fill=True, color=FORBIDDEN, zorder=0.5)
+        return
     least, greatest = float(shown.lower.min()), float(shown.upper.max())
     if low < least < high:
         axes.axhspan(low, least, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
     if low < greatest < high:
         axes.axhspan(greatest, high, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+
+
+def _on_intervals(bounds: Matrix, t: Vector) -> Matrix:
+    """Bounds on intervals: a node's are those of the interval before it."""
+    return bounds[1:] if len(bounds) == t.size else bounds
 
 
 def _widen_if_flat(axes: Any, values: Matrix) -> None:

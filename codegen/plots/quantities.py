@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,7 +24,8 @@ class Quantity:
     """One quantity over time, a column for every body.
 
     `values` belong to the nodes `t`, or to the intervals between them when there is one row less. Bounds are infinite
-    where there are none. `kind` is state, momentum, multiplier or control.
+    where there are none, and have rows like the values where they may change. `kind` is state, momentum, multiplier or
+    control; `jumps` are the nodes after which another value follows at once.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Quantity:
     lower: Vector
     upper: Vector
     guess: Matrix | None = None
+    jumps: tuple[int, ...] = ()
 
     @property
     def on_intervals(self) -> bool:
@@ -92,7 +94,12 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     groups: dict[str, tuple[tuple[str, ...], Matrix, Matrix, int]] = {
         "state": (coordinates, result.q, guess.q, 0),
         "momentum": (momenta, result.p, guess.p, 1),
-        "control": (tuple(metadata["control_names"]), result.u, guess.u, 2),
+        "control": (
+            tuple(metadata["control_names"]),
+            _present(module, result.u, result.steps),
+            _present(module, guess.u, result.steps),
+            2,
+        ),
     }
     out: dict[str, list[Quantity]] = {}
     for kind, (names, values, guessed, place) in groups.items():
@@ -106,9 +113,10 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
                 kind,
                 result.t,
                 tables[0][:, :, i],
-                _constant(tables[2][:, :, i], -np.inf) if is_bounded else -none,
-                _constant(tables[3][:, :, i], np.inf) if is_bounded else none,
+                _limits(module, tables[2][:, :, i], -np.inf) if is_bounded else -none,
+                _limits(module, tables[3][:, :, i], np.inf) if is_bounded else none,
                 tables[1][:, :, i] if kind != "momentum" else None,
+                _jumps(module, result, name),
             )
             for i, name in enumerate(names)
         ]
@@ -119,28 +127,43 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
 def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
     """The path inequalities of a result, one for every condition that the author wrote, as they were discretised."""
     metadata = module.metadata
-    generated: Any = module
+    generated: Any = module  # it has names that only some modules have
     if result.unknowns is None or not hasattr(generated, "SLACKS"):
         return []
     grid = module.make_grid(result.steps)
     _, intervals = generated.views(grid, result.unknowns)
     _, residuals = generated.views(grid, generated.evaluate(grid, result.unknowns).gradient)
-    columns: dict[str, list[tuple[str, Matrix]]] = {}
-    first = len(metadata["node"])
-    for slack, multiplier in zip(generated.SLACKS - first, generated.SLACK_MULTIPLIERS - first, strict=True):
-        found = _SLACK.fullmatch(metadata["meanings"][metadata["interval"][slack]])
-        assert found is not None, "a slack's meaning names its inequality"
-        # The equation g + s = 0 may have a residual, so that the slack alone would hide a violation.
-        distance = intervals[:, :, slack] - residuals[:, :, multiplier]
-        columns.setdefault(found["name"], []).append((found["place"], _finite(distance).T))
-    out = []
-    for name, parts in columns.items():
-        steps = np.diff(result.t)
-        times = np.array([result.t[:-1] + c * steps for c in _places([place for place, _ in parts])])
-        order = np.argsort(times.ravel(), kind="stable")
-        distances = np.concatenate([values for _, values in parts])
-        out.append(Inequality(name, times.ravel()[order], distances[order]))
-    return out
+    columns: dict[str, list[tuple[Vector, Matrix]]] = {}
+    first, phases = len(metadata["node"]), metadata.get("slacks", (metadata["meanings"],))
+    for phase, meanings in enumerate(phases):
+        rows = slice(phase * result.steps, (phase + 1) * result.steps)
+        found: dict[str, list[tuple[str, Matrix]]] = {}
+        for slack, multiplier in zip(generated.SLACKS - first, generated.SLACK_MULTIPLIERS - first, strict=True):
+            meaning = _SLACK.fullmatch(meanings.get(metadata["interval"][slack], ""))
+            if meaning is None:
+                continue  # another phase has it
+            # The equation g + s = 0 may have a residual, so that the slack alone would hide a violation.
+            distance = intervals[:, rows, slack] - residuals[:, rows, multiplier]
+            found.setdefault(meaning["name"], []).append((meaning["place"], _finite(distance).T))
+        for name, parts in found.items():
+            columns.setdefault(name, []).append(_in_order(parts, result.t[:-1][rows], np.diff(result.t)[rows]))
+    return [Inequality(name, *_with_gaps(parts)) for name, parts in columns.items()]
+
+
+def _in_order(parts: list[tuple[str, Matrix]], t: Vector, steps: Vector) -> tuple[Vector, Matrix]:
+    """Times and values of what is known at some places of every interval."""
+    times = np.array([t + c * steps for c in _places([place for place, _ in parts])])
+    order = np.argsort(times.ravel(), kind="stable")
+    return times.ravel()[order], np.concatenate([values for _, values in parts])[order]
+
+
+def _with_gaps(parts: list[tuple[Vector, Matrix]]) -> tuple[Vector, Matrix]:
+    """Times and values of several stretches, with a value that is not drawn between them."""
+    t, values = parts[0]
+    for more, others in parts[1:]:
+        t = np.concatenate([t, t[-1:], more])
+        values = np.concatenate([values, np.full_like(others[:1], np.nan), others])
+    return t, values
 
 
 def _places(texts: list[str]) -> list[float]:
@@ -177,6 +200,37 @@ def _by_body(table: Matrix, bodies: int) -> Matrix:
     return table.reshape(len(table), bodies, -1)
 
 
+def _limits(module: ControlModule, table: Matrix, none: float) -> Vector | Matrix:
+    """The bound of every body, or at every time as well where there are phases, each with its own bounds."""
+    phases = module.metadata.get("phases", 1)
+    if phases == 1:
+        return _constant(table, none)
+    steps = len(table) // phases
+    parts = np.split(table, [len(table) - (phases - i) * steps for i in range(1, phases)])
+    # The node at the end of a phase has bounds of the next one as well.
+    inner = [part[:-1] if len(table) > phases * steps and steps > 1 else part for part in parts]
+    return np.concatenate(
+        [np.broadcast_to(_constant(own, none), part.shape) for own, part in zip(inner, parts, strict=True)]
+    )
+
+
+def _jumps(module: ControlModule, result: Result, name: str) -> tuple[int, ...]:
+    """The nodes after which a coordinate or momentum jumps; a coordinate's multiplier jumps with both."""
+    names = {name} | ({name[7:], f"p_{name[7:]}"} if name.startswith("lambda_") else set())
+    switches = enumerate(module.metadata.get("jumps", ()), start=1)
+    return tuple(i * result.steps for i, jumping in switches if names & set(jumping))
+
+
+def _present(module: ControlModule, controls: Matrix, steps: int) -> Matrix:
+    """Controls with NaN, which is not drawn, in phases that have no such control."""
+    if "phases" not in module.metadata:
+        return controls
+    grid, generated = module.make_grid(steps), cast("Any", module)
+    _, intervals = module.views(grid, np.where(generated.free_unknowns(grid), 0.0, np.nan))
+    places = [module.metadata["interval"].index(name) for name in module.metadata["control_names"]]
+    return np.asarray(controls + intervals[0][:, places])
+
+
 def _constant(table: Matrix, none: float) -> Vector:
     """The bound of every body: it is the same at all times, but missing where a boundary value takes its place."""
     finite = np.isfinite(table)
@@ -199,4 +253,5 @@ def _multipliers(module: ControlModule, result: Result, names: tuple[str, ...]) 
     wanted = {f"{stem}_{name}" for stem in ("lambda", "mu") for name in names}
     for i, column in enumerate(columns):
         if column in wanted:
-            yield Quantity(column, "multiplier", result.t, table[:, :, i], -none, none)
+            jumps = _jumps(module, result, column)
+            yield Quantity(column, "multiplier", result.t, table[:, :, i], -none, none, jumps=jumps)

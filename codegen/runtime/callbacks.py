@@ -18,12 +18,14 @@ from codegen.runtime.example import (
     HESSIAN_ROWS,
     NODE,
     ONLY_AT_ENDS,
+    PHASES,
     ROOT,
     SHARED,
     START_PINNED,
     STRIDE,
     interval_hessian,
 )
+from codegen.runtime.phases import lacking_unknowns
 from codegen.runtime.point import evaluate
 from codegen.runtime.shared import read_shared, root_place, shared_representatives
 
@@ -37,6 +39,9 @@ def free_unknowns(grid):
         bodies[:, i + STRIDE : -NODE : STRIDE] = False
     bodies[:, START_PINNED] = False
     bodies[:, chain - NODE + END_PINNED] = False
+    if PHASES:
+        intervals = bodies[:, : grid.steps * STRIDE].reshape(BODIES, grid.steps, STRIDE)
+        intervals[:, :, NODE:] &= ~lacking_unknowns(grid)
     return free
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.elements import BLOCK, SIZE
+from codegen.runtime.elements import BLOCK, ROWS, SIZE, TAIL, WIDTH
 from codegen.runtime.example import (
     BODIES,
     CONDENSED,
@@ -15,16 +15,17 @@ from codegen.runtime.example import (
     STRIDE,
 )
 from codegen.runtime.shared import root_place
+from codegen.runtime.symmetric import subtract_row
 
 
 def sort_entries():
     """Sort the entries of an interval's Hessian by how many of their two unknowns are eliminated: none, one or both.
 
-    Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are counted among the
-    unknowns that stay, or among those that are eliminated.
+    Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are those of the
+    element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT + SHARED) >= BLOCK) & (np.arange(ELEMENT + SHARED) < STRIDE)
-    place = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE + SHARED)])
+    place = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
     kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
     rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
@@ -35,8 +36,7 @@ def sort_entries():
 (KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS), (INSIDE, INSIDE_ROWS, INSIDE_COLUMNS) = (
     sort_entries()
 )
-TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose entries the elimination changes
-SLOTS = np.searchsorted(TOUCHED, COUPLED_COLUMNS)
+TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination changes
 
 
 @njit(error_model="numpy")
@@ -61,6 +61,17 @@ def invert_positive_definite(block, inverse):
     return True
 
 
+@njit(error_model="numpy", inline="always")
+def subtract_condensed(coupling, inverse, element):
+    """Subtract B' inverse(C) B from the element matrix; B has a column for each of its unknowns."""
+    for i in TOUCHED:
+        for a in range(CONDENSED):
+            weighted = 0.0
+            for b in range(CONDENSED):
+                weighted += inverse[a, b] * coupling[b, i]
+            subtract_row(weighted, coupling, a, WIDTH, element, i)
+
+
 @njit(error_model="numpy")
 def condense(gradient, condensed, steps, reduced, root):
     """Fill the right-hand sides -(g - B' inverse(C) g_u) of the unknowns that stay; `root` holds -g already."""
@@ -80,12 +91,10 @@ def condense(gradient, condensed, steps, reduced, root):
                 weighted = 0.0
                 for b in range(CONDENSED):
                     weighted += inverse[a, b] * here[k * STRIDE + BLOCK + b]
-                for i in range(TOUCHED.size):
-                    change = couplings[interval, a, i] * weighted
-                    if SHARED and TOUCHED[i] >= SIZE:
-                        root[root_place(body, TOUCHED[i] - SIZE)] += change
-                    else:
-                        right[k * BLOCK + TOUCHED[i]] += change
+                for i in range(SIZE):
+                    right[k * BLOCK + i] += couplings[interval, a, i] * weighted
+                for i in range(SHARED):
+                    root[root_place(body, i)] += couplings[interval, a, TAIL + i] * weighted
 
 
 @njit(error_model="numpy")
@@ -105,11 +114,10 @@ def expand(gradient, condensed, steps, reduced, root, step):
                 step[here + i] = solved[k * BLOCK + i]
             for b in range(CONDENSED):
                 forcing[b] = gradient[here + BLOCK + b]
-                for i in range(TOUCHED.size):
-                    if SHARED and TOUCHED[i] >= SIZE:
-                        forcing[b] += couplings[interval, b, i] * root[root_place(body, TOUCHED[i] - SIZE)]
-                    else:
-                        forcing[b] += couplings[interval, b, i] * solved[k * BLOCK + TOUCHED[i]]
+                for i in range(SIZE):
+                    forcing[b] += couplings[interval, b, i] * solved[k * BLOCK + i]
+                for i in range(SHARED):
+                    forcing[b] += couplings[interval, b, TAIL + i] * root[root_place(body, i)]
             for a in range(CONDENSED):
                 value = 0.0
                 for b in range(CONDENSED):

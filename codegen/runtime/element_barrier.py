@@ -9,6 +9,7 @@ from numba import njit
 
 from codegen.runtime.condensation import (
     COUPLED,
+    COUPLED_COLUMNS,
     COUPLED_ROWS,
     INSIDE,
     INSIDE_COLUMNS,
@@ -16,11 +17,10 @@ from codegen.runtime.condensation import (
     KEPT,
     KEPT_COLUMNS,
     KEPT_ROWS,
-    SLOTS,
-    TOUCHED,
     invert_positive_definite,
+    subtract_condensed,
 )
-from codegen.runtime.elements import BLOCK
+from codegen.runtime.elements import BLOCK, WIDTH
 from codegen.runtime.example import BODIES, CONDENSED
 
 
@@ -30,7 +30,7 @@ def allocate_condensed(grid):
     return (
         np.zeros((CONDENSED, CONDENSED)),
         np.empty((intervals, CONDENSED, CONDENSED)),
-        np.zeros((intervals, CONDENSED, TOUCHED.size)),
+        np.zeros((intervals, CONDENSED, WIDTH)),
     )
 
 
@@ -52,7 +52,7 @@ def add_element(hessian, diagonal, condensed, interval, element):
         if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
             element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
     for j in range(COUPLED.size):
-        couplings[interval, COUPLED_ROWS[j], SLOTS[j]] = hessian[COUPLED[j]]
+        couplings[interval, COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
     for a in range(CONDENSED):
         for b in range(CONDENSED):
             block[a, b] = 0.0
@@ -63,10 +63,5 @@ def add_element(hessian, diagonal, condensed, interval, element):
             block[INSIDE_COLUMNS[j], INSIDE_ROWS[j]] += hessian[INSIDE[j]]
     if not invert_positive_definite(block, inverses[interval]):
         return False
-    for a in range(CONDENSED):
-        for b in range(CONDENSED):
-            for i in range(TOUCHED.size):
-                weighted = couplings[interval, a, i] * inverses[interval, a, b]
-                for j in range(TOUCHED.size):
-                    element[TOUCHED[i], TOUCHED[j]] -= weighted * couplings[interval, b, j]
+    subtract_condensed(couplings[interval], inverses[interval], element)
     return True

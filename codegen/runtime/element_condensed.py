@@ -9,15 +9,15 @@ from numba import njit
 
 from codegen.runtime.condensation import (
     COUPLED,
+    COUPLED_COLUMNS,
     COUPLED_ROWS,
     KEPT,
     KEPT_COLUMNS,
     KEPT_ROWS,
-    SLOTS,
-    TOUCHED,
     invert_positive_definite,
+    subtract_condensed,
 )
-from codegen.runtime.elements import BLOCK
+from codegen.runtime.elements import BLOCK, WIDTH
 from codegen.runtime.example import BODIES, CONDENSED, control_hessian
 
 
@@ -26,7 +26,7 @@ def allocate_condensed(grid):
     block = np.zeros((CONDENSED, CONDENSED))
     control_hessian(grid.h, grid.parameters[0], block)
     block += np.tril(block, -1).T
-    couplings = np.zeros((BODIES * grid.steps, CONDENSED, TOUCHED.size))
+    couplings = np.zeros((BODIES * grid.steps, CONDENSED, WIDTH))
     return block, np.empty((1, CONDENSED, CONDENSED)), couplings
 
 
@@ -51,11 +51,6 @@ def add_element(hessian, diagonal, condensed, interval, element):
         if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
             element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
     for j in range(COUPLED.size):
-        couplings[interval, COUPLED_ROWS[j], SLOTS[j]] = hessian[COUPLED[j]]
-    for a in range(CONDENSED):
-        for b in range(CONDENSED):
-            for i in range(TOUCHED.size):
-                weighted = couplings[interval, a, i] * inverses[0, a, b]
-                for j in range(TOUCHED.size):
-                    element[TOUCHED[i], TOUCHED[j]] -= weighted * couplings[interval, b, j]
+        couplings[interval, COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
+    subtract_condensed(couplings[interval], inverses[0], element)
     return True

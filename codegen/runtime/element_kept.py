@@ -1,8 +1,13 @@
 """An interval's element matrix, with all its unknowns kept: none can be eliminated beforehand."""
 
+import numpy as np
 from numba import njit
 
+from codegen.runtime.elements import BORDER, TAIL
 from codegen.runtime.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, STRIDE
+
+PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER)
+PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER)
 
 
 def allocate_condensed(grid):
@@ -20,7 +25,7 @@ def prepare_condensed(weight, diagonal, condensed):
 def add_element(hessian, diagonal, condensed, interval, element):
     """Add the Hessian of an interval to the element matrix."""
     for j in range(hessian.size):
-        row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
+        row, column = PLACE_ROWS[j], PLACE_COLUMNS[j]
         element[row, column] += hessian[j]
         if row != column:
             element[column, row] += hessian[j]

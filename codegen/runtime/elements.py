@@ -1,7 +1,7 @@
 """Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
 
-An element's unknowns are those of its left node, of the interval and of its right node, without those that are
-eliminated inside the interval; then the shared unknowns.
+The rows of an element matrix are those of block k, which is node k and its interval without what is eliminated inside
+the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns.
 """
 
 import numpy as np
@@ -16,7 +16,9 @@ from codegen.runtime.example import (
     HESSIAN_ROWS,
     IS_MULTIPLIER,
     NODE,
+    PHASES,
     SHARED,
+    SHARED_IS_MULTIPLIER,
     START_PINNED,
     START_SHARED,
     START_SHARED_PLACES,
@@ -24,32 +26,44 @@ from codegen.runtime.example import (
 )
 from codegen.runtime.shared import release_rows
 
+
+def padded(size):
+    """The next multiple of four: four entries of a row are computed at once."""
+    return (size + 3) // 4 * 4
+
+
 BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
-SIZE = BLOCK + NODE  # unknowns of an element, shared ones aside
+SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
+FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
+BORDER = FIRST.size
+TAIL = SIZE + BORDER  # where shared unknowns begin
+ROWS = TAIL + SHARED  # of an element matrix
+WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
+if PHASES:
+    LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
 IS_CURVATURE = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] == LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS]
+if PHASES:
+    IS_CURVATURE &= ~LOCAL_IS_MULTIPLIER[HESSIAN_ROWS]  # multipliers that an interval lacks must not become singular
 
 
-@njit(error_model="numpy", inline="always")
-def add_diagonal_and_pin(k, steps, diagonal, element):
-    """Add a body's share of `diagonal`, and pin what is given at the ends.
+@njit(error_model="numpy")
+def pin_ends(k, steps, diagonal, element):
+    """Add the last node's share of `diagonal`, and pin what is given at the ends.
 
-    A node's diagonal is added in the element on its right, the last node's in the last element. The row and column
-    of an unknown that a boundary condition gives are those of the unit matrix.
+    The row and column of an unknown that a boundary condition gives are those of the unit matrix.
     """
-    for i in range(BLOCK):
-        element[i, i] += diagonal[k * STRIDE + i]
     if k == steps - 1:
         for i in range(NODE):
-            element[BLOCK + i, BLOCK + i] += diagonal[(k + 1) * STRIDE + i]
+            element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
     if k == 0:
         if SHARED:
-            release_rows(START_SHARED_PLACES, START_SHARED, 0, SIZE, element)
+            release_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
         for i in START_PINNED:
             pin(i, element)
     if k == steps - 1:
         if SHARED:
-            release_rows(END_SHARED_PLACES, END_SHARED, BLOCK, SIZE, element)
+            release_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
         for i in END_PINNED:
             pin(BLOCK + i, element)
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.elements import BLOCK, LOCAL_IS_MULTIPLIER, SIZE, add_diagonal_and_pin
+from codegen.runtime.elements import BLOCK, LOCAL_IS_MULTIPLIER, TAIL, pin_ends
 from codegen.runtime.example import (
     BODIES,
     END_HESSIAN_COLUMNS,
@@ -22,9 +22,9 @@ from codegen.runtime.shared import root_place
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
-    """Add the Hessians of the boundary conditions and the diagonal to an element matrix, and pin what is given."""
+    """Add the Hessians of the boundary conditions to the first or last element matrix, and pin what is given."""
     if k == 0:
         entries = np.empty(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[:NODE], 0.0, parameters, entries)
@@ -33,7 +33,7 @@ def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
         entries = np.empty(END_HESSIAN_ROWS.size)
         end_hessian(unknowns[steps * STRIDE : steps * STRIDE + NODE], steps * h, parameters, entries)
         add_end_hessian(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, BLOCK, weight, element)
-    add_diagonal_and_pin(k, steps, diagonal, element)
+    pin_ends(k, steps, diagonal, element)
 
 
 @njit(error_model="numpy")
@@ -43,8 +43,8 @@ def add_end_hessian(entries, rows, columns, first, weight, element):
         value = entries[j]
         if END_IS_MULTIPLIER[rows[j]] == END_IS_MULTIPLIER[columns[j]]:
             value *= weight
-        row = first + rows[j] if rows[j] < NODE else SIZE + rows[j] - NODE
-        column = first + columns[j] if columns[j] < NODE else SIZE + columns[j] - NODE
+        row = first + rows[j] if rows[j] < NODE else TAIL + rows[j] - NODE
+        column = first + columns[j] if columns[j] < NODE else TAIL + columns[j] - NODE
         element[row, column] += value
         if row != column:
             element[column, row] += value

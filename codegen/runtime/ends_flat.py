@@ -3,13 +3,13 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.elements import add_diagonal_and_pin
+from codegen.runtime.elements import pin_ends
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
-    """Add the diagonal of an element matrix and pin what is given."""
-    add_diagonal_and_pin(k, steps, diagonal, element)
+    """Pin what is given."""
+    pin_ends(k, steps, diagonal, element)
 
 
 def end_entries(grid, unknowns):

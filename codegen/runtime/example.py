@@ -8,7 +8,9 @@ import numpy as np
 from numba import njit
 
 NODE, CONDENSED, STRIDE, ELEMENT = 2, 1, 3, 5
-BODIES, OWN, SHARED, COUPLINGS, ROOT = 1, 0, 0, 0, 0
+BODIES, OWN, SHARED, COUPLINGS, ROOT, PHASES = 1, 0, 0, 0, 0, 0
+PHASE_LACKS = SWITCH_LACKS = np.zeros((0, 1), bool)
+SHARED_IS_MULTIPLIER = np.zeros(0, bool)
 IS_MULTIPLIER = np.array([False, True, False])
 START_PINNED = END_PINNED = np.array([0])
 ONLY_AT_ENDS = np.zeros(0, np.int64)
@@ -20,7 +22,7 @@ COUPLING_PLACES = np.zeros((0, 0), np.int64)
 HESSIAN_ROWS = np.array([0, 1, 2, 2, 3, 3, 3, 4, 4, 4])
 HESSIAN_COLUMNS = np.array([0, 0, 1, 2, 0, 1, 3, 0, 2, 3])
 START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLUMNS = np.zeros(0, np.int64)
-metadata = {"node": ("q", "lambda_q"), "interval": ("u",), "parameters": {}}
+metadata = {"node": ("q", "lambda_q"), "interval": ("u",), "shared": (), "meanings": {}, "parameters": {}}
 
 
 @njit(error_model="numpy")
@@ -91,6 +93,16 @@ def end_hessian(x, t, parameters, hessian):
     """Nothing is curved at the end."""
 
 
+def phase_durations(grid, unknowns):
+    """There are no phases."""
+    return np.zeros(0)
+
+
 def variable_bounds(grid):
     """Nothing is bounded."""
     return np.full(grid.is_multiplier.size, -np.inf), np.full(grid.is_multiplier.size, np.inf)
+
+
+def duration_of(grid, unknowns):
+    """The length of the time interval."""
+    return grid.steps * grid.h

@@ -1,4 +1,4 @@
-"""What surrounds the solver: the time grid and its checks, views of the unknowns, messages, the iteration log."""
+"""What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log."""
 
 import numpy as np
 
@@ -7,23 +7,13 @@ from codegen.runtime.example import (
     COUPLINGS,
     IS_MULTIPLIER,
     NODE,
+    PHASES,
     ROOT,
     SHARED,
+    SHARED_IS_MULTIPLIER,
     STRIDE,
-    metadata,
 )
 from codegen.runtime.point import Grid
-
-REMEDIES = {
-    "iteration limit": "raise max_iterations, or start from a better guess",
-    "non-finite": "a kernel returned NaN or infinity; change the guess or the parameters",
-    "rank-deficient": "the optimality conditions are singular: a control is free of cost, or a boundary condition is"
-    " redundant or out of reach; run codegen check",
-    "saddle point": "the guess is stationary, but no minimum; start from another guess",
-    "unbounded": "the cost has no minimum under the constraints; check the sign of the cost",
-    "stalled": "no further progress in floating-point arithmetic; loosen the tolerance or rescale the problem",
-    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps",
-}
 
 
 def checked_grid(steps, duration, parameters):
@@ -38,11 +28,17 @@ def checked_grid(steps, duration, parameters):
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
-    chain = np.append(np.tile(IS_MULTIPLIER, steps), IS_MULTIPLIER[:NODE])
-    is_multiplier = np.zeros(BODIES * chain.size + ROOT, dtype=bool)
-    is_multiplier[: BODIES * chain.size] = np.tile(chain, BODIES)
+    if PHASES:
+        steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
+    chain = steps * STRIDE + NODE
+    is_multiplier = np.zeros(BODIES * chain + ROOT, dtype=bool)
+    chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
+    chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
+    chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
     if COUPLINGS:
         is_multiplier[is_multiplier.size - COUPLINGS :] = True
+    if PHASES:
+        is_multiplier[BODIES * chain :] = SHARED_IS_MULTIPLIER
     return Grid(steps, float(duration) / steps, table, is_multiplier)
 
 
@@ -68,27 +64,6 @@ def views(grid, unknowns):
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
     return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
-
-
-def describe(grid, point, status):
-    """One sentence on how the solution ended, naming the worst equation and its node where it failed."""
-    if status == "solved":
-        return f"all equations hold to {point.error:.1e}"
-    size = np.abs(point.gradient)
-    worst = int(np.argmax(np.where(np.isfinite(size), size, np.inf)))
-    where = f"by {unknown_name(grid, worst)}"
-    return f"{status}: the derivative of the Lagrangian {where} is {point.gradient[worst]:.1e}; {REMEDIES[status]}"
-
-
-def unknown_name(grid, place):
-    """What an unknown is called and where it lives, as in `r at node 3`."""
-    chain = grid.steps * STRIDE + NODE
-    if SHARED and place >= BODIES * chain:
-        return metadata["shared"][place - BODIES * chain]
-    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
-    name = (*metadata["node"], *metadata["interval"])[local]
-    of_body = f" of body {body}" if BODIES > 1 else ""
-    return f"{name} at {'node' if local < NODE else 'interval'} {k}{of_body}"
 
 
 def print_log(rows):

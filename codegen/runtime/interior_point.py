@@ -20,6 +20,7 @@ from codegen.runtime.barrier import (
     push_inside,
     step_duals,
 )
+from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
@@ -85,9 +86,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if measured[1] <= tolerance and is_solved(grid, point, tolerance):
-            # Newton's steps went downhill; a start that is stationary already may be no minimum.
-            minimum = iteration > 0 or regularised_step(search, iterate, mu, 0.0).shift == 0.0
-            return ("solved" if minimum else "saddle point"), point, iteration
+            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+            doubtful = iteration == 0 or shift > 0.0
+            return ("saddle point" if doubtful and not is_minimum(search, iterate) else "solved"), point, iteration
         if is_boundless(grid, point):
             return "unbounded", point, iteration
         if iteration == max_iterations:
@@ -114,6 +115,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
                 return status, point, iteration
         iterate = trial
     return "iteration limit", point, max_iterations
+
+
+def is_minimum(search, iterate):
+    """Whether a stationary point is a minimum to second order, up to rounding, with the barrier to stand for bounds."""
+    grid, bounds, system = search
+    diagonal = np.empty(iterate.point.unknowns.size)
+    barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, FLAT, FLAT, diagonal)
+    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
 def first_iterate(search, unknowns, mu, warm):

@@ -7,6 +7,7 @@ curvature that replaces the inertia of the KKT matrix.
 
 import numpy as np
 
+from codegen.runtime.curvature import FLAT
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.descent import slope_of
 from codegen.runtime.point import evaluate
@@ -31,7 +32,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if is_solved(grid, point, tolerance):
-            return ("solved" if iteration or is_minimum(grid, point, system) else "saddle point"), point, iteration
+            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+            doubtful = iteration == 0 or shift > 0.0
+            return ("saddle point" if doubtful and not is_minimum(grid, point, system) else "solved"), point, iteration
         if iteration == max_iterations:
             break
         step, slope, shift = regularised_step(grid, point, last_shift, system)
@@ -52,8 +55,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
 
 
 def is_minimum(grid, point, system):
-    """Whether a start that is stationary already is a minimum: the reduced Hessian is positive definite."""
-    return factor_kkt(grid, point.unknowns, 1.0, np.zeros(point.unknowns.size), system) == 0
+    """Whether a stationary point is a minimum to second order: the reduced Hessian is positive, up to rounding."""
+    return factor_kkt(grid, point.unknowns, 1.0, shifts(grid, FLAT, FLAT), system) == 0
 
 
 def guess_multipliers(grid, unknowns, system):
@@ -137,8 +140,8 @@ def envelope(point):
 
 
 def restore(grid, point, filtered, system):
-    """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced further."""
-    step = np.empty_like(point.gradient)
+    """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced by a tenth."""
+    step, first = np.empty_like(point.gradient), point.violation
     for _ in range(50):
         if factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system) is None:
             return None
@@ -152,6 +155,6 @@ def restore(grid, point, filtered, system):
                 return None
             trial = evaluate(grid, point.unknowns + length * step)
         point = trial
-        if acceptable(point, filtered):
+        if point.violation <= 0.9 * first and acceptable(point, filtered):
             return point
     return None

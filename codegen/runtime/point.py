@@ -32,8 +32,8 @@ class Point(NamedTuple):
 
     @property
     def error(self):
-        """Max-norm of all equations of the optimum."""
-        return max(self.residual, self.stationarity)
+        """Max-norm of all equations of the optimum; infinite where the cost is not finite."""
+        return max(self.residual, self.stationarity) if abs(self.cost) < np.inf else np.inf
 
 
 def evaluate(grid, unknowns):

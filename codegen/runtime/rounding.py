@@ -14,7 +14,7 @@ from codegen.runtime.example import (
     STRIDE,
     interval_hessian,
 )
-from codegen.runtime.shared import root_place
+from codegen.runtime.shared import read_shared, root_place
 
 UNIT_ROUNDOFF = 2.2e-16
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
@@ -30,6 +30,8 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     hessian = np.empty(HESSIAN_ROWS.size)
     sums = np.zeros(unknowns.size)
     for body in range(BODIES):
+        if SHARED:
+            read_shared(unknowns, body, parameters)
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]

@@ -9,7 +9,8 @@ from codegen.errors import ArgumentError
 from codegen.model import Model
 from codegen.model.pairwise import PairwiseModel
 from codegen.schemes import DiscreteLagrangian, OneStep
-from codegen.transcribe import connect, one_step, simulate, variational
+from codegen.transcribe import connect, one_step, phases, simulate, variational
+from codegen.transcribe.assembly import in_scaled_time
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 
@@ -46,12 +47,20 @@ def transcribe(
         if controls != "interval":
             raise ArgumentError("a simulation has no controls", "leave --controls out")
         return simulate.simulate(model, found, method)
-    if isinstance(found, DiscreteLagrangian):
-        return variational.variational(model, found, controls == "nodal")
-    assert isinstance(found, OneStep)
+    if model.phases:
+        if controls != "interval":
+            raise ArgumentError("a problem of several phases has its controls on intervals", "leave --controls out")
+        return phases.chained(model, lambda phase: _controlled(phase, found, method, False))
+    return in_scaled_time(_controlled(model, found, method, controls == "nodal"))
+
+
+def _controlled(model: Model, scheme: schemes.Scheme, method: str, nodal_controls: bool) -> ControlProgram:
+    if isinstance(scheme, DiscreteLagrangian):
+        return variational.variational(model, scheme, nodal_controls)
+    assert isinstance(scheme, OneStep)
     if method == schemes.FIRST_ORDER:
-        return one_step.first_order(model, found, controls == "nodal")
-    return one_step.hamiltonian(model, found, controls == "nodal")
+        return one_step.first_order(model, scheme, nodal_controls)
+    return one_step.hamiltonian(model, scheme, nodal_controls)
 
 
 def _require_method(model: Model, method: str) -> None:

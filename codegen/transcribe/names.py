@@ -34,6 +34,10 @@ class Names:
             name += "_"
         return self._take(name)
 
+    def reserve(self, names: Iterable[str]) -> None:
+        """Never hand out these names."""
+        self._taken |= set(names)
+
     def _take(self, name: str) -> str:
         self._taken.add(name)
         return name

@@ -58,6 +58,52 @@ class Coupling:
 
 
 @dataclass(frozen=True)
+class IntervalElement:
+    """The share of an interval in the Lagrangian of the optimisation problem, and its discrete cost.
+
+    `lacking` are the places, among the unknowns of an interval (without its nodes), of those that this one does not
+    have: x^2/2 in `element` makes them vanish.
+    """
+
+    element: Expr
+    cost: Expr
+    lacking: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Phase:
+    """What belongs to one phase of several: the shares of its intervals, bounds, guesses, equations to read.
+
+    `switch` is the share of the first interval where that differs from the others, because the phase follows another.
+    The symbols t and h run from the phase's number to the next; `duration` is already inside. `node` and `inside`
+    (interval, controls, slacks) are the program's unknowns with the bounds of this phase. At the switch before the
+    phase, `jumping` are places in a node of what changes, so that bounds of this phase do not hold before, and `given`
+    of what has a prescribed value and needs no bounds; `broken` names what has another value after it. Guesses are
+    expressions of the time of the whole problem: of a node's primal unknowns in their order, and of unknowns of an
+    interval, or of the first one, as pairs (place, value).
+    """
+
+    duration: Expr
+    regular: IntervalElement
+    switch: IntervalElement | None
+    node: tuple[Unknown, ...]
+    inside: tuple[Unknown, ...]
+    jumping: tuple[int, ...]
+    given: tuple[int, ...]
+    broken: tuple[str, ...]
+    node_guess: tuple[Expr, ...]
+    inside_guess: tuple[tuple[int, Expr], ...]
+    switch_guess: tuple[tuple[int, Expr], ...]
+    equations: tuple[tuple[str, Expr], ...]
+    switch_equations: tuple[tuple[str, Expr], ...]
+
+    @property
+    def elements(self) -> tuple[IntervalElement, ...]:
+        """That of the first interval, where it is one of its own, then that of the others."""
+        return (self.regular,) if self.switch is None else (self.switch, self.regular)
+
+
+@dataclass(frozen=True)
 class ControlProgram:
     """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
 
@@ -73,6 +119,8 @@ class ControlProgram:
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
     unknowns that is already inside `element`.
     `only_at_ends` are places in a node of unknowns that only the first or last node has; elsewhere they are zero.
+    Where there are `phases`, intervals of equal number for each follow each other in one chain; `element`, `cost`,
+    bounds, guesses and equations are then those of the first.
     `equations` are the discrete equations for people to read, the guesses are expressions of time, duration and
     parameters, for the primal unknowns of a node, the stages of an interval and the controls.
     """
@@ -110,6 +158,7 @@ class ControlProgram:
     couplings: tuple[Coupling, ...] = ()
     coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
     scaled_time: bool = False
+    phases: tuple[Phase, ...] = ()
 
     @property
     def element_symbols(self) -> tuple[Symbol, ...]:
@@ -118,9 +167,17 @@ class ControlProgram:
         return (*self.left_symbols, *inside, *self.right_symbols, *self.shared_symbols)
 
     @property
+    def interval_elements(self) -> tuple[IntervalElement, ...]:
+        """The shares of all kinds of intervals: of a phase that of the first one, if it is special, and of others."""
+        if not self.phases:
+            return (IntervalElement(self.element, self.cost),)
+        return tuple(element for phase in self.phases for element in phase.elements)
+
+    @property
     def has_inequalities(self) -> bool:
         """Whether an unknown has bounds or is a slack."""
         unknowns = (*self.node, *self.interval, *self.controls, *self.shared)
+        unknowns += tuple(unknown for phase in self.phases for unknown in (*phase.node, *phase.inside))
         bounded = any(u.lower is not None or u.upper is not None for u in unknowns)
         return bounded or bool(self.slacks or self.start.slacks or self.end.slacks)
 

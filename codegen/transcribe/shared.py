@@ -83,5 +83,18 @@ def _bounded(model: Model, unknown: Unknown, aliases: Sequence[Alias]) -> Unknow
 
 
 def _independent(model: Model) -> tuple[Condition, ...]:
-    """The couplings without those that follow from the others, which would make the KKT matrix singular."""
-    return tuple(model.couplings[i] for i in independent_couplings(model).kept)
+    """The couplings without those that follow from the others, which would make the KKT matrix singular.
+
+    All of them where they seem to contradict each other: what follows from the others there need not hold with them.
+    Raises BoundaryError for a condition without a slope, which no Newton step can reach.
+    """
+    found = independent_couplings(model)
+    if not found.consistent:
+        return model.couplings
+    for place, others in found.dropped:
+        if not others:
+            raise BoundaryError(
+                f"the condition {model.couplings[place].name} between bodies has no slope where it holds",
+                "write it without its square, or leave it out",
+            )
+    return tuple(model.couplings[i] for i in found.kept)

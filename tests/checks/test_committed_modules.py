@@ -18,6 +18,7 @@ ABOUT_CONTROL = {
     "boundary rank",
     "null controls",
     "holonomic drift",
+    "switches",
     "second-order condition",
     "optimum",
 }
@@ -30,15 +31,20 @@ ABOUT_MECHANICS = {
 }
 SILENT = {
     "pendulum": {*ABOUT_CONTROL, "discrete Noether"},
-    "linear_pendulum": {"discrete Noether", "holonomic drift"},
-    "orbital_transfer": {"area preservation", "holonomic drift"},
-    "hovercraft": {"area preservation", "holonomic drift", "optimum"},  # several bodies, coupled at the end
-    "double_integrator": {"holonomic drift", "optimum"},  # free duration, bounded control
-    "low_thrust": {"area preservation", "holonomic drift", "optimum"},  # path inequality, end condition, end cost
-    "spherical_pendulum": {"area preservation", "optimum"},  # holonomic constraint
-    "van_der_pol": {*ABOUT_MECHANICS, "holonomic drift", "optimum"},  # first-order system
+    "linear_pendulum": {"discrete Noether", "holonomic drift", "switches"},
+    "orbital_transfer": {"area preservation", "holonomic drift", "switches"},
+    "hovercraft": {"area preservation", "holonomic drift", "switches", "optimum"},  # several bodies, coupled at the end
+    "double_integrator": {"holonomic drift", "switches", "optimum"},  # free duration, bounded control
+    "low_thrust": {
+        "area preservation",
+        "holonomic drift",
+        "switches",
+        "optimum",
+    },  # path inequality, end condition, end cost
+    "spherical_pendulum": {"area preservation", "switches", "optimum"},  # holonomic constraint
+    "van_der_pol": {*ABOUT_MECHANICS, "holonomic drift", "switches", "optimum"},  # first-order system
 }
-"""Checks that do not apply: a simulation has no boundary value problem, and so on."""
+"""Checks that do not apply: a simulation has no boundary value problem, and so on; see test_phase_checks for phases."""
 
 
 @pytest.mark.parametrize("name", checks.CHECKS)

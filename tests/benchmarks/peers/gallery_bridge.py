@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from codegen.compiler import build
+from codegen.drivers import prepare
+from codegen.drivers.compilation import second_process
 from codegen.load import load
 
 from .casadi_gallery import Array, PreparedGallery
@@ -26,6 +28,8 @@ class GeneratedGallery:
         self.module: Any = load(build(PROBLEMS / f"{name}.py", arguments, scheme=scheme).path)
         self.steps, self.tolerance, self.judge = steps, tolerance, judge
         self.grid = self.module.make_grid(steps)
+        with second_process() as helper:
+            prepare(self.module, helper)  # as `codegen build` does
         self.run()
         self.build_seconds = perf_counter() - started
 

@@ -1,0 +1,85 @@
+"""Where the solver of a control problem starts, as strings: guesses of nodes, intervals and shared unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import sympy
+from sympy import Expr
+
+from codegen.lower.control_layout import inputs, shared_views, slack_places
+from codegen.lower.kernels import Line
+from codegen.lower.printer import array_code, scalar_code
+from codegen.transcribe.program import ControlProgram
+
+
+def guesses(program: ControlProgram) -> dict[str, Any]:
+    """Guesses as code over arrays of time, and what they read."""
+    inside = _interval_guess(program)
+    middles = (Line("t", "duration * (0.5 + np.arange(grid.steps)) / grid.steps"),) if inside else ()
+    return {
+        "guess_inputs": inputs(program, [*program.node_guess, *program.stage_guess, *program.control_guess]),
+        "guess_lines": (
+            Line("duration", "duration_of(grid, unknowns)"),
+            Line("t", "duration * np.arange(grid.steps + 1) / grid.steps"),
+            *(replace(line, target=f"nodes[:, :, {line.target}]") for line in _node_guess(program)),
+            *middles,
+            *(replace(line, target=f"intervals[:, :, {line.target}]") for line in inside),
+        ),
+        **shared_guesses(program),
+    }
+
+
+def shared_guesses(program: ControlProgram) -> dict[str, Any]:
+    """Guesses of shared unknowns as code, and the result."""
+    common = program.shared_guess[program.own :]
+    return {
+        "shared_guess_inputs": (*_scalar_inputs(program, common), *shared_views(program, "own, common", "unknowns")),
+        "common_guess": _common_guess(program, common),
+        "own_guess": _own_guess(program),
+        "guess_result": "with_slacks(grid, with_pinned_values(grid, unknowns))"
+        if slack_places(program)
+        else "with_pinned_values(grid, unknowns)",
+    }
+
+
+def _scalar_inputs(program: ControlProgram, values: Sequence[Expr]) -> tuple[Line, ...]:
+    used = set().union(*(value.free_symbols for value in values)) if values else set()
+    known = enumerate(program.model.parameters)
+    return tuple(Line(s.name, f"grid.parameters[0, {i}]") for i, s in known if s in used)
+
+
+def _node_guess(program: ControlProgram) -> tuple[Line, ...]:
+    lines = [Line(str(i), array_code(guess), program.node[i].name) for i, guess in enumerate(program.node_guess)]
+    if program.nodal_controls:
+        first = len(program.node) - len(program.model.controls)
+        controls = zip(program.model.controls, program.control_guess, strict=True)
+        lines += [Line(str(first + i), array_code(guess), u.name) for i, (u, guess) in enumerate(controls)]
+    return tuple(line for line in lines if line.code != "0")
+
+
+def _interval_guess(program: ControlProgram) -> tuple[Line, ...]:
+    """Guesses at the middle of every interval: of stages, and of controls that live there."""
+    guessed = list(enumerate(zip(program.interval_symbols, program.stage_guess, strict=False)))
+    if not program.nodal_controls:
+        controls = zip(program.control_symbols, program.control_guess, strict=True)
+        guessed += enumerate(controls, start=len(program.interval))
+    lines = [Line(str(i), array_code(guess), symbol.name) for i, (symbol, guess) in guessed]
+    return tuple(line for line in lines if line.code != "0")
+
+
+def _common_guess(program: ControlProgram, common: Sequence[Expr]) -> tuple[Line, ...]:
+    names = [unknown.name for unknown in program.shared[program.own :]]
+    return tuple(Line(f"common[{j}]", scalar_code(sympy.sympify(value)), names[j]) for j, value in enumerate(common))
+
+
+def _own_guess(program: ControlProgram) -> tuple[Line, ...]:
+    """Guesses of a body's shared unknowns: what a node's unknown equals is read there."""
+    lines: dict[int, Line] = {}
+    for node, end in (("0", program.start), ("-1", program.end)):
+        for place, j, _ in end.shared:
+            if j < program.own:
+                lines.setdefault(j, Line(f"own[:, {j}]", f"nodes[:, {node}, {place}]", program.shared[j].name))
+    return tuple(lines.values())

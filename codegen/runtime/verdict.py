@@ -1,0 +1,79 @@
+"""The word for how a solution ended, corrected by what can be seen only afterwards."""
+
+import numpy as np
+
+from codegen.runtime.callbacks import hessian, jacobian
+from codegen.runtime.example import PHASES, ROOT, SHARED, duration_of, phase_durations
+from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.limits import at_limits
+from codegen.runtime.point import evaluate
+
+GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
+HUGE = 1e6  # multipliers above it belong to equations that depend on each other
+HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
+
+
+def final_status(grid, guess, point, status):
+    """The status that a solver gave, or a better one.
+
+    Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
+    hold, a solver that cannot go on has not found them infeasible, but dependent on each other.
+    """
+    if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
+        return status
+    if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, point.unknowns)):
+        return "non-finite"
+    if SHARED and not least_duration(grid, point.unknowns) > 0.0:
+        return "unbounded"
+    if runaways(grid, guess, point, status == "solved").any():
+        return "unbounded"
+    if status in ("infeasible", "stalled") and point.residual <= HOLDS:
+        return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
+    return status
+
+
+def least_duration(grid, unknowns):
+    """The length of the time interval, or of the shortest phase."""
+    least = duration_of(grid, unknowns)
+    if PHASES:
+        least = phase_durations(grid, unknowns).min()
+    return least
+
+
+def is_finite_matrix(grid, unknowns):
+    """Whether all second derivatives are finite."""
+    return all(np.isfinite(entries(grid, unknowns)[2]).all() for entries in (hessian, jacobian))
+
+
+def largest_multiplier(grid, point):
+    """The largest modulus of a multiplier."""
+    return np.abs(point.unknowns[grid.is_multiplier]).max(initial=0.0)
+
+
+def runaways(grid, guess, point, is_stationary):
+    """Boolean mask of unknowns that have grown beyond reason, and that go on growing.
+
+    At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
+    ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
+    """
+    unknowns = point.unknowns
+    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
+    if is_stationary:
+        grown[: unknowns.size - ROOT] = False
+    if not grown.any():
+        return grown
+    grown &= ~at_limits(grid, unknowns)
+    if is_stationary:
+        return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
+    falls = point.gradient * unknowns < -0.1 * abs(point.cost)
+    return grown & falls & (point.cost < evaluate(grid, guess).cost)
+
+
+def newton_step(grid, point):
+    """Newton's step from a point with the unknowns on their bounds held fast; infinite where there is none."""
+    system, step = allocate_system(grid), np.empty_like(point.unknowns)
+    fixed = at_limits(grid, point.unknowns) & ~grid.is_multiplier
+    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) != 0:
+        return np.full(step.size, np.inf)
+    solve_kkt(grid, system, point.gradient, step)
+    return step

@@ -1,0 +1,77 @@
+"""Where the solver starts in a problem of several phases: what the author guesses, else lines between known values.
+
+A coordinate or state is known at the start, at the end, and at the switches where a phase says how it ends. In every
+phase a line runs from where the phase before has led, after the jump, to the next known value, over as many phases as
+lie before it; where none is known up to the next jump of the quantity, it keeps its value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import sympy
+from sympy import Add, Expr, S, Symbol
+
+from codegen.model import Boundary, Model
+from codegen.transcribe.guesses import at_guess
+
+Values = dict[Symbol, Expr]
+
+
+def with_guesses(model: Model) -> Model:
+    """The model whose phases have a guess of every coordinate or state, in the time of the whole problem.
+
+    Momenta of a Hamiltonian get one as well.
+    """
+    times, phases = _switch_times(model), list(model.phases)
+    values = _given(model, model.start)
+    for i, phase in enumerate(phases):
+        guess = dict(phase.guess)
+        for q in _quantities(model):
+            guess.setdefault(q, _line(model, q, i, values.get(q), times))
+        phases[i] = replace(phase, guess=tuple(guess.items()))
+        if i + 1 < len(phases):
+            values = _after(model, i, guess, times[i + 1])
+    return replace(model, phases=tuple(phases))
+
+
+def _switch_times(model: Model) -> list[Expr]:
+    """When each phase begins, and when the last one ends, at the guesses of the free parameters."""
+    durations = [at_guess(model, phase.duration) for phase in model.phases]
+    return [Add(*durations[:i]) for i in range(len(durations) + 1)]
+
+
+def _quantities(model: Model) -> Sequence[Symbol]:
+    return model.coordinates if model.form != "hamiltonian" else (*model.coordinates, *model.rates)
+
+
+def _given(model: Model, boundary: Boundary | None) -> Values:
+    assert boundary is not None, "a control problem has an end"
+    pairs = zip((*model.coordinates, *model.rates), (*boundary.positions, *boundary.rates), strict=True)
+    return {symbol: value for symbol, value in pairs if value is not None}
+
+
+def _line(model: Model, quantity: Symbol, place: int, left: Expr | None, times: Sequence[Expr]) -> Expr:
+    """From the value at the beginning of a phase to the next one that is known."""
+    for last, phase in enumerate(model.phases[place:], start=place):
+        right = _given(model, phase.end).get(quantity)
+        if right is not None:
+            if left is None:
+                return right
+            return left + (right - left) * (model.time - times[place]) / (times[last + 1] - times[place])
+        if last < len(model.jumps) and quantity in dict(model.jumps[last]):
+            break
+    return S.Zero if left is None else left
+
+
+def _after(model: Model, place: int, guess: Values, time: Expr) -> Values:
+    """The values with which the next phase begins, as far as anything says more than zero about them."""
+    before = {q: at_guess(model, value).subs(model.time, time) for q, value in guess.items()}
+    if model.form == "lagrangian":
+        pairs = zip(model.coordinates, model.rates, strict=True)
+        before |= {v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs}
+    given = _given(model, model.phases[place].end)
+    jump = {q: at_guess(model, value).xreplace(before | given) for q, value in model.jumps[place]}
+    known = given | jump
+    return {q: value for q, value in (before | known).items() if value != 0 or q in known}
