@@ -14,13 +14,18 @@ _HOMES = {
         "parameters states time".split(),
         "codegen.symbols",
     ),
+    **dict.fromkeys(["Connect", "Pairwise", "particles"], "codegen.pairwise"),
+    **dict.fromkeys(["Points"], "codegen.points"),
     **dict.fromkeys(["build"], "codegen.compiler"),
     **dict.fromkeys(["load"], "codegen.load"),
 }
 
 __all__ = [
+    "Connect",
     "Control",
+    "Pairwise",
     "Phases",
+    "Points",
     "Simulate",
     "body_number",
     "build",
@@ -34,6 +39,7 @@ __all__ = [
     "load",
     "parameter",
     "parameters",
+    "particles",
     "states",
     "time",
 ]
@@ -41,6 +47,8 @@ __all__ = [
 if TYPE_CHECKING:
     from codegen.compiler import build
     from codegen.load import load
+    from codegen.pairwise import Connect, Pairwise, particles
+    from codegen.points import Points
     from codegen.problem import Control, Phases, Simulate
     from codegen.symbols import (
         body_number,

@@ -10,6 +10,7 @@ import sys
 import time
 import traceback
 import warnings
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from enum import StrEnum
 from pathlib import Path
@@ -22,6 +23,7 @@ from codegen.errors import ArgumentError, CodegenError
 
 if TYPE_CHECKING:
     from codegen.compiler import Build
+    from codegen.points import PointSet
 
 # Everything that is slow to import is imported by the command that needs it: `codegen --help` must be instant.
 
@@ -158,12 +160,16 @@ def solve(
     scheme: Scheme = None,
     method: Method = None,
     controls: Place = Controls.INTERVAL,
-    driver: Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr or fsolve.")] = "newton",
+    driver: Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr, fsolve or fmin.")] = "newton",
     steps: Steps = None,
     every: Every = 1,
     repeat: Repeat = 1,
     json: Json = False,
     log: Log = False,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(metavar="E", help="Largest error of an equation, or of an adaptive step (particles)."),
+    ] = None,
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[
         int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
@@ -178,6 +184,7 @@ def solve(
 
     _require_sensible(driver, log, save, out)
     wanted = pictures.requested(problem, set_, plot, animate)
+    points = _points_of(problem, set_)
     start = output.saved_unknowns(warm) if warm is not None else None
     with _working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
@@ -188,7 +195,10 @@ def solve(
         module = load(made.path)
         load_seconds = time.perf_counter() - begin
         _require_fitting(module.metadata["task"], driver, every, log)
-        result = drivers.solve(module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings)
+        result = drivers.solve(
+            module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings,
+            points=points(module.metadata), tolerance=_checked_tolerance(tolerance, module.metadata["task"]),
+        )  # fmt: skip
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
     record = output.as_record(result, made.seconds + compile_seconds, load_seconds + read_seconds)
     if save is not None:
@@ -196,6 +206,8 @@ def solve(
     wanted.save(module, result)
     if log:
         _console(stderr=json).print(output.log_table(result))
+    for attempt in result.attempts:
+        typer.echo(attempt, err=True)
     if json:
         typer.echo(output.as_json(record))
     else:
@@ -281,6 +293,33 @@ def _require_sensible(driver: str, log: bool, save: Path | None, out: Path | Non
         output.require_folder(out, "--out", may_be_made=True)
 
 
+def _points_of(problem: Path, set_: list[str]) -> Callable[[Mapping[str, Any]], PointSet | None]:
+    """What reads the points of a problem about particles, once its module says how many coordinates they have."""
+    from codegen.problem_file import parse_arguments, split_points
+
+    given = split_points(problem, parse_arguments(set_))[1]
+
+    def read(metadata: Mapping[str, Any]) -> PointSet | None:
+        if metadata["task"] != "connect":
+            return None
+        from codegen.points import read_points
+
+        file = Path(given) if given is not None else problem.parent / metadata["points"]
+        return read_points(file, len(metadata["coordinates"]))
+
+    return read
+
+
+def _checked_tolerance(tolerance: float | None, task: str) -> float | None:
+    if tolerance is None:
+        return None
+    if task != "connect":
+        raise ArgumentError("--tolerance is for problems that connect points", "leave it out")
+    if not 0.0 < tolerance < 1.0:
+        raise ArgumentError(f"--tolerance {tolerance:g}", "give a number between 0 and 1")
+    return tolerance
+
+
 def _require_fitting(task: str, driver: str, every: int, log: bool) -> None:
     """Refuse options that mean nothing for the task."""
     from codegen import drivers
@@ -288,8 +327,8 @@ def _require_fitting(task: str, driver: str, every: int, log: bool) -> None:
     drivers.find(driver, task)
     if every > 1 and task != "simulate":
         raise ArgumentError(f"--every {every} thins simulations, and this is a {task} problem", "leave it out")
-    if log and task == "simulate":
-        raise ArgumentError("--log shows iterates of an optimisation, and this is a simulation", "leave it out")
+    if log and task != "control":
+        raise ArgumentError(f"--log shows iterates of an optimisation, and this is a {task} problem", "leave it out")
 
 
 def _console(stderr: bool = False) -> Any:

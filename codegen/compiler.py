@@ -22,11 +22,12 @@ from typing import TYPE_CHECKING
 
 from codegen import __version__, emit
 from codegen.errors import ArgumentError
-from codegen.problem_file import input_digest, load_problem
+from codegen.problem_file import input_digest, load_problem, split_points
 
 if TYPE_CHECKING:
     from codegen.lower.module import Origin
     from codegen.model import Model
+    from codegen.model.pairwise import PairwiseModel
 
 DEFAULT_SCHEME = "midpoint"
 GENERATED = Path("generated")
@@ -69,7 +70,8 @@ def build(
     problem or a choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
-    path, arguments = Path(path), dict(arguments or {})
+    path = Path(path)
+    arguments = split_points(path, arguments or {})[0]
     for key, value in arguments.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
@@ -98,7 +100,7 @@ def generate(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
     return generate_from_model(model, choices, origin_of(path, arguments, choices))
 
 
-def generate_from_model(model: Model, choices: Choices, origin: Origin) -> str:
+def generate_from_model(model: Model | PairwiseModel, choices: Choices, origin: Origin) -> str:
     """The pipeline itself, from a checked problem to the text of its module."""
     from codegen import derive, lower, transcribe
 

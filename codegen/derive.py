@@ -10,7 +10,9 @@ from sympy import Expr, Symbol
 
 from codegen import expressions
 from codegen.differentiate import Assignment, second_derivatives
+from codegen.differentiate.pairwise import PairDerivatives, pair_derivatives
 from codegen.discretise import STEP
+from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
 
 Entry = tuple[int, int, Expr]
@@ -190,6 +192,10 @@ def _constant_and_regular(program: ControlProgram, element: ElementDerivatives, 
     return expressions.null_direction(block, expressions.trial_points(block.free_symbols, {}, {})) is None
 
 
-def derivatives(program: ControlProgram | StepProgram) -> ControlDerivatives | StepDerivatives:
+def derivatives(
+    program: ControlProgram | StepProgram | PairwiseProgram,
+) -> ControlDerivatives | StepDerivatives | PairDerivatives:
     """The derivatives that the solver of a program needs."""
+    if isinstance(program, PairwiseProgram):
+        return pair_derivatives(program.model)
     return control_derivatives(program) if isinstance(program, ControlProgram) else step_derivatives(program)

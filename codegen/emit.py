@@ -103,7 +103,7 @@ def _template_variables(environment: jinja2.Environment, name: str) -> set[str]:
     variables = set(meta.find_undeclared_variables(tree))
     for included in meta.find_referenced_templates(tree):
         assert included is not None, "templates include others by literal names"
-        variables |= _template_variables(environment, included) - {"kernel"}
+        variables |= _template_variables(environment, included) - {"kernel", "visit"}
     return variables
 
 

@@ -49,3 +49,7 @@ class ModuleError(CodegenError):
 
 class NumericsError(CodegenError):
     """Numbers given at run time are unusable: not finite, of the wrong shape, or out of range."""
+
+
+class PointsError(CodegenError):
+    """A file of points cannot be read, or its points cannot be connected: duplicates, points outside the domain."""

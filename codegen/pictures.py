@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from codegen.drivers.result import Result
     from codegen.load import GeneratedModule
     from codegen.model import Model
+    from codegen.model.pairwise import PairwiseModel
 
 PLOTS = (".png", ".pdf", ".svg")
 ANIMATIONS = (".gif", ".mp4")
@@ -28,7 +29,7 @@ class Pictures:
 
     plot: Path | None = None
     animation: Path | None = None
-    model: Model | None = None
+    model: Model | PairwiseModel | None = None
     unit: str = ""
 
     def save(self, module: GeneratedModule, result: Result) -> None:
@@ -41,11 +42,12 @@ class Pictures:
     def _save_plot(self, path: Path, module: GeneratedModule, result: Result) -> None:
         from codegen import plots
         from codegen.load import is_control
+        from codegen.model import Model
         from codegen.plots.quantities import first_guess
         from codegen.scene import fine_times, scene
 
         drawings: Any = None
-        if self.model is not None and self.model.drawing:
+        if isinstance(self.model, Model) and self.model.drawing:
             drawings = scene(self.model, result, fine_times(result.t))
             if is_control(module):
                 guess = first_guess(module, result)
@@ -55,9 +57,10 @@ class Pictures:
 
     def _save_animation(self, path: Path, result: Result) -> None:
         from codegen import animate
+        from codegen.model import Model
         from codegen.scene import scene
 
-        assert self.model is not None
+        assert isinstance(self.model, Model), "particles have no drawing"
         title = result.title if result.solved else f"{result.title.rstrip('.')} (NOT SOLVED: {result.status})"
         with replacing(path) as temporary:
             film = scene(self.model, result, animate.scene_times(result.t))

@@ -27,6 +27,7 @@ from codegen.errors import ArgumentError, CodegenError, ProblemFileError
 
 if TYPE_CHECKING:
     from codegen.model import Model
+    from codegen.model.pairwise import PairwiseModel
 
 
 def parse_arguments(items: Sequence[str]) -> dict[str, str]:
@@ -61,7 +62,36 @@ def input_digest(path: Path, arguments: Mapping[str, str], *extra: str) -> str:
     return digest.hexdigest()
 
 
-def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model:
+def split_points(path: Path | str, arguments: Mapping[str, str]) -> tuple[dict[str, str], str | None]:
+    """The arguments that shape a module, and the file of points, if one is given, which is read when it is solved.
+
+    Arguments of problem() that name files of points are known by their annotation, `Points`. Raises ProblemFileError
+    when the problem file cannot be read, and ArgumentError when two files of points are given.
+    """
+    path = Path(path)
+    names = _point_arguments(path)
+    given = [name for name in arguments if name in names]
+    if len(given) > 1:
+        raise ArgumentError(f"--set gives files of points as {' and '.join(given)}", "give one of them")
+    others = {name: value for name, value in arguments.items() if name not in names}
+    return others, arguments[given[0]] if given else None
+
+
+def _point_arguments(path: Path) -> set[str]:
+    try:
+        tree = ast.parse(_source(path))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # what is wrong is said where the file is run
+        return set()
+    return {
+        argument.arg
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and node.name == "problem"
+        for argument in (*node.args.args, *node.args.kwonlyargs)
+        if isinstance(argument.annotation, ast.Name) and argument.annotation.id == "Points"
+    }
+
+
+def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
     """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise what it returns.
 
     The model is named after the file and titled by the first line of its docstring. The file is run anew each time;
@@ -74,6 +104,7 @@ def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model:
     title, code = _compiled(path)
 
     from codegen.model import normalise
+    from codegen.model.pairwise import is_pairwise, normalise_pairwise
     from codegen.symbols import recorded_declarations
 
     with _fresh_module(path) as module, redirect_stdout(sys.stderr):
@@ -84,6 +115,8 @@ def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model:
         with _blaming(path), recorded_declarations() as declared:
             problem = function(**keywords)
     try:
+        if is_pairwise(problem):
+            return normalise_pairwise(problem, declared, name=path.stem, title=title)
         return normalise(problem, declared, name=path.stem, title=title)
     except CodegenError as error:
         raise _with_place(error, str(path)) from error

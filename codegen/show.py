@@ -19,10 +19,12 @@ from codegen.discretise import (
     variational_interval,
 )
 from codegen.model import Boundary, Model
+from codegen.model.pairwise import PairwiseModel
 from codegen.model.values import prescribed
 from codegen.notation import Block, Notation, written
-from codegen.problem_file import load_problem
+from codegen.problem_file import load_problem, split_points
 from codegen.schemes import DiscreteLagrangian, OneStep
+from codegen.show_pairwise import pairwise_equations
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 _SHORTEN_LIMIT = 120
@@ -61,7 +63,9 @@ def equations(
     The LaTeX needs the package amsmath and no other. Raises a kind of CodegenError when the problem or a choice is
     unusable.
     """
-    model = load_problem(Path(path), dict(arguments or {}))
+    model = load_problem(Path(path), split_points(path, arguments or {})[0])
+    if isinstance(model, PairwiseModel):
+        return pairwise_equations(model, scheme, method, latex)
     program = transcribe.transcribe(model, scheme, method, controls)
     notation = Notation.of(model, _side(model, program.method), latex=latex)
     title = f"{model.title.rstrip('.')} ({program.method} method, scheme {program.scheme})"

@@ -30,6 +30,10 @@ GALLERY = (
     ("pendulum", {}, Choices(scheme="stormer-verlet")),
     ("pendulum", {"form": "lagrangian"}, Choices()),
     *((problem, {}, Choices()) for problem in CONTROL),
+    ("image_registration", {}, Choices()),
+    ("image_registration", {}, Choices(scheme="explicit-euler")),
+    ("lennard_jones", {}, Choices(scheme="stormer-verlet")),
+    ("outer_solar_system", {}, Choices(scheme="stormer-verlet")),
 )
 """Problem, arguments and choices of every committed module."""
 

@@ -22,6 +22,7 @@ from codegen.checks import (
     noether,
     null_controls,
     optimum,
+    pairwise,
     provenance,
     second_order,
     sparsity,
@@ -29,10 +30,12 @@ from codegen.checks import (
     symplecticity,
 )
 from codegen.checks.base import Check, Context, Finding
+from codegen.checks.pairwise import is_pairwise_module
 from codegen.checks.phases import phase_contexts
 from codegen.compiler import Choices
 from codegen.load import load
-from codegen.problem_file import load_problem
+from codegen.model import Model
+from codegen.problem_file import load_problem, split_points
 
 __all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]
 
@@ -95,10 +98,13 @@ def run(
     `module` is a generated file to be checked as it stands; by default the module is built in the cache. Raises a
     kind of CodegenError when the problem, a choice or the file is unusable.
     """
-    path, arguments = Path(path), dict(arguments or {})
+    path = Path(path)
+    arguments = split_points(path, arguments or {})[0]
     choices = Choices(scheme, method, controls)
     if module is None:
         module = compiler.build(path, arguments, scheme=scheme, method=method, controls=controls).path
+    if is_pairwise_module(load(module)):
+        return list(pairwise.findings(path, arguments, choices, module))
     context, text = _prepared(path, arguments, choices, module)
     inputs = compiler.origin_of(path, arguments, choices).inputs
     findings = list(provenance.compare(module, context.module, inputs, text))
@@ -136,6 +142,7 @@ def _prepared(path: Path, arguments: Mapping[str, str], choices: Choices, module
     from codegen import derive, lower, transcribe
 
     model = load_problem(path, arguments)
+    assert isinstance(model, Model), "particles have checks of their own"
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     fresh = lower.lower(program, derive.derivatives(program))
     text = emit.render(fresh, compiler.origin_of(path, arguments, choices))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from codegen.drivers.compilation import SecondProcess
     from codegen.drivers.result import Result
     from codegen.load import ControlModule, GeneratedModule, Vector
+    from codegen.points import PointSet
 
 
 @dataclass(frozen=True)
@@ -35,11 +36,14 @@ class Driver:
 
 
 _ROWS = (
-    Driver("newton", "newton", ("control", "simulate"), "the generated solver"),
-    Driver("slsqp", "slsqp", ("control",), "scipy's sequential least-squares programming, dense"),
-    Driver("trust-constr", "trust_constr", ("control",), "scipy's trust-region SQP, sparse with exact Hessians"),
+    Driver("newton", "newton", ("control", "simulate", "connect"), "the generated solver"),
+    Driver("slsqp", "slsqp", ("control", "connect"), "scipy's sequential least-squares programming, dense"),
+    Driver(
+        "trust-constr", "trust_constr", ("control", "connect"), "scipy's trust-region SQP, sparse with exact Hessians"
+    ),
     Driver("ipopt", "ipopt", ("control",), "IPOPT, an interior point method; needs cyipopt (extra: ipopt)"),
-    Driver("fsolve", "fsolve", ("control", "simulate"), "MINPACK's hybrid Powell method, dense, on square systems"),
+    Driver("fsolve", "fsolve", ("control", "simulate", "connect"), "MINPACK's hybrid Powell method, dense"),
+    Driver("fmin", "fmin", ("connect",), "Nelder and Mead's simplex method, for a few particles"),
 )
 
 DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
@@ -68,12 +72,15 @@ def solve(
     repeat: int = 1,
     warm: Vector | None = None,
     doublings: int = 0,
+    points: PointSet | None = None,
+    tolerance: float | None = None,
 ) -> Result:
     """Solve with a driver on `steps` intervals (default: the problem's own number) and re-evaluate the residuals.
 
     The first of `repeat` + 1 runs compiles and is not timed. `every` thins the stored steps of a simulation. An
     optimisation may start from the `unknowns` of an earlier result on any number of intervals (`warm`), and may be
-    repeated on twice, four times, ... as many (`doublings`), each time from the solution before. Raises
+    repeated on twice, four times, ... as many (`doublings`), each time from the solution before. A connect problem
+    needs `points`; its `tolerance` is that of the equations, or of an adaptive integrator's steps. Raises
     ArgumentError when the driver does not apply, NumericsError when a number is unusable; numerical failure is a
     status of the result.
     """
@@ -86,6 +93,11 @@ def solve(
         if warm is not None or doublings:
             raise ArgumentError("warm starts and refinement are for optimisation", "leave them out of a simulation")
         return run(module, found, Request(steps, every), repeat)
+
+    if task == "connect":
+        if warm is not None or doublings:
+            raise ArgumentError("warm starts and refinement are for optimisation", "leave them out")
+        return run(module, found, Request(steps, every, None, points, tolerance), repeat)
 
     def solve_on(number: int, start: Vector | None) -> Result:
         return run(module, found, Request(number, every, start), repeat)

@@ -81,6 +81,10 @@ def second_process() -> Iterator[SecondProcess]:
 
 def compile_all_but_the_longest(module: Any) -> None:
     """Call what a solution calls, except the longest function; the factors of a control problem are zeros."""
+    if module.metadata["task"] == "connect":
+        case = small_case(module)
+        module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters))
+        return
     grid = module.make_grid(2)
     if module.metadata["task"] == "simulate":
         module.path_residual(grid, np.vstack([grid.start, grid.start]))
@@ -98,6 +102,12 @@ def compile_all_but_the_longest(module: Any) -> None:
 
 def compile_the_longest(module: Any) -> None:
     """Call the factorisation of a control problem, or the loop of a simulation, once."""
+    if module.metadata["task"] == "connect":
+        case = small_case(module)
+        points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
+        points[:, 0] = case.start
+        module.Linearised(case, points, None).matrix()
+        return
     grid = module.make_grid(2)
     if module.metadata["task"] == "simulate":
         path = np.empty((3, grid.start.size))
@@ -105,6 +115,20 @@ def compile_the_longest(module: Any) -> None:
         return
     unknowns = module.initial_guess(grid)
     module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), module.allocate_system(grid))
+
+
+def small_case(module: Any, steps: int = 2) -> Any:
+    """Thirteen particles near the origin that move a little, to have functions compiled by."""
+    dimension = module.metadata["coordinates"]
+    angles = np.linspace(0.0, 2.0 * np.pi, 13, endpoint=False)
+    start = np.stack([0.1 * np.cos((axis + 1) * angles + axis) for axis in range(len(dimension))], axis=1)
+    start[:, 0] += 0.01 * np.arange(13)
+    return module.make_case(start, start + 0.001, steps)
+
+
+def solve_small(module: Any) -> None:
+    """Solve for few particles, so that everything is compiled that a solution calls."""
+    module.solve_case(small_case(module))
 
 
 def main() -> None:

@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import fsolve
 
+from codegen.drivers.connect import fsolve as connect
 from codegen.drivers.result import ControlAttempt, Request, SimulateAttempt, max_norm
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.load import ControlModule, ImplicitModule, Matrix, SimulateModule, StepGrid, Vector, is_implicit
+
+__all__ = ["connect", "control", "simulate"]
 
 TOLERANCE = 1e-8
 LIMIT = 3000

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from codegen.drivers.connect import newton as connect
 from codegen.drivers.result import ControlAttempt, Request, SimulateAttempt
 from codegen.load import ControlModule, SimulateModule
+
+__all__ = ["connect", "control", "simulate"]
 
 TOLERANCE = 1e-10
 

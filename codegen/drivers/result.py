@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.load import Matrix, Vector
+from codegen.points import PointSet
 
 STATUSES = {
     "solved": "the equations hold to the driver's tolerance, or to rounding",
@@ -21,6 +22,7 @@ STATUSES = {
     "non-finite": "an expression became infinite or NaN",
     "singular": "the equations of one step have no unique solution",
     "newton failed": "Newton's method did not converge within one step",
+    "not connected": "no attempt found a motion from the given points to their targets",
     "inaccurate": "the driver claimed success, but the residuals evaluated afterwards are too large",
 }
 """Every status word and its meaning; all but the first are failures."""
@@ -31,12 +33,27 @@ class Request:
     """What is asked of a driver.
 
     The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
-    unknowns to start from that is close to the solution.
+    unknowns to start from that is close to the solution; for a connect problem the points, and a tolerance.
     """
 
     steps: int
     every: int = 1
     guess: Vector | None = None
+    points: PointSet | None = None
+    tolerance: float | None = None
+
+
+@dataclass(frozen=True)
+class ConnectAttempt:
+    """What a driver claims about a connect problem: states at the nodes, shape (N + 1, 2, n, d)."""
+
+    status: str
+    message: str
+    iterations: int
+    path: Any
+    tolerance: float
+    attempts: tuple[str, ...] = ()
+    tangents: int = 0
 
 
 @dataclass(frozen=True)
@@ -102,6 +119,7 @@ class Result:
     seconds_solve: float = float("nan")
     seconds_first: float = float("nan")
     compiled: bool = False
+    attempts: tuple[str, ...] = ()
 
     @property
     def solved(self) -> bool:

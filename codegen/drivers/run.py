@@ -10,12 +10,13 @@ from dataclasses import replace
 from typing import Any
 
 from codegen.drivers import Driver
-from codegen.drivers.compilation import SecondProcess, packed_operations
+from codegen.drivers.compilation import SecondProcess, packed_operations, solve_small
+from codegen.drivers.connect_result import connect_result
 from codegen.drivers.control_result import control_result
 from codegen.drivers.result import Request, Result
 from codegen.drivers.simulate_result import simulate_result
 from codegen.errors import NumericsError
-from codegen.load import GeneratedModule, is_control, is_simulation, machine_code_counts
+from codegen.load import GeneratedModule, is_connect, is_control, is_simulation, machine_code_counts
 
 
 def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) -> Result:
@@ -33,7 +34,9 @@ def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) 
         # Generated modules know nothing of codegen's errors.
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
     result: Result
-    if is_control(module):
+    if is_connect(module):
+        result = connect_result(module, driver.name, request, attempt)
+    elif is_control(module):
         result = control_result(module, driver.name, request, attempt)
     elif is_simulation(module):
         result = simulate_result(module, driver.name, request, attempt, seconds)
@@ -50,6 +53,9 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
     metadata = module.metadata
     if metadata["task"] == "simulate":
         numbers = (request.steps // request.every + 1) * (4 * len(metadata["coordinates"]) + 2)
+    elif metadata["task"] == "connect":
+        count = 0 if request.points is None else len(request.points.start)
+        numbers = 40 * (request.steps + 1) * count * len(metadata["coordinates"]) + 2 * count**2
     else:
         intervals = request.steps * metadata.get("phases", 1)
         numbers = 26 * (intervals + 1) * (len(metadata["node"]) + len(metadata["interval"]))
@@ -68,6 +74,9 @@ def prepare(module: GeneratedModule, helper: SecondProcess) -> float:
     begin = time.perf_counter()
     with packed_operations():
         helper.compile(module)
+        if is_connect(module):
+            solve_small(module)
+            return time.perf_counter() - begin
         module.solve()
     return time.perf_counter() - begin
 

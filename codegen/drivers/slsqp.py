@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
+from codegen.drivers.connect import slsqp as connect
 from codegen.drivers.result import ControlAttempt, Request
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.load import ControlModule
+
+__all__ = ["connect", "control"]
 
 TOLERANCE = 1e-6
 LIMIT = 3000

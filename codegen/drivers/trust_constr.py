@@ -8,9 +8,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
+from codegen.drivers.connect import trust_constr as connect
 from codegen.drivers.result import ControlAttempt, Request
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.load import ControlModule
+
+__all__ = ["connect", "control"]
 
 TOLERANCE = 1e-6
 MAX_ITERATIONS = 1000

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from codegen.derive import ControlDerivatives, StepDerivatives
+from codegen.differentiate.pairwise import PairDerivatives
+from codegen.lower.connect import lower_connect, lower_particles
 from codegen.lower.control import lower_control
 from codegen.lower.module import Module
 from codegen.lower.simulate import lower_step
+from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 
-def lower(program: ControlProgram | StepProgram, derivatives: ControlDerivatives | StepDerivatives) -> Module:
+def lower(
+    program: ControlProgram | StepProgram | PairwiseProgram,
+    derivatives: ControlDerivatives | StepDerivatives | PairDerivatives,
+) -> Module:
     """Write a program and its derivatives as strings."""
+    if isinstance(program, PairwiseProgram):
+        assert isinstance(derivatives, PairDerivatives)
+        return (lower_connect if program.model.task == "connect" else lower_particles)(program, derivatives)
     if isinstance(program, ControlProgram):
         assert isinstance(derivatives, ControlDerivatives)
         return lower_control(program, derivatives)

@@ -64,6 +64,12 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
     def _print_Abs(self, expr: Any) -> str:
         return f"abs({self._print(expr.args[0])})"
 
+    def _print_x_minus_log1p(self, expr: Any) -> str:
+        return f"x_minus_log1p({self._print(expr.args[0])}, {self._print(expr.args[1])})"
+
+    def _print_log1p_minus_ratio(self, expr: Any) -> str:
+        return f"log1p_minus_ratio({self._print(expr.args[0])}, {self._print(expr.args[1])})"
+
     def _print_Pi(self, expr: Any) -> str:
         return f"{self.module}.pi"
 

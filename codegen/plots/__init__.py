@@ -8,12 +8,13 @@ import matplotlib
 
 from codegen.drawing import Scene
 from codegen.drivers.result import Result
-from codegen.load import GeneratedModule, is_control
+from codegen.load import GeneratedModule, is_connect, is_control
+from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.simulation import simulation_figure
 from codegen.plots.style import STYLE, label
 
-__all__ = ["Drawings", "control_figure", "label", "save", "simulation_figure"]
+__all__ = ["Drawings", "connect_figure", "control_figure", "label", "save", "simulation_figure"]
 
 
 def save(
@@ -25,7 +26,9 @@ def save(
 ) -> None:
     """Draw a module's result into a file whose ending matplotlib knows; `unit` is that of the time."""
     with matplotlib.rc_context(STYLE):
-        if is_control(module):
+        if is_connect(module):
+            figure = connect_figure(module, result)
+        elif is_control(module):
             assert not isinstance(drawings, Scene)
             figure = control_figure(module, result, drawings, unit)
         else:

@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
+from typing import overload
+
 from codegen import schemes
 from codegen.errors import ArgumentError
 from codegen.model import Model
+from codegen.model.pairwise import PairwiseModel
 from codegen.schemes import DiscreteLagrangian, OneStep
-from codegen.transcribe import one_step, phases, simulate, variational
+from codegen.transcribe import connect, one_step, phases, simulate, variational
 from codegen.transcribe.assembly import in_scaled_time
+from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 DEFAULT_SCHEME = "midpoint"
 
 
+@overload
 def transcribe(
     model: Model, scheme: str | None = None, method: str | None = None, controls: str = "interval"
-) -> ControlProgram | StepProgram:
+) -> ControlProgram | StepProgram: ...
+
+
+@overload
+def transcribe(
+    model: PairwiseModel, scheme: str | None = None, method: str | None = None, controls: str = "interval"
+) -> PairwiseProgram: ...
+
+
+def transcribe(
+    model: Model | PairwiseModel, scheme: str | None = None, method: str | None = None, controls: str = "interval"
+) -> ControlProgram | StepProgram | PairwiseProgram:
     """Transcribe a model by the named scheme and method; None stands for the default.
 
     Raises ArgumentError for a method that the task does not have, SchemeError for a scheme that does not exist.
     """
+    if isinstance(model, PairwiseModel):
+        if controls != "interval":
+            raise ArgumentError("particles have no controls", "leave --controls out")
+        return connect.pairwise(model, scheme, method)
     method = method or _default_method(model, scheme)
     _require_method(model, method)
     found = schemes.find(scheme or DEFAULT_SCHEME, method)

@@ -1,0 +1,159 @@
+"""Evidence about modules of particles: kernels against 50 digits, tangents, symplecticity, the limit at coincidence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import mpmath  # type: ignore[import-untyped]
+import numpy as np
+import sympy
+
+from codegen import compiler, derive, emit, lower, transcribe
+from codegen.checks import provenance
+from codegen.checks.base import Finding
+from codegen.compiler import Choices
+from codegen.load import load
+from codegen.model.pairwise import PairwiseModel
+from codegen.problem_file import load_problem
+from codegen.schemes.particles import PARTICLE_SCHEMES
+
+DIGITS = 50
+_PARTICLES = 4
+
+
+def is_pairwise_module(module: Any) -> bool:
+    """Whether a generated module is about particles."""
+    return "separable" in module.metadata
+
+
+def findings(path: Path, arguments: Mapping[str, str], choices: Choices, module_path: Path) -> Iterator[Finding]:
+    """All evidence about a module of particles, as it lies on disk."""
+    model = load_problem(path, arguments)
+    assert isinstance(model, PairwiseModel)
+    program = transcribe.transcribe(model, choices.scheme, choices.method)
+    fresh = lower.lower(program, derive.derivatives(program))
+    origin = compiler.origin_of(path, arguments, choices)
+    text = emit.render(fresh, origin)
+    module: Any = load(module_path)
+    yield from provenance.compare(module_path, module, origin.inputs, text)
+    generator = np.random.default_rng(1)
+    states = [_state(model, generator, scale) for scale in (0.6, 0.6, 1e-2)]
+    yield _value(model, module, states)
+    if hasattr(module, "hamiltonian_gradient"):
+        yield _gradient(model, module, states)
+        yield _hessian(model, module, states[0])
+        yield _products(model, module, states[0], generator)
+    yield from _symplectic(model, module, states[0], program.scheme)
+
+
+def _state(model: PairwiseModel, generator: np.random.Generator, scale: float) -> Any:
+    size = len(model.coordinates)
+    return scale * generator.uniform(-1.0, 1.0, (2, _PARTICLES, size)) / np.sqrt(size)
+
+
+def _own(model: PairwiseModel) -> Any:
+    return np.ones((_PARTICLES, len(model.own)))
+
+
+def exact(model: PairwiseModel, state: Any, own: Any, derivatives: bool = True) -> tuple[Any, list[Any]]:
+    """H and its gradient at a state from the author's expressions with 50 digits; the gradient as a flat list."""
+    parameters = dict(zip(model.parameters, map(sympy.Float, model.defaults), strict=True))
+    single = [*model.first.moving, *model.first.own]
+    both = [*single, *model.second.moving, *model.second.own]
+    moving = (*model.first.moving, *model.second.moving)
+    with mpmath.workdps(DIGITS):
+        parameters = {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
+        alone = [model.self_term, *(sympy.diff(model.self_term, z) for z in model.first.moving)]
+        pair = [model.pair_term, *(sympy.diff(model.pair_term, z) for z in moving)]
+        of_one = sympy.lambdify(single, [e.subs(parameters) for e in alone], "mpmath")
+        of_two = sympy.lambdify(both, [e.subs(parameters) for e in pair], "mpmath")
+        count, size = state.shape[1], state.shape[2]
+        values = [[mpmath.mpf(float(v)) for v in (*state[0, i], *state[1, i], *own[i])] for i in range(count)]
+        total, gradient = mpmath.mpf(0), [[[mpmath.mpf(0)] * size for _ in range(count)] for _ in range(2)]
+        for i in range(count):
+            found = of_one(*values[i])
+            total += found[0]
+            for k in range(2 * size):
+                gradient[k // size][i][k % size] += found[1 + k]
+            for j in range(i):
+                found = of_two(*values[i], *values[j])
+                total += found[0]
+                for k in range(2 * size):
+                    gradient[k // size][i][k % size] += found[1 + k]
+                    gradient[k // size][j][k % size] += found[1 + 2 * size + k]
+        return total, [value for part in gradient for row in part for value in row]
+
+
+def _value(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
+    own, parameters = _own(model), np.array(model.defaults)
+    errors = []
+    for state in states:
+        total, _ = exact(model, state, own)
+        errors.append(abs(float((mpmath.mpf(module.hamiltonian(state, own, parameters)) - total) / total)))
+    return _finding("derivatives", "the Hamiltonian against 50 digits", max(errors), 1e-12)
+
+
+def _gradient(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
+    own, parameters = _own(model), np.array(model.defaults)
+    errors = []
+    for state in states:
+        _, wanted = exact(model, state, own)
+        gradient = np.empty(state.shape)
+        module.hamiltonian_gradient(state, own, parameters, gradient)
+        size = max(abs(value) for value in wanted)
+        errors.append(max(abs(float((v - w) / size)) for v, w in zip(gradient.ravel().tolist(), wanted, strict=True)))
+    return _finding("derivatives", "H_q and H_p against 50 digits", max(errors), 1e-12)
+
+
+def _hessian(model: PairwiseModel, module: Any, state: Any) -> Finding:
+    own, parameters = _own(model), np.array(model.defaults)
+    hessian = np.empty((state.size, state.size))
+    module.hamiltonian_hessian(state, own, parameters, hessian)
+    error = 0.0
+    for k in range(0, state.size, 3):
+        shifted = []
+        for sign in (1.0, -1.0):
+            other = state.copy()
+            other.reshape(-1)[k] += sign * 1e-6
+            shifted.append((other.reshape(-1)[k], exact(model, other, own)[1]))
+        (x1, g1), (x0, g0) = shifted
+        column = [float((a - b) / (mpmath.mpf(x1) - mpmath.mpf(x0))) for a, b in zip(g1, g0, strict=True)]
+        error = max(error, float(np.abs(hessian[:, k] - column).max()))
+    return _finding("derivatives", "second derivatives against differences", error / float(np.abs(hessian).max()), 1e-8)
+
+
+def _products(model: PairwiseModel, module: Any, state: Any, generator: np.random.Generator) -> Finding:
+    own, parameters = _own(model), np.array(model.defaults)
+    hessian = np.empty((state.size, state.size))
+    module.hamiltonian_hessian(state, own, parameters, hessian)
+    directions = generator.normal(size=(state.size, 3))
+    products = np.empty_like(directions)
+    module.hessian_products(state, own, parameters, directions, products)
+    error = float(np.abs(products - hessian @ directions).max() / np.abs(products).max())
+    return _finding("derivatives", "products with the second derivatives", error, 1e-12)
+
+
+def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> Iterator[Finding]:
+    """D' J D = J for the derivative D of one step, for a scheme that promises it; and that no other one does."""
+    if not hasattr(module, "advance_directions"):
+        return
+    own, parameters, h = _own(model), np.array(model.defaults), 0.05
+    points = np.zeros((module.POINTS, *state.shape))
+    if module.advance(state, h, own, parameters, points, np.empty_like(state)) < 0:
+        yield Finding("symplecticity", "one step", False, "the step could not be made")
+        return
+    hessians = module.curvature_at(points, own, parameters)
+    derivative = np.empty((state.size, state.size))
+    module.advance_directions(hessians, points, 0, h, own, parameters, np.eye(state.size), derivative)
+    half = state.size // 2
+    form = np.block([[np.zeros((half, half)), np.eye(half)], [-np.eye(half), np.zeros((half, half))]])
+    error = float(np.abs(derivative.T @ form @ derivative - form).max())
+    promised = PARTICLE_SCHEMES[scheme].symplectic
+    detail = f"max |D' J D - J| = {error:.1e}; the scheme is {'' if promised else 'not '}symplectic"
+    yield Finding("symplecticity", "one step", error < 1e-11 if promised else error > 1e-11, detail)
+
+
+def _finding(check: str, subject: str, error: float, limit: float) -> Finding:
+    return Finding(check, subject, error <= limit, f"largest relative error {error:.1e}, allowed {limit:.0e}")

@@ -1,0 +1,142 @@
+"""Linear algebra of shooting: Cholesky and LU factors, products with symmetric matrices, GMRES' rotations.
+
+Inner loops run along rows, so that they are vectorised. Sources: Golub and Van Loan (2013), Matrix computations,
+algorithms 4.2.2 and 3.4.1.
+"""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy")
+def mirror_lower_triangle(matrix):
+    """Copy what is below the diagonal to above it."""
+    for row in range(matrix.shape[0]):
+        for column in range(row):
+            matrix[column, row] = matrix[row, column]
+
+
+@njit(cache=True, error_model="numpy")
+def symmetric_product(matrix, vectors, products):
+    """Fill `products`, shape (n, m), with a symmetric matrix times vectors, shape (n, m)."""
+    size, columns = vectors.shape
+    for row in range(size):
+        for c in range(columns):
+            products[row, c] = 0.0
+    if columns == 1:
+        total, vector = products.reshape(-1), vectors.reshape(-1)
+        for row in range(size):
+            factor = vector[row]
+            if factor != 0.0:
+                for column in range(size):
+                    total[column] += factor * matrix[row, column]
+        return
+    for row in range(size):
+        for column in range(size):
+            factor = matrix[row, column]
+            if factor != 0.0:
+                for c in range(columns):
+                    products[row, c] += factor * vectors[column, c]
+
+
+@njit(cache=True, error_model="numpy")
+def cholesky(matrix):
+    """Replace a symmetric matrix by its factor L', upper triangular, with matrix = L L'; return whether it has one."""
+    size = matrix.shape[0]
+    for k in range(size):
+        if not matrix[k, k] > 0.0:
+            return False
+        root = np.sqrt(matrix[k, k])
+        for column in range(k, size):
+            matrix[k, column] /= root
+        for row in range(k + 1, size):
+            factor = matrix[k, row]
+            for column in range(row, size):
+                matrix[row, column] -= factor * matrix[k, column]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def solve_cholesky(factor, vectors):
+    """Solve in place for several right-hand sides, shape (n, m), with the factor that `cholesky` left."""
+    size, columns = vectors.shape
+    for k in range(size):
+        for c in range(columns):
+            vectors[k, c] /= factor[k, k]
+            value = vectors[k, c]
+            for row in range(k + 1, size):
+                vectors[row, c] -= factor[k, row] * value
+    for k in range(size - 1, -1, -1):
+        for c in range(columns):
+            total = vectors[k, c]
+            for column in range(k + 1, size):
+                total -= factor[k, column] * vectors[column, c]
+            vectors[k, c] = total / factor[k, k]
+
+
+@njit(cache=True, error_model="numpy")
+def factor_dense(matrix, pivots):
+    """Replace a matrix by its LU factors with partial pivoting; return whether it is regular."""
+    size = matrix.shape[0]
+    for k in range(size):
+        pivot = k
+        for row in range(k + 1, size):
+            if abs(matrix[row, k]) > abs(matrix[pivot, k]):
+                pivot = row
+        if not abs(matrix[pivot, k]) > 0.0:
+            return False
+        pivots[k] = pivot
+        if pivot != k:
+            for column in range(size):
+                matrix[k, column], matrix[pivot, column] = matrix[pivot, column], matrix[k, column]
+        for row in range(k + 1, size):
+            factor = matrix[row, k] / matrix[k, k]
+            matrix[row, k] = factor
+            if factor != 0.0:
+                for column in range(k + 1, size):
+                    matrix[row, column] -= factor * matrix[k, column]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def solve_factored(matrix, pivots, vectors):
+    """Solve in place for several right-hand sides, shape (n, m), with the factors that `factor_dense` left."""
+    size, columns = vectors.shape
+    for k in range(size):
+        for c in range(columns):
+            vectors[k, c], vectors[pivots[k], c] = vectors[pivots[k], c], vectors[k, c]
+    for k in range(size):
+        for column in range(k):
+            factor = matrix[k, column]
+            for c in range(columns):
+                vectors[k, c] -= factor * vectors[column, c]
+    for k in range(size - 1, -1, -1):
+        for column in range(k + 1, size):
+            factor = matrix[k, column]
+            for c in range(columns):
+                vectors[k, c] -= factor * vectors[column, c]
+        for c in range(columns):
+            vectors[k, c] /= matrix[k, k]
+
+
+@njit(cache=True, error_model="numpy")
+def largest(values):
+    """Max-norm of a vector; infinite when an entry is not a number."""
+    size = 0.0
+    for k in range(values.size):
+        if not abs(values[k]) < np.inf:
+            return np.inf
+        size = max(size, abs(values[k]))
+    return size
+
+
+@njit(cache=True, error_model="numpy")
+def copy_state(source, target):
+    """Copy a state of shape (2, n, d); return whether it is finite."""
+    finite = True
+    for s in range(2):
+        for i in range(source.shape[1]):
+            for a in range(source.shape[2]):
+                target[s, i, a] = source[s, i, a]
+                finite = finite and abs(source[s, i, a]) < np.inf
+    return finite

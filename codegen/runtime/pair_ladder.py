@@ -1,0 +1,148 @@
+"""Which attempts are made to connect given points, in which order, and what is reported about them.
+
+Each attempt starts where the one before it failed: Newton's method from the momenta H_pp^-1 (target - start), from
+rest, by continuation in the target, and on all states at once from a guessed path. Only an attempt whose residual is
+below the tolerance counts as a solution.
+"""
+
+import numpy as np
+
+from codegen.runtime.example_pairs import BLOCKS, POINTS, domain_margin, guide, momentum_matrix
+from codegen.runtime.pair_algebra import cholesky, solve_cholesky
+from codegen.runtime.pair_shooting import all_states, shoot
+from codegen.runtime.pair_trajectory import discrete_cost, energies
+
+OUTCOMES = {
+    1: "solved",
+    0: "the iterations ran out",
+    -1: "a state became infinite or not a number",
+    -2: "the linear equations have no unique solution",
+    -3: "the equations of an implicit step were not solved",
+    -4: "a particle leaves its domain",
+    -5: "no step along Newton's direction reduces the residual",
+}
+LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
+
+
+def momenta_of(start, velocity, own, parameters):
+    """The momenta, shape (n, d), that move particles at rest at given velocities: H_pp^-1 velocity."""
+    state = np.stack([start, np.zeros_like(start)])
+    size = start.shape[0] if BLOCKS == 1 else start.size
+    matrix = np.empty((size, size))
+    momentum_matrix(state, own, parameters, matrix)
+    right = velocity.reshape(size, -1).copy()
+    if cholesky(matrix):
+        solve_cholesky(matrix, right)
+    return right.reshape(start.shape)
+
+
+def guessed_path(start, target, steps, duration, own, parameters):
+    """States on the guessed way from start to target, momenta by the discrete Legendre transform H_pp^-1 dq/h."""
+    path = np.zeros((steps + 1, 2, *start.shape))
+    for k in range(steps + 1):
+        guide(start, target, k / steps, path[k, 0])
+    for k in range(steps):
+        path[k, 1] = momenta_of(path[k, 0], (path[k + 1, 0] - path[k, 0]) * steps / duration, own, parameters)
+    path[steps, 1] = path[steps - 1, 1]
+    return path
+
+
+def climb(case, method, guess):
+    """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
+    path = np.zeros((case.steps + 1, 2, *case.start.shape))
+    points = np.zeros((case.steps * POINTS, 2, *case.start.shape))
+    log = np.zeros((case.max_iterations + 1, 3))
+    attempts, iterations, tangents = [], 0, 0
+    rungs = ATTEMPTS[method] if guess is None else (("Newton's method from the given momenta", from_guess),)
+    for name, attempt in rungs:
+        path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
+        log[:] = 0.0
+        outcome, made, residual = attempt(case, path, points, log)
+        iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
+        attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}")
+        if outcome == 1:
+            break
+    return outcome, path, points, iterations, tangents, residual, tuple(attempts)
+
+
+def shoot_at(case, target, path, points, log):
+    """Newton's method on the initial momenta of `path` for some target."""
+    return shoot(case._replace(target=target), path, points, log)
+
+
+def from_guess(case, path, points, log):
+    """Shoot from the momenta that are in `path`."""
+    return shoot_at(case, case.target, path, points, log)
+
+
+def from_velocity(case, path, points, log):
+    """Shoot from the momenta of the straight way to the target."""
+    path[0, 1] = momenta_of(case.start, (case.target - case.start) / case.duration, case.own, case.parameters)
+    return shoot_at(case, case.target, path, points, log)
+
+
+def from_rest(case, path, points, log):
+    """Shoot from vanishing momenta, whose first step is shortened where the momenta of the straight way fail."""
+    return shoot_at(case, case.target, path, points, log)
+
+
+def by_continuation(case, path, points, log):
+    """Move the target from the start to where it belongs, by parts that grow with success."""
+    done, part, total = 0.0, 0.25, 0
+    known = [(0.0, path[0, 1].copy())]
+    outcome, residual = 0, np.inf
+    while done < 1.0 and part >= LEAST_PART:
+        wanted = min(1.0, done + part)
+        target = np.empty_like(case.target)
+        guide(case.start, case.target, wanted, target)
+        if len(known) > 1:
+            (s0, p0), (s1, p1) = known[-2:]
+            path[0, 1] = p1 + (wanted - s1) / (s1 - s0) * (p1 - p0)
+        else:
+            path[0, 1] = momenta_of(case.start, (target - case.start) / case.duration, case.own, case.parameters)
+        log[:, 0] = log[:, 2] = 0.0
+        before = log[:, 1].sum()
+        outcome, made, residual = shoot_at(case, target, path, points, log)
+        log[-1, 1] = max(before, log[:, 1].sum())
+        total += made
+        if outcome == 1:
+            done, part = wanted, 1.6 * part
+            known.append((wanted, path[0, 1].copy()))
+        else:
+            part *= 0.4
+    return (outcome if done >= 1.0 or outcome != 1 else 0), total, residual if done >= 1.0 else np.inf
+
+
+def on_all_states(case, path, points, log):
+    """Newton's method on all states from the guessed path."""
+    path[:] = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+    return all_states(case, path, points, log)
+
+
+SHOOTING = (
+    ("Newton's method from the momenta of the straight way", from_velocity),
+    ("Newton's method from rest", from_rest),
+    ("continuation in the target", by_continuation),
+)
+ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
+ATTEMPTS = {"stepping": (*SHOOTING, *ALL_STATES), "full": (*ALL_STATES, *SHOOTING), "action": (*ALL_STATES, *SHOOTING)}
+
+
+def described(case, method, guess=None):
+    """The fields of a Solution."""
+    outcome, path, points, iterations, tangents, residual, attempts = climb(case, method, guess)
+    status = "solved" if outcome == 1 else "not connected"
+    message = (
+        attempts[-1]
+        if outcome == 1
+        else f"no attempt connects the points ({'; '.join(attempts)}); take more steps, allow for a sigma, or leave "
+        "out points that are close together and move apart"
+    )
+    h = case.duration / case.steps
+    finite = bool(np.isfinite(path).all() and np.isfinite(points).all())
+    cost = discrete_cost(h, case.own, case.parameters, points) if finite else np.nan
+    energy = energies(path, case.own, case.parameters) if finite else np.full(case.steps + 1, np.nan)
+    margin = min(domain_margin(z) for z in path) if finite else np.nan
+    t = h * np.arange(case.steps + 1)
+    q, p = path[:, 0].copy(), path[:, 1].copy()
+    return status, message, cost, residual, iterations, tangents, attempts, t, q, p, energy, margin

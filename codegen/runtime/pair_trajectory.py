@@ -1,0 +1,60 @@
+"""Step after step, the discrete cost, and how far a path is from satisfying the scheme's equations."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.example_pairs import COST_WEIGHTS, POINTS, domain_margin, hamiltonian
+from codegen.runtime.pair_runge_kutta import advance
+
+OUTSIDE = -4  # what `follow` returns when a particle leaves its domain
+
+
+@njit(cache=True, error_model="numpy")
+def follow(h, own, parameters, path, points):
+    """Fill `path`, shape (N + 1, 2, n, d), from its first state, and `points`, shape (N POINTS, 2, n, d).
+
+    Return the iterations of all implicit steps, or a negative number that says why a step failed.
+    """
+    iterations = 0
+    for k in range(path.shape[0] - 1):
+        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], path[k + 1])
+        if outcome < 0:
+            return outcome
+        if not domain_margin(path[k + 1]) > 0.0:
+            return OUTSIDE
+        iterations += outcome
+    return iterations
+
+
+@njit(cache=True, error_model="numpy")
+def discrete_cost(h, own, parameters, points):
+    """The sum of 2 h H over the points at which the scheme evaluates it, with the scheme's weights."""
+    cost = 0.0
+    for k in range(points.shape[0]):
+        cost += 2.0 * h * COST_WEIGHTS[k % POINTS] * hamiltonian(points[k], own, parameters)
+    return cost
+
+
+@njit(cache=True, error_model="numpy")
+def defects(h, own, parameters, path, points, errors):
+    """Fill `errors`, shape (N, 2, n, d), with a step from each state minus the next state; return as `follow` does."""
+    after, iterations = np.empty(path[0].shape), 0
+    for k in range(path.shape[0] - 1):
+        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after)
+        if outcome < 0:
+            return outcome
+        for s in range(2):
+            for i in range(after.shape[1]):
+                for a in range(after.shape[2]):
+                    errors[k, s, i, a] = after[s, i, a] - path[k + 1, s, i, a]
+        iterations += outcome
+    return iterations
+
+
+@njit(cache=True, error_model="numpy")
+def energies(path, own, parameters):
+    """H at every state."""
+    values = np.empty(path.shape[0])
+    for k in range(path.shape[0]):
+        values[k] = hamiltonian(path[k], own, parameters)
+    return values

@@ -1,0 +1,213 @@
+"""What the issue on particles promises, measured: accuracy, speed, sizes, hard cases, long motions.
+
+    python tests/benchmarks/particles.py [table speed sizes hard planets] [--repeat R]
+
+`table` is the thesis's Table 5.2 on data/trilobite40.csv, `speed` compares with scipy's fsolve over vectorised numpy in
+the same run, `sizes` grows the number of landmarks, `hard` rotates, brings neighbours together and adds noise,
+`planets` follows the outer solar system over a million days. Times are the best of R warm solves.
+"""
+
+import os
+
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+
+import argparse
+import resource
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+from rich.console import Console
+from rich.table import Table
+from scipy.integrate import solve_ivp
+
+from codegen import drivers
+from codegen.compiler import build
+from codegen.load import load
+from codegen.points import PointSet, read_points
+
+ROOT = Path(__file__).resolve().parents[2]
+REGISTRATION = ROOT / "problems" / "image_registration.py"
+TRILOBITES = ROOT / "problems" / "data" / "trilobite40.csv"
+REFERENCE = 1.0220537180672813
+THESIS = {"midpoint": (9399.0, 1.729e-3), "lsoda": (63.30, 2.803e-6), "explicit-euler": (19.14, 3.751e-3)}
+CONSOLE = Console(width=120)
+
+
+def module(scheme: str, method: str | None = None) -> Any:
+    """The generated module of a scheme."""
+    return load(build(REGISTRATION, scheme=scheme, method=method).path)
+
+
+def best(run: Callable[[], Any], repeat: int) -> tuple[Any, float]:
+    """The last result and the least time of several warm runs."""
+    result, seconds = run(), np.inf
+    for _ in range(repeat):
+        begin = perf_counter()
+        result = run()
+        seconds = min(seconds, perf_counter() - begin)
+    return result, seconds
+
+
+def table(repeat: int) -> None:
+    """Costs, errors and times on the trilobites beside the thesis's, which were on 40 other points."""
+    points = read_points(TRILOBITES, 2)
+    exact = drivers.solve(module("dop853"), points=points, tolerance=1e-13).cost
+    shown = Table("scheme", "cost", "error", "thesis", "seconds", "thesis ", title=f"exact {exact:.12f}")
+    for scheme, tolerance in (("midpoint", None), ("lsoda", 1e-2), ("lsoda", 1e-6), ("dop853", 1e-6),
+                              ("explicit-euler", None), ("symplectic-euler", None), ("rk4", None)):  # fmt: skip
+        result = drivers.solve(module(scheme), points=points, tolerance=tolerance, repeat=repeat)
+        seconds, error = THESIS.get(scheme, (np.nan, np.nan))
+        name = scheme if tolerance is None else f"{scheme} {tolerance:g}"
+        row = (name, f"{result.cost:.13f}", f"{abs(result.cost - exact):.3e}", f"{error:.3e}")
+        shown.add_row(*row, f"{result.seconds_solve:.4f}", f"{seconds:.2f}")
+        assert result.solved, result.message
+    CONSOLE.print(shown)
+
+
+def numpy_fsolve(points: PointSet, steps: int) -> tuple[float, float]:
+    """The same shooting by scipy's fsolve with finite differences over vectorised numpy: cost and seconds."""
+    q0, q1 = points.start, points.target
+
+    def kernel(q: Any) -> tuple[Any, Any]:
+        difference = q[:, None] - q[None]
+        s = (difference**2).sum(-1)
+        a = 1 - (q**2).sum(-1)
+        w = a[:, None] * a[None]
+        safe = np.where(s > 0, s, 1.0)
+        log = np.log1p(w / safe)
+        green = w / 2 - np.where(s > 0, s * log / 2, 0.0)
+        by_s = np.where(s > 0, w / (s + w) - log, 0.0) / 2
+        by_a = a[:, None] * a[None] ** 2 / (2 * (s + w))
+        return green, 2 * by_s[..., None] * difference - 2 * by_a[..., None] * q[:, None]
+
+    def shoot(p: Any) -> tuple[Any, float]:
+        q, p, cost = q0.copy(), p.reshape(q0.shape), 0.0
+        for _ in range(steps):
+            green, slope = kernel(q)
+            dots = p @ p.T
+            cost += (dots * green).sum() / steps
+            q, p = q + green @ p / steps, p - (dots[..., None] * slope).sum(1) / steps
+        return q, cost
+
+    start = np.linalg.solve(kernel(q0)[0], q1 - q0).ravel()
+    begin = perf_counter()
+    found = scipy.optimize.fsolve(lambda p: (shoot(p)[0] - q1).ravel(), start, xtol=1e-12)
+    seconds = perf_counter() - begin
+    return shoot(found)[1], seconds
+
+
+def speed(repeat: int) -> None:
+    """Explicit Euler and midpoint on the trilobites, five points, and numpy with fsolve in the same run."""
+    points = read_points(TRILOBITES, 2)
+    few = PointSet(points.start[:5], points.target[:5], points.sigma[:5])
+    euler, midpoint = module("explicit-euler"), module("midpoint")
+    for name, made, used in (("euler 40", euler, points), ("midpoint 40", midpoint, points), ("euler 5", euler, few)):
+        solution, seconds = best(lambda m=made, u=used: m.solve(u.start, u.target), repeat)
+        CONSOLE.print(f"{name}: {solution.status}, cost {solution.cost:.13f}, {1e3 * seconds:.3f} ms")
+    solution, ours = best(lambda: euler.solve(points.start, points.target), repeat)
+    cost, theirs = numpy_fsolve(points, 10)
+    CONSOLE.print(f"cost minus reference {solution.cost - REFERENCE:.1e}, minus numpy's {solution.cost - cost:.1e}")
+    CONSOLE.print(f"numpy and fsolve: {theirs:.3f} s, {theirs / ours:.0f} times ours")
+
+
+def smooth_pair(count: int, seed: int = 1) -> PointSet:
+    """Random points of the disc and where a smooth displacement carries them."""
+    generator = np.random.default_rng(seed)
+    radius, angle = 0.9 * np.sqrt(generator.random(count)), 2 * np.pi * generator.random(count)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    start = np.stack([x, y], axis=1)
+    shift = np.stack([np.sin(2 * y + 0.3) - 0.3 * x * y, np.cos(1.5 * x) - 0.5 * y], axis=1)
+    return PointSet(start, start + 0.15 * ((1 - radius**2) ** 2)[:, None] * shift, np.zeros(count))
+
+
+def sizes(repeat: int) -> None:
+    """Time and memory against the number of landmarks."""
+    euler = module("explicit-euler")
+    for count in (5, 10, 20, 50, 100, 200, 500, 1000):
+        points = smooth_pair(count)
+        runs = repeat if count < 500 else 1
+        solution, seconds = best(lambda p=points: euler.solve(p.start, p.target), runs)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+        CONSOLE.print(
+            f"nc {count:5d}: {solution.status}, residual {solution.residual:.1e}, {solution.iterations} iterations, "
+            f"{solution.tangents} tangents, {seconds:.4f} s, peak {memory:.0f} MB"
+        )
+
+
+def hard(repeat: int) -> None:
+    """Rotations, neighbours that move apart, noisy targets."""
+    euler, generator = module("explicit-euler"), np.random.default_rng(7)
+    points = read_points(TRILOBITES, 2)
+
+    def report(name: str, solution: Any) -> None:
+        tried = solution.attempts[-1].split(":")[0]
+        error = solution.residual
+        CONSOLE.print(f"{name}: {solution.status} by {tried}, cost {solution.cost:.6g}, residual {error:.1e}")
+
+    for degrees in (30, 60, 90):
+        angle = np.deg2rad(degrees)
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        report(f"rotation by {degrees} degrees", euler.solve(points.start, points.start @ turn.T, 20))
+    for distance in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
+        start, target = points.start.copy(), points.target.copy()
+        start[1], target[1] = start[0] + [distance, 0.0], target[0] + [0.0, distance]
+        report(f"neighbours at {distance:g}, turned by 90 degrees", euler.solve(start, target, 20))
+    for seed in range(3):
+        noisy = points.target + 0.03 * np.random.default_rng(seed).normal(size=points.target.shape)
+        report("targets with noise of 0.03", euler.solve(points.start, noisy, 20))
+        report("the same with sigma = 0.03", euler.solve(points.start, noisy, 20, sigma=0.03))
+    del generator, repeat
+
+
+def planets(repeat: int) -> None:
+    """Energy over a million days, and steps per second beside DOP853 at the same error of the energy."""
+    path = ROOT / "problems" / "outer_solar_system.py"
+    for scheme, steps in (("stormer-verlet", 100_000), ("midpoint", 10_000), ("explicit-euler", 100_000)):
+        made: Any = load(build(path, scheme=scheme).path)
+        solution, seconds = best(lambda m=made, n=steps: m.solve(n, every=10), min(repeat, 3))
+        error = np.abs(solution.energy - solution.energy[0])
+        half = error.size // 2
+        CONSOLE.print(
+            f"{scheme}, {steps} steps: energy error {error[:half].max():.2e} in the first half, "
+            f"{error[half:].max():.2e} in the second, of {solution.energy[0]:.4e}; "
+            f"{steps / seconds:.3g} steps/s, {seconds:.3f} s"
+        )
+    grid = made.make_grid(1)
+    gradient_free = made
+
+    def field(_: float, y: Any) -> Any:
+        q, p = y.reshape(2, 6, 3)
+        masses = grid.own[:, 0]
+        d = q[:, None] - q[None]
+        cube = ((d**2).sum(-1) + np.eye(6)) ** 1.5
+        pull = grid.parameters[0] * (masses[:, None] * masses[None] / cube)[..., None] * d
+        return np.concatenate([(p / masses[:, None]).ravel(), -pull.sum(1).ravel()])
+
+    scale = np.concatenate([np.ones(18), np.repeat(grid.own[:, 0], 3) * 1e-3])
+    for tolerance in (1e-7, 1e-9):
+        begin = perf_counter()
+        found = solve_ivp(field, (0, 1e6), grid.start.ravel(), "DOP853", rtol=tolerance, atol=tolerance * scale)
+        seconds = perf_counter() - begin
+        energy = [gradient_free.energy(y, 0.0, grid.parameters) for y in found.y.T]
+        error = np.abs(np.array(energy) - energy[0]).max()
+        CONSOLE.print(f"DOP853 at {tolerance:g}: energy error {error:.2e}, {found.t.size - 1} steps, {seconds:.3f} s")
+
+
+def main() -> None:
+    """Run the named parts, or all."""
+    parts = {function.__name__: function for function in (table, speed, sizes, hard, planets)}
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", choices=[*parts, []])
+    parser.add_argument("--repeat", type=int, default=20)
+    chosen = parser.parse_args()
+    for name in chosen.parts or parts:
+        CONSOLE.rule(name)
+        parts[name](chosen.repeat)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""Simulations of pairwise systems against integrators, invariants and published numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from codegen import drivers
+
+BOLTZMANN = 1.380658e-23 / 1e-27
+
+
+@pytest.fixture
+def sun(interpreted):
+    return interpreted("outer_solar_system", scheme="stormer-verlet")
+
+
+@pytest.fixture
+def argon(interpreted):
+    return interpreted("lennard_jones", scheme="stormer-verlet")
+
+
+def test_argon_has_the_published_energy(argon):
+    """Hairer, Lubich and Wanner (2006), section I.4.2: H(0)/k_B = -1260.2 K."""
+    grid = argon.make_grid(1)
+    assert argon.energy(grid.start.ravel(), 0.0, grid.parameters) / BOLTZMANN == pytest.approx(-1260.2, abs=0.05)
+
+
+def test_argon_does_not_drift(argon):
+    momenta = argon.START[1].sum(axis=0)
+    np.testing.assert_allclose(momenta, 0.0, atol=1e-9)  # the book chose the velocities so
+    solution = argon.solve(300, duration=300e-5 * 4)
+    np.testing.assert_allclose(solution.p[-1].reshape(7, 2).sum(axis=0), 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["stormer-verlet", "midpoint", "symplectic-euler", "symplectic-euler-adjoint",
+                                    "explicit-euler", "implicit-euler", "rk4"])  # fmt: skip
+def test_the_solar_system_against_an_adaptive_integrator(interpreted, sun, scheme):
+    module = interpreted("outer_solar_system", scheme=scheme)
+    masses, places, G = sun.OWN[:, 0], sun.START[0], sun.metadata["parameters"]["G"]
+
+    def field(_, y):
+        q, v = y.reshape(2, 6, 3)
+        a = np.zeros((6, 3))
+        for i in range(6):
+            for j in range(6):
+                if i != j:
+                    a[i] += G * masses[j] * (q[j] - q[i]) / np.linalg.norm(q[j] - q[i]) ** 3
+        return np.concatenate([v.ravel(), a.ravel()])
+
+    start = np.concatenate([places.ravel(), (sun.START[1] / masses[:, None]).ravel()])
+    exact = solve_ivp(field, (0, 400), start, "DOP853", rtol=1e-12, atol=1e-14).y[:18, -1]
+    order = module.metadata["order"]
+    errors = [np.abs(module.solve(n, duration=400.0).q[-1] - exact).max() for n in (10, 20)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
+
+
+def test_any_number_of_particles(argon):
+    start = np.array([[(0.0, 0.0), (0.4, 0.0)], [(0.0, 0.0), (0.0, 0.0)]])
+    solution = argon.solve(10, start=start, duration=1e-3)
+    assert solution.q.shape == (11, 4)
+    assert solution.status == "solved"
+
+
+def test_verlet_is_reversible(sun):
+    there = sun.solve(50, duration=5000.0)
+    end = np.stack([there.q[-1].reshape(6, 3), -there.p[-1].reshape(6, 3)])
+    back = sun.solve(50, duration=5000.0, start=end)
+    np.testing.assert_allclose(back.q[-1], there.q[0], atol=1e-11)
+
+
+def test_thinned_states_are_those_of_all_steps(sun):
+    every, all_of_them = sun.solve(23, duration=2300.0, every=5), sun.solve(23, duration=2300.0)
+    np.testing.assert_array_equal(every.q, all_of_them.q[[0, 5, 10, 15, 20, 23]])
+    assert all_of_them.residual == every.residual == 0.0
+
+
+def test_a_driver_reports_energies(sun):
+    result = drivers.solve(sun, steps=20)
+    assert result.status == "solved"
+    assert result.names["q"][3] == "x_2"
+
+
+def test_unusable_arguments(sun):
+    with pytest.raises(ValueError, match="start has shape"):
+        sun.solve(5, start=np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="steps is 0"):
+        sun.solve(0)
+    with pytest.raises(ValueError, match="must be finite"):
+        sun.solve(5, m=np.nan)
