@@ -63,7 +63,7 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu=0.0):
+def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu):
     """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
 
     The sizes are the sums of all |multipliers| and of all duals, and the number of duals.
