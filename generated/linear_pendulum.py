@@ -359,8 +359,11 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
     """
     for c in range(count):
         order[c] = c
-    negative, c = 0, 0
-    while c < count:
+    negative, paired = 0, False
+    for c in range(count):
+        if paired:  # eliminated together with the row before it
+            paired = False
+            continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
         row, place = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
@@ -369,23 +372,20 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
                 beside, place = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
-        pair = False
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
-                pair = abs(matrix[other, other]) < BALANCE * largest
-                to = c + 1 if pair else c
+                paired = abs(matrix[other, other]) < BALANCE * largest
+                to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
-        if pair:
+        if paired:
             eliminate_pair(matrix, c, count, width, upper, inverse, order)
             negative += 1
-            c += 2
         else:
             negative += eliminate_one(matrix, c, count, width, upper, inverse, order)
-            c += 1
     return negative
 
 
@@ -680,18 +680,17 @@ def allocate_system(grid):
     """Room for the factors, for what is condensed, and the number of equations.
 
     The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
-    the pivots and the order of elimination each. Orders are valid indices from the start: what solves with factors that
-    were never made, as it does to be compiled, must stay inside the arrays.
+    the pivots and the order of elimination each; zeros, so that solving without factors stays inside the arrays.
     """
     factors = (
-        np.empty((BODIES, grid.steps, BLOCK, WIDTH)),
-        np.empty((BODIES, grid.steps, BLOCK, 2)),
+        np.zeros((BODIES, grid.steps, BLOCK, WIDTH)),
+        np.zeros((BODIES, grid.steps, BLOCK, 2)),
         np.zeros((BODIES, grid.steps, BLOCK), np.uint64),
-        np.empty((BODIES, LAST, LAST_WIDTH)),
-        np.empty((BODIES, LAST, 2)),
+        np.zeros((BODIES, LAST, LAST_WIDTH)),
+        np.zeros((BODIES, LAST, 2)),
         np.zeros((BODIES, LAST), np.uint64),
-        np.empty((ROOT, ROOT_WIDTH)),
-        np.empty((ROOT, 2)),
+        np.zeros((ROOT, ROOT_WIDTH)),
+        np.zeros((ROOT, 2)),
         np.zeros(ROOT, np.uint64),
         allocate_condensed(grid),
     )
@@ -711,53 +710,66 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     return excess if regular else None
 
 
-# Sums may be taken in any order, which lets them run in parallel in the processor.
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(cache=True, error_model="numpy")
 def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
-    """Run the front over all intervals of all bodies; whether it came through, and the excess of negative pivots."""
-    upper, inverse, order, last_upper, last_inverse, last_order, root_upper, root_inverse, root_order = factors[:9]
-    condensed = factors[9]
-    if not prepare_condensed(weight, diagonal, condensed):
+    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
+    root_upper, root_inverse, root_order = factors[6:9]
+    if not prepare_condensed(weight, diagonal, factors[9]):
         return False, 0
-    chain, negative, multipliers = steps * STRIDE + NODE, 0, 0
-    element, rest, hessian = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH)), np.empty(HESSIAN_ROWS.size)
-    last, left = np.empty((LAST, LAST_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
-    root = np.zeros((ROOT, ROOT_WIDTH))
+    negative = 0
+    root, left = np.zeros((ROOT, ROOT_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
     for body in range(BODIES):
-        own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
-        for k in range(steps):
-            interval = body * steps + k
-            interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters[body], hessian)
-            if weight != 1.0:
-                weigh(weight, hessian)
-            element[:] = 0.0
-            if not add_element(hessian, added[k * STRIDE : (k + 1) * STRIDE], condensed, interval, element):
-                return False, 0
-            for i in range(BLOCK):
-                element[i, i] += added[k * STRIDE + i]
-            if k == 0 or k == steps - 1:
-                close_element(own, k, steps, h, parameters[body], weight, added, element)
-            if k == 0:
-                begin_front(element, rest)
-                continue
-            move_front(element, rest)
-            found = eliminate_rows(element, BLOCK, WIDTH, upper[body, k], inverse[body, k], order[body, k])
-            if found < 0:
-                return False, 0
-            negative += found
-            multipliers += MULTIPLIERS
-            if negative > multipliers + ENDING + COMMON:  # node k + 1 has as many as the last one
-                return True, negative - multipliers - ENDING - COMMON
-            subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
-        end_front(rest, last, left)
-        found = eliminate_rows(last, LAST, LAST_WIDTH, last_upper[body], last_inverse[body], last_order[body])
-        if found < 0:
-            return False, 0
+        regular, found, excess = eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, factors, left)
+        if not regular or excess > 0:
+            return regular, excess
         negative += found
-        multipliers += ENDING
-        if negative > multipliers + COMMON:  # no multiplier of another body reaches into this one
-            return True, negative - multipliers - COMMON
     return True, negative - equations
+
+
+# Sums may be taken in any order, which lets them run in parallel in the processor.
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, factors, left):
+    """Run the front over all intervals of a body; `left` takes what that leaves for the shared unknowns.
+
+    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
+    the elimination has stopped.
+    """
+    upper, inverse, order, last_upper, last_inverse, last_order = factors[:6]
+    chain, negative = steps * STRIDE + NODE, 0
+    own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
+    element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
+    last, hessian = np.empty((LAST, LAST_WIDTH)), np.empty(HESSIAN_ROWS.size)
+    for k in range(steps):
+        interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters[body], hessian)
+        if weight != 1.0:
+            weigh(weight, hessian)
+        element[:] = 0.0
+        here = added[k * STRIDE : (k + 1) * STRIDE]
+        if not add_element(hessian, here, factors[9], body * steps + k, element):
+            return False, 0, 0
+        for i in range(BLOCK):
+            element[i, i] += here[i]
+        if k == 0 or k == steps - 1:
+            close_element(own, k, steps, h, parameters[body], weight, added, element)
+        if k == 0:
+            begin_front(element, rest)
+            continue
+        move_front(element, rest)
+        found = eliminate_rows(element, BLOCK, WIDTH, upper[body, k], inverse[body, k], order[body, k])
+        if found < 0:
+            return False, 0, 0
+        negative += found
+        # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
+        if negative > k * MULTIPLIERS + ENDING + COMMON:
+            return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
+        subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
+    end_front(rest, last, left)
+    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
+    if found < 0:
+        return False, 0, 0
+    # No multiplier of another body reaches into this one.
+    negative += found
+    return True, negative, max(0, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON))
 
 
 @njit(error_model="numpy")
@@ -835,10 +847,10 @@ def substitute(gradient, steps, factors, step):
         for i in END_PINNED:
             right[steps * BLOCK + i] = 0.0
         forward(upper[body], order[body], right, last[body])
-        solve_forward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
     for body in range(BODIES):
-        solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
-        solve_backward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_pivots(last_inverse[body], last_order[body], last_order.shape[1], last[body])
+        solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         backward(upper[body], inverse[body], order[body], last[body], reduced[body])
     expand(gradient, condensed, steps, reduced, shared, step)
 
@@ -1608,7 +1620,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_970922af0eb86be0"
+_IDENTITY = "codegen_linear_pendulum_cba2c233236e9691"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -48,7 +48,8 @@ class Compilers:
             with suppress(BrokenPipeError):  # its exit status will tell
                 process.stdin.write(os.fsencode(path.absolute()))
                 process.stdin.close()
-        return not any([process.wait() for process in self.processes])
+        statuses = [process.wait() for process in self.processes]
+        return not any(statuses)
 
 
 @contextmanager

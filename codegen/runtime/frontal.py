@@ -101,59 +101,24 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     return excess if regular else None
 
 
-# Sums may be taken in any order, which lets them run in parallel in the processor.
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(cache=True, error_model="numpy")
 def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
-    """Run the front over all intervals of all bodies; whether it came through, and the excess of negative pivots."""
-    upper, inverse, order, last_upper, last_inverse, last_order, root_upper, root_inverse, root_order = factors[:9]
-    condensed = factors[9]
-    if not prepare_condensed(weight, diagonal, condensed):
+    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
+    root_upper, root_inverse, root_order = factors[6:9]
+    if not prepare_condensed(weight, diagonal, factors[9]):
         return False, 0
-    chain, negative, multipliers = steps * STRIDE + NODE, 0, 0
-    element, rest, hessian = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH)), np.empty(HESSIAN_ROWS.size)
-    last, left = np.empty((LAST, LAST_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
-    root = np.zeros((ROOT, ROOT_WIDTH))
+    negative = 0
+    root, left = np.zeros((ROOT, ROOT_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
-        own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
-        for k in range(steps):
-            interval = body * steps + k
-            interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters[body], hessian)
-            if weight != 1.0:
-                weigh(weight, hessian)
-            element[:] = 0.0
-            if not add_element(hessian, added[k * STRIDE : (k + 1) * STRIDE], condensed, interval, element):
-                return False, 0
-            for i in range(BLOCK):
-                element[i, i] += added[k * STRIDE + i]
-            if k == 0 or k == steps - 1:
-                close_element(own, k, steps, h, parameters[body], weight, added, element)
-            if k == 0:
-                begin_front(element, rest)
-                continue
-            move_front(element, rest)
-            found = eliminate_rows(element, BLOCK, WIDTH, upper[body, k], inverse[body, k], order[body, k])
-            if found < 0:
-                return False, 0
-            negative += found
-            multipliers += MULTIPLIERS
-            if negative > multipliers + ENDING + COMMON:  # node k + 1 has as many as the last one
-                return True, negative - multipliers - ENDING - COMMON
-            subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
-        end_front(rest, last, left)
-        found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
-        if found < 0:
-            return False, 0
+        regular, found, excess = eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, factors, left)
+        if not regular or excess > 0:
+            return regular, excess
         negative += found
-        multipliers += ENDING
-        if negative > multipliers + COMMON:  # no multiplier of another body reaches into this one
-            return True, negative - multipliers - COMMON
-        if SHARED:
-            subtract_products(last_upper[body], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
-            for i in range(SHARED):
-                for j in range(SHARED):
-                    root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
+        for i in range(SHARED):
+            for j in range(SHARED):
+                root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
     if SHARED:
         for i in range(ROOT):
             root[i, i] += diagonal[diagonal.size - ROOT + i]
@@ -164,6 +129,54 @@ def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors)
             return False, 0
         negative += found
     return True, negative - equations
+
+
+# Sums may be taken in any order, which lets them run in parallel in the processor.
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, factors, left):
+    """Run the front over all intervals of a body; `left` takes what that leaves for the shared unknowns.
+
+    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
+    the elimination has stopped.
+    """
+    upper, inverse, order, last_upper, last_inverse, last_order = factors[:6]
+    chain, negative = steps * STRIDE + NODE, 0
+    own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
+    element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
+    last, hessian = np.empty((LAST, LAST_WIDTH)), np.empty(HESSIAN_ROWS.size)
+    for k in range(steps):
+        interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters[body], hessian)
+        if weight != 1.0:
+            weigh(weight, hessian)
+        element[:] = 0.0
+        here = added[k * STRIDE : (k + 1) * STRIDE]
+        if not add_element(hessian, here, factors[9], body * steps + k, element):
+            return False, 0, 0
+        for i in range(BLOCK):
+            element[i, i] += here[i]
+        if k == 0 or k == steps - 1:
+            close_element(own, k, steps, h, parameters[body], weight, added, element)
+        if k == 0:
+            begin_front(element, rest)
+            continue
+        move_front(element, rest)
+        found = eliminate_rows(element, BLOCK, WIDTH, upper[body, k], inverse[body, k], order[body, k])
+        if found < 0:
+            return False, 0, 0
+        negative += found
+        # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
+        if negative > k * MULTIPLIERS + ENDING + COMMON:
+            return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
+        subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
+    end_front(rest, last, left)
+    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
+    if found < 0:
+        return False, 0, 0
+    if SHARED:
+        subtract_products(last_upper[body], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
+    # No multiplier of another body reaches into this one.
+    negative += found
+    return True, negative, max(0, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON))
 
 
 @njit(error_model="numpy")

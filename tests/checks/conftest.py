@@ -1,4 +1,4 @@
-"""The gallery's modules, built once a session, and damaged copies of them."""
+"""The gallery's modules, made once a session and run uncompiled, and damaged copies of them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from interpreted import as_machine_code
 
 from codegen import checks, compiler
 from codegen.checks import Context
 from codegen.compiler import Choices
-from codegen.load import load
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 Prepare = Callable[..., Context]
@@ -27,10 +27,18 @@ def prepared(cache_folder: Path) -> Prepare:
         key = (path, tuple((arguments or {}).items()), tuple(choices.items()))
         if key not in known:
             made = compiler.build(path, arguments, **choices)
-            known[key] = checks.context_of(path, arguments or {}, Choices(**choices), made.path)
+            context = checks.context_of(path, arguments or {}, Choices(**choices), made.path)
+            known[key] = replace(context, module=uncompiled(made.path))
         return known[key]
 
     return prepare
+
+
+def uncompiled(path: Path):
+    """A generated module whose kernels the interpreter runs: checks look at a few intervals only."""
+    module = as_machine_code(path.read_text(encoding="utf-8"), path.stem)
+    module.__file__ = str(path)
+    return module
 
 
 @pytest.fixture
@@ -44,6 +52,6 @@ def damaged(tmp_path: Path) -> Callable[..., Context]:
             text = text.replace(old, new, 1)
         copy = tmp_path / "damaged.py"
         copy.write_text(text, encoding="utf-8")
-        return replace(context, module=load(copy))
+        return replace(context, module=uncompiled(copy))
 
     return damage
