@@ -85,7 +85,9 @@ def compile_all_but_the_longest(module: Any) -> None:
     """Call what a solution calls, except the longest function; the factors of a control problem are zeros."""
     grid = module.make_grid(2)
     if module.metadata["task"] == "simulate":
-        module.path_residual(grid, np.vstack([grid.start, grid.start]))
+        path = np.vstack([grid.start, grid.start])
+        module.path_residual(grid, path)
+        module.energies(path, np.zeros(2), grid.parameters, np.empty(2))
         return
     unknowns = module.initial_guess(grid)
     gradient = module.evaluate(grid, unknowns).gradient
