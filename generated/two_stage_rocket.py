@@ -1547,18 +1547,16 @@ class Bounds(NamedTuple):
     side: np.ndarray
 
 
-def finite_bounds(grid):
+def finite_bounds(lower, upper):
     """The bounds that exist, lower ones first."""
-    lower, upper = variable_bounds(grid)
     below, above = np.flatnonzero(lower > -np.inf), np.flatnonzero(upper < np.inf)
     side = np.ones(below.size + above.size)
     side[below.size :] = -1.0
     return Bounds(np.concatenate([below, above]), np.concatenate([lower[below], upper[above]]), side)
 
 
-def push_inside(grid, unknowns, push):
+def push_inside(lower, upper, unknowns, push):
     """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
-    lower, upper = variable_bounds(grid)
     width = push * (upper - lower)
     with np.errstate(invalid="ignore"):
         least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
@@ -1591,7 +1589,7 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu):
     """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
 
-    The sizes are the sums of all |multipliers| and of all duals, and the number of duals.
+    The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
     excess, off_centre, size = 0.0, 0.0, 0.0
@@ -1602,13 +1600,16 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
         if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
             excess += product
         size += duals[j]
-    stationarity, multipliers = 0.0, 0.0
+    stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
     for i in range(gradient.size):
         if is_multiplier[i]:
             multipliers += abs(unknowns[i])
+            count += 1
         else:
             stationarity = max(stationarity, abs(stationary[i]))
-    return stationarity, excess, off_centre, multipliers, size, place.size
+            largest = max(largest, abs(unknowns[i]))
+    mean = (multipliers + size) / max(count + place.size, 1)
+    return stationarity, excess, off_centre, mean, size / max(place.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")
@@ -1778,10 +1779,13 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
     iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds.
     """
-    search = Search(grid, finite_bounds(grid), allocate_system(grid))
+    lower, upper = variable_bounds(grid)
+    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid))
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
     mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    iterate = first_iterate(search, unknowns, mu, warm)
+    # Far from a solution duals of one serve better than the central path.
+    inside = push_inside(lower, upper, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
+    iterate = with_multipliers(search, inside, mu if warm else None)
     first = max(1.0, iterate.point.violation)
     small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
     shift, last_shift, length = 0.0, 0.0, 0.0
@@ -1798,11 +1802,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift > 0.0
             return ("saddle point" if doubtful and not is_minimum(search, iterate) else "solved"), point, iteration
-        if is_boundless(grid, point):
+        if is_boundless(point, measured[5]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
             break
-        while mu > least and barrier_error(grid, point, measured, mu) <= 10.0 * mu:
+        while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
             mu = max(least, min(0.2 * mu, mu**1.5))
             filtered = filtered[:1]
             measured = measure_optimality(
@@ -1834,13 +1838,6 @@ def is_minimum(search, iterate):
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
-def first_iterate(search, unknowns, mu, warm):
-    """The start pushed inside its bounds; far from a solution duals of one serve better than the central path."""
-    grid = search.grid
-    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
-    return with_multipliers(search, inside, mu if warm else None)
-
-
 def with_multipliers(search, unknowns, mu):
     """An iterate at primal unknowns inside their bounds, with multipliers by least squares.
 
@@ -1867,18 +1864,16 @@ def guess_multipliers(search, unknowns, duals):
     return unknowns + multipliers if np.abs(multipliers).max(initial=0.0) <= 1e3 else unknowns
 
 
-def is_boundless(grid, point):
+def is_boundless(point, largest):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    if point.residual <= 1e-6 and point.cost < -LARGEST:
-        return True
-    return np.abs(point.unknowns[~grid.is_multiplier]).max() > LARGEST
+    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
 
 
-def barrier_error(grid, point, measured, mu):
+def barrier_error(point, measured, mu):
     """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
-    stationarity, _, off_centre, multipliers, duals, count = measured
-    scale = max(100.0, (multipliers + duals) / max(np.count_nonzero(grid.is_multiplier) + count, 1)) / 100.0
-    return max(stationarity / scale, point.residual, off_centre / (max(100.0, duals / max(count, 1)) / 100.0))
+    stationarity, _, off_centre, mean, mean_dual, _ = measured
+    scale, dual_scale = max(100.0, mean) / 100.0, max(100.0, mean_dual) / 100.0
+    return max(stationarity / scale, point.residual, off_centre / dual_scale)
 
 
 def regularised_step(search, iterate, mu, last_shift):
@@ -2730,7 +2725,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_two_stage_rocket_76e7ade6b987fa54"
+_IDENTITY = "codegen_two_stage_rocket_f6152dbacdb92e41"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
