@@ -29,8 +29,9 @@ def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) 
     function = driver.function(module.metadata["task"])
     begin, compiled_before = time.perf_counter(), machine_code_counts(module)[0]
     try:
-        _touch(module, request, driver.name)
-        attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
+        with packed_operations():  # for what is compiled only now
+            _touch(module, request, driver.name)
+            attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
     except ValueError as error:
         # Generated modules know nothing of codegen's errors.
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
