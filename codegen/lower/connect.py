@@ -168,7 +168,7 @@ def _runtime(
     files = [*_special(loops, around)]
     step = "pair_substeps" if program.substeps else "pair_runge_kutta"
     files += ["pair_algebra", "pair_curvature", step, *(["pair_implicit"] if _implicit(program) else [])]
-    files += ["pair_trajectory", "pair_shooting", "pair_case", "pair_ladder"]
+    files += ["pair_trajectory", "pair_secant", "pair_shooting", "pair_case", "pair_ladder"]
     files += ["pair_callbacks", *(["pair_action"] if program.method == "action" else [])]
     return tuple(files)
 
