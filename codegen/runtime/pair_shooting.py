@@ -6,8 +6,9 @@ method solves for all states at once (multiple shooting with one step for each i
 defect, and states move along the linearised trajectory, which is what elimination of the block-banded Jacobian gives.
 
 Few unknowns are solved for by tangents in all directions at once. Many are first improved by Broyden's method, then
-solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing terms are those of Eisenstat and Walker (1996), SIAM Journal on
-Scientific Computing 17, choice 2; the line search halves steps until the residual decreases.
+solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing terms
+are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2; the line search halves
+steps until the residual decreases.
 """
 
 import numpy as np
