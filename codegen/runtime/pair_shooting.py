@@ -26,6 +26,7 @@ DENSE = 24  # unknowns up to which tangents in all directions are taken
 BASIS = 80  # directions that GMRES keeps
 HALVINGS = 14
 ROUNDING = 1e-10  # residuals below this count as solved once no step makes them smaller
+UNITS = 1.5e-14  # the same for each unit of the largest momentum: 64 rounding errors of what places are summed from
 
 
 @njit(cache=True, error_model="numpy")
@@ -157,6 +158,11 @@ def preconditioner(case):
     return matrix if cholesky(matrix) else None
 
 
+def rounding(path):
+    """The residual below which no step can be expected to make it smaller; neighbours need large momenta."""
+    return max(ROUNDING, UNITS * np.abs(path[:, 1]).max())
+
+
 def first_steps(case, h, factor, path, points):
     """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
     if factor is None or case.start.size <= DENSE:
@@ -197,7 +203,7 @@ def shoot(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= ROUNDING else STALLED, made + iteration, error
+            return SOLVED if error <= rounding(path) else STALLED, made + iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual = trial_path, trial_points, trial
     raise AssertionError("unreachable")
@@ -241,7 +247,7 @@ def all_states(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= ROUNDING else STALLED, iteration, error
+            return SOLVED if error <= rounding(path) else STALLED, iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual, errors[:] = trial_path, trial_points, trial, trial_errors
     raise AssertionError("unreachable")
