@@ -89,3 +89,8 @@ def test_unusable_arguments(sun):
         sun.solve(0)
     with pytest.raises(ValueError, match="must be finite"):
         sun.solve(5, m=np.nan)
+
+
+def test_fsolve_says_that_it_does_not_solve_steps_of_particles(sun):
+    with pytest.raises(ArgumentError, match="does not solve the steps of particles"):
+        drivers.solve(sun, "fsolve", steps=20)
