@@ -140,14 +140,13 @@ def build(
             made = _build(problem, set_, scheme, method, controls, out)
     else:
         from codegen import drivers
-        from codegen.drivers.compilation import second_process
-        from codegen.load import load
+        from codegen.drivers.compilation import compilers
 
-        with second_process() as helper:
+        with compilers() as processes:
             with _working("Deriving"):
                 made = _build(problem, set_, scheme, method, controls, out)
             with _working("Compiling"):
-                drivers.prepare(load(made.path), helper)
+                drivers.prepare(made.path, processes)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
     typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")

@@ -126,12 +126,17 @@ def log_table(result: Result) -> Table:
     from rich.table import Table
 
     table = Table(title="Iterations", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    for heading in ("iteration", "cost", "residual", "stationarity", "shift", "step"):
+    rows = result.log if result.log is not None else ()
+    headings = ["iteration", "cost", "residual", "stationarity", "shift", "step"]
+    if any(len(row) > len(headings) - 1 for row in rows):  # of the interior point method
+        headings.append("barrier")
+    for heading in headings:
         table.add_column(heading, justify="right")
-    for k, row in enumerate(result.log if result.log is not None else ()):
-        cost, residual, stationarity, shift, length = row
+    for k, row in enumerate(rows):
+        cost, residual, stationarity, shift, length, *barrier = row
         errors = f"{residual:.2e}", f"{stationarity:.2e}"
-        table.add_row(str(k), f"{cost:.12g}", *errors, f"{shift:.1e}" if shift else "", f"{length:g}")
+        weight = (f"{mu:.1e}" for mu in barrier)
+        table.add_row(str(k), f"{cost:.12g}", *errors, f"{shift:.1e}" if shift else "", f"{length:g}", *weight)
     return table
 
 

@@ -24,7 +24,7 @@ Cost at the end: -r_k1
 Operations per interval, before and after common subexpressions are shared:
 
     interval_gradient: 233 -> 74
-    interval_hessian: 790 -> 115
+    interval_hessian: 806 -> 98
     start_gradient: 0 -> 0
     end_gradient: 2 -> 2
 """
@@ -60,7 +60,7 @@ metadata = {
     "meanings": {'mu_r': 'multiplier of the step of r', 'mu_v': 'multiplier of the step of v', 'mu_m': 'multiplier of the step of m'},
     "inequalities": True,
     "boundary": ('start r', 'start v', 'start m', 'end m'),
-    "operations": {'interval_gradient': (233, 74), 'interval_hessian': (790, 115), 'start_gradient': (0, 0), 'end_gradient': (2, 2)},
+    "operations": {'interval_gradient': (233, 74), 'interval_hessian': (806, 98), 'start_gradient': (0, 0), 'end_gradient': (2, 2)},
     "left_out": (
         'curvature of the boundary conditions: positions that they depend on are given',
         'time in the kernels: nothing depends on it explicitly',
@@ -158,96 +158,89 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     h_c = parameters[1]
     D_c = parameters[2]
     c = parameters[4]
-    x0 = 0.5*r_k
-    x1 = 0.5*r_k1
-    x2 = x0 + x1
-    x3 = 0.5*m_k + 0.5*m_k1
-    x4 = 1/x3
-    x5 = 0.5*v_k + 0.5*v_k1
-    x6 = D_c*math.exp(-h_c*(x2 - 1))
-    x7 = x5**2*x6
-    x8 = x4*x7
-    x9 = T*h
-    x10 = mu_v_k*x9
-    x11 = -x10*(-1.5*g0/x2**4 - 0.25*h_c**2*x8)
-    x12 = m_k + m_k1
-    x13 = 0.5*x9
-    x14 = mu_v_k*x13
-    x15 = v_k + v_k1
-    x16 = math.exp(h_c)
-    x17 = math.exp(-h_c*x0)
-    x18 = math.exp(-h_c*x1)
-    x19 = D_c*x15*x16*x17*x18
-    x20 = -h_c*x14*x19/x12
-    x21 = x4*x6
-    x22 = x14*x21
-    x23 = x10/x12**2
-    x24 = 0.25*D_c*h_c*x15**2*x16*x17*x18*x23
-    x25 = -x19*x23
-    x26 = thrust_k - x7
-    x27 = -x14*x26/x3**3
-    x28 = -x13
-    x29 = g0/x2**3 + 0.5*h_c*x8
-    x30 = -x29*x9
-    x31 = h*x5
-    x32 = x21*x31
-    x33 = T*x32
-    x34 = x3**(-2)
-    x35 = x13*x34
-    x36 = x26*x35
-    x37 = mu_v_k*x35
-    x38 = 1/c
-    x39 = h*mu_v_k
-    x40 = -x29*x39
-    x41 = -0.5*h*mu_r_k + mu_v_k*x32
-    x42 = 0.5*x26*x34*x39
-    hessian[0] = x11  # d2l/dr_k dr_k
-    hessian[1] = x20  # d2l/dv_k dr_k
-    hessian[2] = x22  # d2l/dv_k dv_k
-    hessian[3] = x24  # d2l/dm_k dr_k
-    hessian[4] = x25  # d2l/dm_k dv_k
-    hessian[5] = x27  # d2l/dm_k dm_k
+    x0 = 0.5*r_k + 0.5*r_k1
+    x1 = 0.5*m_k + 0.5*m_k1
+    x2 = 1/x1
+    x3 = 0.5*v_k + 0.5*v_k1
+    x4 = D_c*math.exp(-h_c*(x0 - 1))
+    x5 = x3**2*x4
+    x6 = x2*x5
+    x7 = T*h
+    x8 = mu_v_k*x7
+    x9 = -x8*(-1.5*g0/x0**4 - 0.25*h_c**2*x6)
+    x10 = 0.5*h_c
+    x11 = h*x3
+    x12 = x2*x4
+    x13 = x11*x12
+    x14 = T*x13
+    x15 = -mu_v_k*x10*x14
+    x16 = 0.5*x7
+    x17 = mu_v_k*x16
+    x18 = x12*x17
+    x19 = x1**(-2)
+    x20 = 0.25*h_c*x19*x5*x8
+    x21 = 0.5*x19
+    x22 = -T*mu_v_k*x11*x21*x4
+    x23 = thrust_k - x5
+    x24 = -x17*x23/x1**3
+    x25 = -x16
+    x26 = g0/x0**3 + x10*x6
+    x27 = -x26*x7
+    x28 = x16*x19
+    x29 = x23*x28
+    x30 = mu_v_k*x28
+    x31 = 1/c
+    x32 = h*mu_v_k
+    x33 = -x26*x32
+    x34 = -0.5*h*mu_r_k + mu_v_k*x13
+    x35 = x21*x23*x32
+    hessian[0] = x9  # d2l/dr_k dr_k
+    hessian[1] = x15  # d2l/dv_k dr_k
+    hessian[2] = x18  # d2l/dv_k dv_k
+    hessian[3] = x20  # d2l/dm_k dr_k
+    hessian[4] = x22  # d2l/dm_k dv_k
+    hessian[5] = x24  # d2l/dm_k dm_k
     hessian[6] = -1  # d2l/dmu_r_k dr_k
-    hessian[7] = x28  # d2l/dmu_r_k dv_k
-    hessian[8] = x30  # d2l/dmu_v_k dr_k
-    hessian[9] = x33 - 1  # d2l/dmu_v_k dv_k
-    hessian[10] = x36  # d2l/dmu_v_k dm_k
+    hessian[7] = x25  # d2l/dmu_r_k dv_k
+    hessian[8] = x27  # d2l/dmu_v_k dr_k
+    hessian[9] = x14 - 1  # d2l/dmu_v_k dv_k
+    hessian[10] = x29  # d2l/dmu_v_k dm_k
     hessian[11] = -1  # d2l/dmu_m_k dm_k
-    hessian[12] = x37  # d2l/dthrust_k dm_k
-    hessian[13] = -x4*x9  # d2l/dthrust_k dmu_v_k
-    hessian[14] = x38*x9  # d2l/dthrust_k dmu_m_k
-    hessian[15] = x11  # d2l/dr_k1 dr_k
-    hessian[16] = x20  # d2l/dr_k1 dv_k
-    hessian[17] = x24  # d2l/dr_k1 dm_k
+    hessian[12] = x30  # d2l/dthrust_k dm_k
+    hessian[13] = -x2*x7  # d2l/dthrust_k dmu_v_k
+    hessian[14] = x31*x7  # d2l/dthrust_k dmu_m_k
+    hessian[15] = x9  # d2l/dr_k1 dr_k
+    hessian[16] = x15  # d2l/dr_k1 dv_k
+    hessian[17] = x20  # d2l/dr_k1 dm_k
     hessian[18] = 1  # d2l/dr_k1 dmu_r_k
-    hessian[19] = x30  # d2l/dr_k1 dmu_v_k
-    hessian[20] = x11  # d2l/dr_k1 dr_k1
-    hessian[21] = x20  # d2l/dv_k1 dr_k
-    hessian[22] = x22  # d2l/dv_k1 dv_k
-    hessian[23] = x25  # d2l/dv_k1 dm_k
-    hessian[24] = x28  # d2l/dv_k1 dmu_r_k
-    hessian[25] = x33 + 1  # d2l/dv_k1 dmu_v_k
-    hessian[26] = x20  # d2l/dv_k1 dr_k1
-    hessian[27] = x22  # d2l/dv_k1 dv_k1
-    hessian[28] = x24  # d2l/dm_k1 dr_k
-    hessian[29] = x25  # d2l/dm_k1 dv_k
-    hessian[30] = x27  # d2l/dm_k1 dm_k
-    hessian[31] = x36  # d2l/dm_k1 dmu_v_k
+    hessian[19] = x27  # d2l/dr_k1 dmu_v_k
+    hessian[20] = x9  # d2l/dr_k1 dr_k1
+    hessian[21] = x15  # d2l/dv_k1 dr_k
+    hessian[22] = x18  # d2l/dv_k1 dv_k
+    hessian[23] = x22  # d2l/dv_k1 dm_k
+    hessian[24] = x25  # d2l/dv_k1 dmu_r_k
+    hessian[25] = x14 + 1  # d2l/dv_k1 dmu_v_k
+    hessian[26] = x15  # d2l/dv_k1 dr_k1
+    hessian[27] = x18  # d2l/dv_k1 dv_k1
+    hessian[28] = x20  # d2l/dm_k1 dr_k
+    hessian[29] = x22  # d2l/dm_k1 dv_k
+    hessian[30] = x24  # d2l/dm_k1 dm_k
+    hessian[31] = x29  # d2l/dm_k1 dmu_v_k
     hessian[32] = 1  # d2l/dm_k1 dmu_m_k
-    hessian[33] = x37  # d2l/dm_k1 dthrust_k
-    hessian[34] = x24  # d2l/dm_k1 dr_k1
-    hessian[35] = x25  # d2l/dm_k1 dv_k1
-    hessian[36] = x27  # d2l/dm_k1 dm_k1
-    hessian[37] = x40  # d2l/dT dr_k
-    hessian[38] = x41  # d2l/dT dv_k
-    hessian[39] = x42  # d2l/dT dm_k
-    hessian[40] = -x31  # d2l/dT dmu_r_k
-    hessian[41] = -h*(-g0/x2**2 + x26*x4)  # d2l/dT dmu_v_k
-    hessian[42] = h*thrust_k*x38  # d2l/dT dmu_m_k
-    hessian[43] = h*mu_m_k*x38 - x39*x4  # d2l/dT dthrust_k
-    hessian[44] = x40  # d2l/dT dr_k1
-    hessian[45] = x41  # d2l/dT dv_k1
-    hessian[46] = x42  # d2l/dT dm_k1
+    hessian[33] = x30  # d2l/dm_k1 dthrust_k
+    hessian[34] = x20  # d2l/dm_k1 dr_k1
+    hessian[35] = x22  # d2l/dm_k1 dv_k1
+    hessian[36] = x24  # d2l/dm_k1 dm_k1
+    hessian[37] = x33  # d2l/dT dr_k
+    hessian[38] = x34  # d2l/dT dv_k
+    hessian[39] = x35  # d2l/dT dm_k
+    hessian[40] = -x11  # d2l/dT dmu_r_k
+    hessian[41] = -h*(-g0/x0**2 + x2*x23)  # d2l/dT dmu_v_k
+    hessian[42] = h*thrust_k*x31  # d2l/dT dmu_m_k
+    hessian[43] = h*mu_m_k*x31 - x2*x32  # d2l/dT dthrust_k
+    hessian[44] = x33  # d2l/dT dr_k1
+    hessian[45] = x34  # d2l/dT dv_k1
+    hessian[46] = x35  # d2l/dT dm_k1
 
 
 @njit(error_model="numpy")
@@ -535,8 +528,11 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
     """
     for c in range(count):
         order[c] = c
-    negative, c = 0, 0
-    while c < count:
+    negative, paired = 0, False
+    for c in range(count):
+        if paired:  # eliminated together with the row before it
+            paired = False
+            continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
         row, place = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
@@ -545,23 +541,20 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
                 beside, place = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
-        pair = False
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
-                pair = abs(matrix[other, other]) < BALANCE * largest
-                to = c + 1 if pair else c
+                paired = abs(matrix[other, other]) < BALANCE * largest
+                to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
-        if pair:
+        if paired:
             eliminate_pair(matrix, c, count, width, upper, inverse, order)
             negative += 1
-            c += 2
         else:
             negative += eliminate_one(matrix, c, count, width, upper, inverse, order)
-            c += 1
     return negative
 
 
@@ -802,7 +795,7 @@ def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors)
                 root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
     for i in range(ROOT):
         root[i, i] += diagonal[diagonal.size - ROOT + i]
-    found = eliminate_rows(root, ROOT, ROOT_WIDTH, root_upper, root_inverse, root_order)
+    found = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
     if found < 0:
         return False, 0
     negative += found
@@ -847,7 +840,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last, left)
-    found = eliminate_rows(last, LAST, LAST_WIDTH, last_upper[body], last_inverse[body], last_order[body])
+    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
     if found < 0:
         return False, 0, 0
     subtract_products(last_upper[body], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
@@ -939,19 +932,19 @@ def substitute(gradient, steps, factors, step):
         for i in END_PINNED:
             right[steps * BLOCK + i] = 0.0
         forward(upper[body], order[body], right, last[body])
-        solve_forward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         for i in range(SHARED):
             shared[root_place(body, i)] += last[body, LAST + i]
-    solve_forward(root_upper, root_order, ROOT, ROOT_WIDTH, shared)
-    solve_pivots(root_inverse, root_order, ROOT, shared)
-    solve_backward(root_upper, root_order, ROOT, ROOT_WIDTH, shared)
+    solve_forward(root_upper, root_order, *root_upper.shape, shared)
+    solve_pivots(root_inverse, root_order, root_order.size, shared)
+    solve_backward(root_upper, root_order, *root_upper.shape, shared)
     for i in range(ROOT):
         step[step.size - ROOT + i] = shared[i]
     for body in range(BODIES):
         for i in range(SHARED):
             last[body, LAST + i] = shared[root_place(body, i)]
-        solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
-        solve_backward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_pivots(last_inverse[body], last_order[body], last_order.shape[1], last[body])
+        solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         backward(upper[body], inverse[body], order[body], last[body], reduced[body])
     expand(gradient, condensed, steps, reduced, shared, step)
     follow_shared(steps * STRIDE + NODE, step)
@@ -1130,18 +1123,16 @@ class Bounds(NamedTuple):
     side: np.ndarray
 
 
-def finite_bounds(grid):
+def finite_bounds(lower, upper):
     """The bounds that exist, lower ones first."""
-    lower, upper = variable_bounds(grid)
     below, above = np.flatnonzero(lower > -np.inf), np.flatnonzero(upper < np.inf)
     side = np.ones(below.size + above.size)
     side[below.size :] = -1.0
     return Bounds(np.concatenate([below, above]), np.concatenate([lower[below], upper[above]]), side)
 
 
-def push_inside(grid, unknowns, push):
+def push_inside(lower, upper, unknowns, push):
     """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
-    lower, upper = variable_bounds(grid)
     width = push * (upper - lower)
     with np.errstate(invalid="ignore"):
         least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
@@ -1171,10 +1162,10 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu=0.0):
+def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu):
     """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
 
-    The sizes are the sums of all |multipliers| and of all duals, and the number of duals.
+    The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
     excess, off_centre, size = 0.0, 0.0, 0.0
@@ -1185,13 +1176,16 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
         if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
             excess += product
         size += duals[j]
-    stationarity, multipliers = 0.0, 0.0
+    stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
     for i in range(gradient.size):
         if is_multiplier[i]:
             multipliers += abs(unknowns[i])
+            count += 1
         else:
             stationarity = max(stationarity, abs(stationary[i]))
-    return stationarity, excess, off_centre, multipliers, size, place.size
+            largest = max(largest, abs(unknowns[i]))
+    mean = (multipliers + size) / max(count + place.size, 1)
+    return stationarity, excess, off_centre, mean, size / max(place.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")
@@ -1361,17 +1355,20 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
     iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds.
     """
-    search = Search(grid, finite_bounds(grid), allocate_system(grid))
+    lower, upper = variable_bounds(grid)
+    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid))
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
     mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    iterate = first_iterate(search, unknowns, mu, warm)
+    # Far from a solution duals of one serve better than the central path.
+    inside = push_inside(lower, upper, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
+    iterate = with_multipliers(search, inside, mu if warm else None)
     first = max(1.0, iterate.point.violation)
     small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
     shift, last_shift, length = 0.0, 0.0, 0.0
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
         measured = measure_optimality(
-            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
+            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals, 0.0
         )
         point = point._replace(stationarity=measured[0])
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
@@ -1381,11 +1378,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift > 0.0
             return ("saddle point" if doubtful and not is_minimum(search, iterate) else "solved"), point, iteration
-        if is_boundless(grid, point):
+        if is_boundless(point, measured[5]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
             break
-        while mu > least and barrier_error(grid, point, measured, mu) <= 10.0 * mu:
+        while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
             mu = max(least, min(0.2 * mu, mu**1.5))
             filtered = filtered[:1]
             measured = measure_optimality(
@@ -1417,13 +1414,6 @@ def is_minimum(search, iterate):
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
-def first_iterate(search, unknowns, mu, warm):
-    """The start pushed inside its bounds; far from a solution duals of one serve better than the central path."""
-    grid = search.grid
-    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
-    return with_multipliers(search, inside, mu if warm else None)
-
-
 def with_multipliers(search, unknowns, mu):
     """An iterate at primal unknowns inside their bounds, with multipliers by least squares.
 
@@ -1450,18 +1440,16 @@ def guess_multipliers(search, unknowns, duals):
     return unknowns + multipliers if np.abs(multipliers).max(initial=0.0) <= 1e3 else unknowns
 
 
-def is_boundless(grid, point):
+def is_boundless(point, largest):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    if point.residual <= 1e-6 and point.cost < -LARGEST:
-        return True
-    return np.abs(point.unknowns[~grid.is_multiplier]).max() > LARGEST
+    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
 
 
-def barrier_error(grid, point, measured, mu):
+def barrier_error(point, measured, mu):
     """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
-    stationarity, _, off_centre, multipliers, duals, count = measured
-    scale = max(100.0, (multipliers + duals) / max(np.count_nonzero(grid.is_multiplier) + count, 1)) / 100.0
-    return max(stationarity / scale, point.residual, off_centre / (max(100.0, duals / max(count, 1)) / 100.0))
+    stationarity, _, off_centre, mean, mean_dual, _ = measured
+    scale, dual_scale = max(100.0, mean) / 100.0, max(100.0, mean_dual) / 100.0
+    return max(stationarity / scale, point.residual, off_centre / dual_scale)
 
 
 def regularised_step(search, iterate, mu, last_shift):
@@ -1613,10 +1601,12 @@ def side_by_side(values):
 
 
 def print_log(rows):
-    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length."""
-    print("iteration            cost   residual  stationarity     shift     step")
-    for i, (cost, residual, stationarity, shift, length) in enumerate(rows):
-        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}")
+    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length, weight of a barrier."""
+    last = "  barrier" if len(rows[0]) > 5 else ""
+    print(f"iteration            cost   residual  stationarity     shift     step{last}")
+    for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows):
+        weight = "".join(f" {mu:8.1e}" for mu in barrier)
+        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}{weight}")
 
 
 # The problem as other optimisers want it: cost, constraints and their derivatives in the free unknowns.
@@ -2226,7 +2216,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_goddard_rocket_30eb7bcf8ae2194e"
+_IDENTITY = "codegen_goddard_rocket_166d67464e9d0a48"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -329,8 +329,11 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
     """
     for c in range(count):
         order[c] = c
-    negative, c = 0, 0
-    while c < count:
+    negative, paired = 0, False
+    for c in range(count):
+        if paired:  # eliminated together with the row before it
+            paired = False
+            continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
         row, place = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
@@ -339,23 +342,20 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
                 beside, place = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
-        pair = False
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
-                pair = abs(matrix[other, other]) < BALANCE * largest
-                to = c + 1 if pair else c
+                paired = abs(matrix[other, other]) < BALANCE * largest
+                to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
-        if pair:
+        if paired:
             eliminate_pair(matrix, c, count, width, upper, inverse, order)
             negative += 1
-            c += 2
         else:
             negative += eliminate_one(matrix, c, count, width, upper, inverse, order)
-            c += 1
     return negative
 
 
@@ -734,7 +734,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last, left)
-    found = eliminate_rows(last, LAST, LAST_WIDTH, last_upper[body], last_inverse[body], last_order[body])
+    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
     if found < 0:
         return False, 0, 0
     # No multiplier of another body reaches into this one.
@@ -817,10 +817,10 @@ def substitute(gradient, steps, factors, step):
         for i in END_PINNED:
             right[steps * BLOCK + i] = 0.0
         forward(upper[body], order[body], right, last[body])
-        solve_forward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
     for body in range(BODIES):
-        solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
-        solve_backward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_pivots(last_inverse[body], last_order[body], last_order.shape[1], last[body])
+        solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         backward(upper[body], inverse[body], order[body], last[body], reduced[body])
     expand(gradient, condensed, steps, reduced, shared, step)
 
@@ -1024,10 +1024,12 @@ def side_by_side(values):
 
 
 def print_log(rows):
-    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length."""
-    print("iteration            cost   residual  stationarity     shift     step")
-    for i, (cost, residual, stationarity, shift, length) in enumerate(rows):
-        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}")
+    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length, weight of a barrier."""
+    last = "  barrier" if len(rows[0]) > 5 else ""
+    print(f"iteration            cost   residual  stationarity     shift     step{last}")
+    for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows):
+        weight = "".join(f" {mu:8.1e}" for mu in barrier)
+        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}{weight}")
 
 
 # The problem as other optimisers want it: cost, constraints and their derivatives in the free unknowns.
@@ -1578,7 +1580,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_1384a87bc78fcfd8"
+_IDENTITY = "codegen_hypersensitive_75bbb0b7c7c43db9"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

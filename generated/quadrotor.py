@@ -483,8 +483,11 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
     """
     for c in range(count):
         order[c] = c
-    negative, c = 0, 0
-    while c < count:
+    negative, paired = 0, False
+    for c in range(count):
+        if paired:  # eliminated together with the row before it
+            paired = False
+            continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
         row, place = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
@@ -493,23 +496,20 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
                 beside, place = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
-        pair = False
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
-                pair = abs(matrix[other, other]) < BALANCE * largest
-                to = c + 1 if pair else c
+                paired = abs(matrix[other, other]) < BALANCE * largest
+                to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
-        if pair:
+        if paired:
             eliminate_pair(matrix, c, count, width, upper, inverse, order)
             negative += 1
-            c += 2
         else:
             negative += eliminate_one(matrix, c, count, width, upper, inverse, order)
-            c += 1
     return negative
 
 
@@ -896,7 +896,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last, left)
-    found = eliminate_rows(last, LAST, LAST_WIDTH, last_upper[body], last_inverse[body], last_order[body])
+    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
     if found < 0:
         return False, 0, 0
     # No multiplier of another body reaches into this one.
@@ -979,10 +979,10 @@ def substitute(gradient, steps, factors, step):
         for i in END_PINNED:
             right[steps * BLOCK + i] = 0.0
         forward(upper[body], order[body], right, last[body])
-        solve_forward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
     for body in range(BODIES):
-        solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
-        solve_backward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_pivots(last_inverse[body], last_order[body], last_order.shape[1], last[body])
+        solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         backward(upper[body], inverse[body], order[body], last[body], reduced[body])
     expand(gradient, condensed, steps, reduced, shared, step)
 
@@ -1151,18 +1151,16 @@ class Bounds(NamedTuple):
     side: np.ndarray
 
 
-def finite_bounds(grid):
+def finite_bounds(lower, upper):
     """The bounds that exist, lower ones first."""
-    lower, upper = variable_bounds(grid)
     below, above = np.flatnonzero(lower > -np.inf), np.flatnonzero(upper < np.inf)
     side = np.ones(below.size + above.size)
     side[below.size :] = -1.0
     return Bounds(np.concatenate([below, above]), np.concatenate([lower[below], upper[above]]), side)
 
 
-def push_inside(grid, unknowns, push):
+def push_inside(lower, upper, unknowns, push):
     """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
-    lower, upper = variable_bounds(grid)
     width = push * (upper - lower)
     with np.errstate(invalid="ignore"):
         least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
@@ -1192,10 +1190,10 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu=0.0):
+def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu):
     """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
 
-    The sizes are the sums of all |multipliers| and of all duals, and the number of duals.
+    The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
     excess, off_centre, size = 0.0, 0.0, 0.0
@@ -1206,13 +1204,16 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
         if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
             excess += product
         size += duals[j]
-    stationarity, multipliers = 0.0, 0.0
+    stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
     for i in range(gradient.size):
         if is_multiplier[i]:
             multipliers += abs(unknowns[i])
+            count += 1
         else:
             stationarity = max(stationarity, abs(stationary[i]))
-    return stationarity, excess, off_centre, multipliers, size, place.size
+            largest = max(largest, abs(unknowns[i]))
+    mean = (multipliers + size) / max(count + place.size, 1)
+    return stationarity, excess, off_centre, mean, size / max(place.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")
@@ -1382,17 +1383,20 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
     iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds.
     """
-    search = Search(grid, finite_bounds(grid), allocate_system(grid))
+    lower, upper = variable_bounds(grid)
+    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid))
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
     mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    iterate = first_iterate(search, unknowns, mu, warm)
+    # Far from a solution duals of one serve better than the central path.
+    inside = push_inside(lower, upper, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
+    iterate = with_multipliers(search, inside, mu if warm else None)
     first = max(1.0, iterate.point.violation)
     small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
     shift, last_shift, length = 0.0, 0.0, 0.0
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
         measured = measure_optimality(
-            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
+            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals, 0.0
         )
         point = point._replace(stationarity=measured[0])
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
@@ -1402,11 +1406,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift > 0.0
             return ("saddle point" if doubtful and not is_minimum(search, iterate) else "solved"), point, iteration
-        if is_boundless(grid, point):
+        if is_boundless(point, measured[5]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
             break
-        while mu > least and barrier_error(grid, point, measured, mu) <= 10.0 * mu:
+        while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
             mu = max(least, min(0.2 * mu, mu**1.5))
             filtered = filtered[:1]
             measured = measure_optimality(
@@ -1438,13 +1442,6 @@ def is_minimum(search, iterate):
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
-def first_iterate(search, unknowns, mu, warm):
-    """The start pushed inside its bounds; far from a solution duals of one serve better than the central path."""
-    grid = search.grid
-    inside = push_inside(grid, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
-    return with_multipliers(search, inside, mu if warm else None)
-
-
 def with_multipliers(search, unknowns, mu):
     """An iterate at primal unknowns inside their bounds, with multipliers by least squares.
 
@@ -1471,18 +1468,16 @@ def guess_multipliers(search, unknowns, duals):
     return unknowns + multipliers if np.abs(multipliers).max(initial=0.0) <= 1e3 else unknowns
 
 
-def is_boundless(grid, point):
+def is_boundless(point, largest):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    if point.residual <= 1e-6 and point.cost < -LARGEST:
-        return True
-    return np.abs(point.unknowns[~grid.is_multiplier]).max() > LARGEST
+    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
 
 
-def barrier_error(grid, point, measured, mu):
+def barrier_error(point, measured, mu):
     """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
-    stationarity, _, off_centre, multipliers, duals, count = measured
-    scale = max(100.0, (multipliers + duals) / max(np.count_nonzero(grid.is_multiplier) + count, 1)) / 100.0
-    return max(stationarity / scale, point.residual, off_centre / (max(100.0, duals / max(count, 1)) / 100.0))
+    stationarity, _, off_centre, mean, mean_dual, _ = measured
+    scale, dual_scale = max(100.0, mean) / 100.0, max(100.0, mean_dual) / 100.0
+    return max(stationarity / scale, point.residual, off_centre / dual_scale)
 
 
 def regularised_step(search, iterate, mu, last_shift):
@@ -1656,10 +1651,12 @@ def side_by_side(values):
 
 
 def print_log(rows):
-    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length."""
-    print("iteration            cost   residual  stationarity     shift     step")
-    for i, (cost, residual, stationarity, shift, length) in enumerate(rows):
-        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}")
+    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length, weight of a barrier."""
+    last = "  barrier" if len(rows[0]) > 5 else ""
+    print(f"iteration            cost   residual  stationarity     shift     step{last}")
+    for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows):
+        weight = "".join(f" {mu:8.1e}" for mu in barrier)
+        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}{weight}")
 
 
 # The problem as other optimisers want it: cost, constraints and their derivatives in the free unknowns.
@@ -2262,7 +2259,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_quadrotor_781d805baa516c61"
+_IDENTITY = "codegen_quadrotor_1adadcd06fdcd79f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any, cast
 from codegen.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from codegen.drivers.compilation import SecondProcess
+    from pathlib import Path
+
+    from codegen.drivers.compilation import Compilers
     from codegen.drivers.result import Result
     from codegen.load import ControlModule, GeneratedModule, Vector
     from codegen.points import PointSet
@@ -110,8 +112,8 @@ def solve(
     return solve_on(steps, None if warm is None else transferred(control, warm, steps))
 
 
-def prepare(module: GeneratedModule, helper: SecondProcess) -> float:
-    """Have everything that `newton` needs compiled, so that later processes find machine code; return the seconds."""
+def prepare(path: Path, compilers: Compilers) -> float:
+    """Have all that `newton` needs of a module compiled, so that processes find machine code; return the seconds."""
     from codegen.drivers.run import prepare
 
-    return prepare(module, helper)
+    return prepare(path, compilers)

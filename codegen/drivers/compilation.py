@@ -1,12 +1,13 @@
 """Compile the machine code of a generated module in two processes at once.
 
 numba compiles one function after the other. The KKT factorisation of a control problem, or the loop over the steps of
-a simulation, takes about half of that time, so a second process compiles it, having loaded numba while the module was
-still being derived; numba's cache on disk brings both together.
-`python -m codegen.drivers.compilation` is that second process: it reads the path of a module from its standard input.
+a simulation, takes about half of that time, so one process compiles it, and another one everything else; both have
+loaded numba while the module was still being derived, and numba's cache on disk brings their work together.
+`python -m codegen.drivers.compilation SHARE` is such a process: it reads the path of a module from its standard input.
 
-Both let LLVM pack neighbouring operations into one instruction, which numba leaves out by default and which the
-elimination of blocks, written four entries at a time, gains a third from.
+They let LLVM pack neighbouring operations into one instruction, which numba leaves out by default and which the
+elimination of blocks, written four entries at a time, gains a third from. What they leave out are the entries by which
+Python and C would call functions that only compiled functions call, a quarter of the time.
 """
 
 from __future__ import annotations
@@ -24,30 +25,46 @@ import numpy as np
 from codegen.load import GeneratedModule, load
 
 
-class SecondProcess:
-    """A process that has numba ready and compiles the longest function of one module when it is told to."""
+class Compilers:
+    """Processes that have numba ready and compile a module between them when they are told to."""
 
     def __init__(self) -> None:
-        self.process: subprocess.Popen[bytes] | None = None
-        if (os.cpu_count() or 1) > 1:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "codegen.drivers.compilation"],
+        shares = SHARES[:2] if (os.cpu_count() or 1) > 1 else SHARES[2:]
+        self.processes = [
+            subprocess.Popen(
+                [sys.executable, "-m", "codegen.drivers.compilation", share],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, "NUMBA_SLP_VECTORIZE": "1"},
             )
+            for share in shares
+        ]
 
-    def compile(self, module: GeneratedModule) -> None:
-        """Compile a module together with the second process; afterwards `solve` finds everything on disk."""
-        if self.process is None:
-            return
-        assert self.process.stdin is not None
-        with suppress(BrokenPipeError):  # a second process that has died is missed, not needed
-            self.process.stdin.write(os.fsencode(os.path.abspath(str(vars(module)["__file__"]))))
-            self.process.stdin.close()
-        compile_all_but_the_longest(module)
-        self.process.wait()
+    def compile(self, path: Path) -> bool:
+        """Whether all that `solve` calls is now on disk, compiled."""
+        for process in self.processes:
+            assert process.stdin is not None
+            with suppress(BrokenPipeError):  # its exit status will tell
+                process.stdin.write(os.fsencode(path.absolute()))
+                process.stdin.close()
+        statuses = [process.wait() for process in self.processes]
+        return not any(statuses)
+
+
+@contextmanager
+def compilers() -> Iterator[Compilers]:
+    """Start the processes, and make sure that they end with the block."""
+    started = Compilers()
+    try:
+        yield started
+    finally:
+        for process in started.processes:
+            process.kill()
+            process.wait()
+            if process.stdin is not None:
+                with suppress(BrokenPipeError):
+                    process.stdin.close()
 
 
 @contextmanager
@@ -64,21 +81,6 @@ def packed_operations() -> Iterator[None]:
         setattr(config, name, before)
 
 
-@contextmanager
-def second_process() -> Iterator[SecondProcess]:
-    """Start the second process, and make sure that it ends with the block."""
-    helper = SecondProcess()
-    try:
-        yield helper
-    finally:
-        if helper.process is not None:
-            helper.process.kill()
-            helper.process.wait()
-            if helper.process.stdin is not None:
-                with suppress(BrokenPipeError):
-                    helper.process.stdin.close()
-
-
 def compile_all_but_the_longest(module: Any) -> None:
     """Call what a solution calls, except the longest function; the factors of a control problem are zeros."""
     if module.metadata["task"] == "connect":
@@ -87,17 +89,33 @@ def compile_all_but_the_longest(module: Any) -> None:
         return
     grid = module.make_grid(2)
     if module.metadata["task"] == "simulate":
-        module.path_residual(grid, np.vstack([grid.start, grid.start]))
+        path = np.vstack([grid.start, grid.start])
+        module.path_residual(grid, path)
+        module.energies(path, np.zeros(2), grid.parameters, np.empty(2))
         return
     unknowns = module.initial_guess(grid)
     gradient = module.evaluate(grid, unknowns).gradient
-    system = module.allocate_system(grid)
+    step, system = np.zeros_like(unknowns), module.allocate_system(grid)
     with np.errstate(all="ignore"):
-        module.solve_kkt(grid, system, gradient, np.empty_like(unknowns))
+        module.solve_kkt(grid, system, gradient, step)
         module.unpack(grid, unknowns)
-        module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
         if hasattr(module, "slope_of"):  # a linear-quadratic problem has none
             module.slope_of(unknowns, gradient, gradient, grid.is_multiplier)
+        if hasattr(module, "finite_bounds"):
+            _compile_interior_point(module, grid, unknowns, step)
+        module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+
+
+def _compile_interior_point(module: Any, grid: Any, unknowns: Any, step: Any) -> None:
+    """Call what only the interior point method calls."""
+    bounds = module.finite_bounds(*module.variable_bounds(grid))
+    point, distance, _ = module.moved(grid, bounds, unknowns, step, 0.0)
+    duals, result = np.ones(distance.size), np.empty(distance.size)
+    module.measure_optimality(point.gradient, point.unknowns, grid.is_multiplier, *bounds, distance, duals, 1.0)
+    module.barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, 0.0, 0.0, step)
+    module.add_barrier(point.gradient, bounds.place, bounds.side, distance, 1.0, step)
+    module.step_duals(step, *bounds[::2], distance, duals, 1.0, 0.99, result)
+    module.move_duals(duals, duals, 1.0, distance, 1.0, result)
 
 
 def compile_the_longest(module: Any) -> None:
@@ -131,14 +149,53 @@ def solve_small(module: Any) -> None:
     module.solve_case(small_case(module))
 
 
-def main() -> None:
-    """Get numba ready, wait for the path of a module, compile its longest function."""
+def compile_all(module: Any) -> None:
+    """Call all that a solution calls."""
+    compile_the_longest(module)
+    compile_all_but_the_longest(module)
+
+
+LONG = 3000
+"""Bytes of bytecode from which on a function is worth keeping by itself."""
+SHARES = ("the_longest", "all_but_the_longest", "all")
+"""What a process may be told to compile: both of the first two, or all."""
+
+
+def leave_out_entries(module: GeneratedModule) -> None:
+    """Have functions compiled without the entries by which Python and C call them, where only compiled functions do.
+
+    In this process, Python must not call them any more.
+    """
+    for function in _compiled_functions(module):
+        function.targetoptions["no_cfunc_wrapper"] = True
+        if function.stats.cache_path is None:  # not kept by itself, but as part of what calls it
+            function.targetoptions["no_cpython_wrapper"] = True
+
+
+def share_long_functions(module: GeneratedModule) -> None:
+    """Keep long functions by themselves as well, so that the process that needs one later finds it."""
+    for function in _compiled_functions(module):
+        if function.stats.cache_path is None and len(function.py_func.__code__.co_code) > LONG:
+            function.enable_caching()
+
+
+def _compiled_functions(module: GeneratedModule) -> list[Any]:
+    return [value for value in vars(module).values() if hasattr(value, "targetoptions")]
+
+
+def main(share: str) -> None:
+    """Get numba ready, wait for the path of a module, compile a share of it."""
     from numba import njit
 
+    compile_share = {"the_longest": compile_the_longest, "all_but_the_longest": compile_all_but_the_longest}
     njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
     path = os.fsdecode(sys.stdin.buffer.read())
     if path:
-        compile_the_longest(load(Path(path)))
+        module = load(Path(path))
+        if module.metadata["task"] != "connect":  # whose functions for pairs are called from Python, too
+            leave_out_entries(module)
+            share_long_functions(module)
+        compile_share.get(share, compile_all)(module)
 
 
 def _nothing(x: Any) -> Any:
@@ -146,4 +203,4 @@ def _nothing(x: Any) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1])

@@ -7,16 +7,17 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from codegen.drivers import Driver
-from codegen.drivers.compilation import SecondProcess, packed_operations, solve_small
+from codegen.drivers.compilation import Compilers, packed_operations, solve_small
 from codegen.drivers.connect_result import connect_result
 from codegen.drivers.control_result import control_result
 from codegen.drivers.result import Request, Result
 from codegen.drivers.simulate_result import simulate_result
 from codegen.errors import NumericsError
-from codegen.load import GeneratedModule, is_connect, is_control, is_simulation, machine_code_counts
+from codegen.load import GeneratedModule, is_connect, is_control, is_simulation, load, machine_code_counts
 
 
 def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) -> Result:
@@ -28,8 +29,9 @@ def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) 
     function = driver.function(module.metadata["task"])
     begin, compiled_before = time.perf_counter(), machine_code_counts(module)[0]
     try:
-        _touch(module, request, driver.name)
-        attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
+        with packed_operations():  # for what is compiled only now
+            _touch(module, request, driver.name)
+            attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
     except ValueError as error:
         # Generated modules know nothing of codegen's errors.
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
@@ -69,15 +71,15 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
         )
 
 
-def prepare(module: GeneratedModule, helper: SecondProcess) -> float:
+def prepare(path: Path, compilers: Compilers) -> float:
     """See `codegen.drivers.prepare`."""
     begin = time.perf_counter()
+    compiled, module = compilers.compile(path), load(path)
     with packed_operations():
-        helper.compile(module)
         if is_connect(module):
             solve_small(module)
-            return time.perf_counter() - begin
-        module.solve()
+        elif not compiled:
+            module.solve()  # which tells what is wrong, or compiles what is missing
     return time.perf_counter() - begin
 
 

@@ -10,6 +10,8 @@ import sympy
 from sympy.codegen.rewriting import expm1_opt, log1p_opt, optimize
 from sympy.printing.pycode import PythonCodePrinter
 
+from codegen import expressions
+
 _SHORT_DENOMINATORS = 64
 _STEEP = 16
 
@@ -119,8 +121,29 @@ def stabilised(expression: sympy.Expr) -> sympy.Expr:
     if expression.has(sympy.DiracDelta):
         expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
     if expression.has(sympy.log, sympy.exp):
-        expression = _with_steep_exponentials(expression, lambda e: optimize(e, [log1p_opt, expm1_opt]))
+        expression = _with_steep_exponentials(expression, _without_cancellation)
     return expression
+
+
+def _without_cancellation(expression: sympy.Expr) -> sympy.Expr:
+    """Rewrite log(1 + x) and exp(x) - 1, also where factors hide it, as in y exp(x) - y.
+
+    Only sums that vanish with all exponents can hide it; to factor the others would take most of a build.
+    """
+    expression = optimize(expression, [log1p_opt])
+    if any(_vanishes_with_exponents(part) for part in expression.atoms(sympy.Add) if part.has(sympy.exp)):
+        return optimize(expression, [expm1_opt])
+    return expm1_opt.cheapest(expression, expression.replace(expm1_opt.query, expm1_opt.value))
+
+
+def _vanishes_with_exponents(total: sympy.Expr) -> bool:
+    """Whether a sum is zero, as far as one point can tell, where all its exponentials are one."""
+    ones = dict.fromkeys(total.atoms(sympy.exp), sympy.S.One)
+    symbols = sorted(total.free_symbols, key=sympy.default_sort_key)
+    point = {symbol: 0.5 + (0.6180339887 * place) % 1.0 for place, symbol in enumerate(symbols, start=1)}
+    terms = [expressions.rounded_at(term.xreplace(ones), point) for term in total.args]
+    known = [term for term in terms if term is not None]
+    return len(known) < len(terms) or abs(sum(known)) <= 1e-9 * sum(map(abs, known))
 
 
 def _with_steep_exponentials(expression: sympy.Expr, rewrite: Callable[[sympy.Expr], sympy.Expr]) -> sympy.Expr:

@@ -59,7 +59,7 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu=0.0):
+def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu):
     """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
 
     The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.

@@ -67,7 +67,9 @@ def side_by_side(values):
 
 
 def print_log(rows):
-    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length."""
-    print("iteration            cost   residual  stationarity     shift     step")
-    for i, (cost, residual, stationarity, shift, length) in enumerate(rows):
-        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}")
+    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length, weight of a barrier."""
+    last = "  barrier" if len(rows[0]) > 5 else ""
+    print(f"iteration            cost   residual  stationarity     shift     step{last}")
+    for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows):
+        weight = "".join(f" {mu:8.1e}" for mu in barrier)
+        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}{weight}")

@@ -124,7 +124,7 @@ def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors)
             root[i, i] += diagonal[diagonal.size - ROOT + i]
         if COUPLINGS:
             add_coupling_matrix(unknowns, parameters[0], weight, root)
-        found = eliminate_rows(root, ROOT, ROOT_WIDTH, root_upper, root_inverse, root_order)
+        found = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
         if found < 0:
             return False, 0
         negative += found
@@ -169,7 +169,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last, left)
-    found = eliminate_rows(last, LAST, LAST_WIDTH, last_upper[body], last_inverse[body], last_order[body])
+    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
     if found < 0:
         return False, 0, 0
     if SHARED:
@@ -262,20 +262,20 @@ def substitute(gradient, steps, factors, step):
         for i in END_PINNED:
             right[steps * BLOCK + i] = 0.0
         forward(upper[body], order[body], right, last[body])
-        solve_forward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         for i in range(SHARED):
             shared[root_place(body, i)] += last[body, LAST + i]
     if SHARED:
-        solve_forward(root_upper, root_order, ROOT, ROOT_WIDTH, shared)
-        solve_pivots(root_inverse, root_order, ROOT, shared)
-        solve_backward(root_upper, root_order, ROOT, ROOT_WIDTH, shared)
+        solve_forward(root_upper, root_order, *root_upper.shape, shared)
+        solve_pivots(root_inverse, root_order, root_order.size, shared)
+        solve_backward(root_upper, root_order, *root_upper.shape, shared)
         for i in range(ROOT):
             step[step.size - ROOT + i] = shared[i]
     for body in range(BODIES):
         for i in range(SHARED):
             last[body, LAST + i] = shared[root_place(body, i)]
-        solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
-        solve_backward(last_upper[body], last_order[body], LAST, LAST_WIDTH, last[body])
+        solve_pivots(last_inverse[body], last_order[body], last_order.shape[1], last[body])
+        solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         backward(upper[body], inverse[body], order[body], last[body], reduced[body])
     expand(gradient, condensed, steps, reduced, shared, step)
     if SHARED:

@@ -83,7 +83,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
         measured = measure_optimality(
-            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
+            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals, 0.0
         )
         point = point._replace(stationarity=measured[0])
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))

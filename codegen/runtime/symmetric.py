@@ -24,8 +24,11 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
     """
     for c in range(count):
         order[c] = c
-    negative, c = 0, 0
-    while c < count:
+    negative, paired = 0, False
+    for c in range(count):
+        if paired:  # eliminated together with the row before it
+            paired = False
+            continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
         row, place = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
@@ -34,23 +37,20 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
                 beside, place = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
-        pair = False
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
-                pair = abs(matrix[other, other]) < BALANCE * largest
-                to = c + 1 if pair else c
+                paired = abs(matrix[other, other]) < BALANCE * largest
+                to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
-        if pair:
+        if paired:
             eliminate_pair(matrix, c, count, width, upper, inverse, order)
             negative += 1
-            c += 2
         else:
             negative += eliminate_one(matrix, c, count, width, upper, inverse, order)
-            c += 1
     return negative
 
 

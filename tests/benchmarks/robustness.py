@@ -102,6 +102,14 @@ def table(rows: list[Row]) -> Table:
     return chart
 
 
+def write(rows: list[Row], path: Path) -> None:
+    """Everything so far, so that an interrupted run is not lost."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, fieldnames=[field.name for field in fields(Row)])
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
 def main() -> None:
     """Run the cases and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -120,6 +128,8 @@ def main() -> None:
             except Exception as error:  # a problem that cannot be built must not end the others' run
                 console.print(f"{title(*case[:2])}: {type(error).__name__}: {error}")
         console.print(f"{title(*case[:2])}, N = {case[2]}: done", style="dim")
+        if arguments.csv:
+            write(rows, arguments.csv)
     console.print(table(rows))
     for solver in ("generated", "CasADi"):
         mine = [row for row in rows if row.solver == solver]
@@ -127,11 +137,6 @@ def main() -> None:
             shares = [sum(getattr(row, share) for row in mine) / len(mine) for share in ("solved", "best")]
             false = sum(row.false for row in mine)
             console.print(f"{solver}: solved {shares[0]:.1%}, best {shares[1]:.1%}, false claims {false}")
-    if arguments.csv:
-        with arguments.csv.open("w", newline="") as file:
-            writer = csv.DictWriter(file, fieldnames=[field.name for field in fields(Row)])
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import numpy as np
 
 from codegen.compiler import build
 from codegen.drivers import prepare
-from codegen.drivers.compilation import second_process
+from codegen.drivers.compilation import compilers
 from codegen.load import load
 
 from .casadi_gallery import Array, PreparedGallery
@@ -25,11 +25,12 @@ class GeneratedGallery:
         """Build and load the module, and solve once; CodegenError when it cannot be built."""
         started = perf_counter()
         scheme = "trapezoidal" if judge.problem.trapezoidal else None
-        self.module: Any = load(build(PROBLEMS / f"{name}.py", arguments, scheme=scheme).path)
+        path = build(PROBLEMS / f"{name}.py", arguments, scheme=scheme).path
+        with compilers() as processes:
+            prepare(path, processes)  # as `codegen build` does
+        self.module: Any = load(path)
         self.steps, self.tolerance, self.judge = steps, tolerance, judge
         self.grid = self.module.make_grid(steps)
-        with second_process() as helper:
-            prepare(self.module, helper)  # as `codegen build` does
         self.run()
         self.build_seconds = perf_counter() - started
 

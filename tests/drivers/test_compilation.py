@@ -1,0 +1,67 @@
+"""What `codegen build` compiles: every function that `solve` calls, for the very types that it calls it with."""
+
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy
+from numba import typeof
+from sympy import exp, log
+
+from codegen.drivers.compilation import compile_all
+from codegen.lower.printer import stabilised
+
+GENERATED = Path(__file__).parents[2] / "generated"
+
+
+def recorded(name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...]]]]:
+    """A committed module, uncompiled, and the calls of functions that are compiled for Python, as they come in."""
+    calls: set[tuple[str, tuple[str, ...]]] = set()
+    depth = 0
+
+    def njit(**options):
+        def decorated(function):
+            def called(*arguments):
+                nonlocal depth
+                if not depth:
+                    calls.add((function.__name__, tuple(str(typeof(argument)) for argument in arguments)))
+                depth += 1
+                try:
+                    with np.errstate(all="ignore"):
+                        return function(*arguments)
+                finally:
+                    depth -= 1
+
+            return called
+
+        return decorated
+
+    module = types.ModuleType(name)
+    text = (GENERATED / f"{name}.py").read_text(encoding="utf-8").replace("from numba import njit", "")
+    module.__dict__["njit"] = njit
+    exec(compile(text, f"<{name}>", "exec"), module.__dict__)
+    return module, calls
+
+
+@pytest.mark.parametrize(
+    "name", ["hovercraft", "linear_pendulum", "bryson_denham", "double_integrator", "pendulum", "two_stage_rocket"]
+)
+def test_all_that_solve_calls_is_compiled_beforehand(name):
+    module, calls = recorded(name)
+    compile_all(module)
+    before = set(calls)
+    calls.clear()
+    module.solve(steps=4)
+    assert calls
+    assert calls <= before
+
+
+def test_only_differences_of_exponentials_are_rewritten():
+    x, y, z = sympy.symbols("x y z", real=True)
+    expm1 = stabilised(exp(x) - 1)
+    assert expm1.func.__name__ == "expm1"
+    assert stabilised(y * exp(x) - y) == y * expm1
+    assert stabilised(z + y * (exp(x) - 1)) == z + y * expm1
+    assert stabilised(y * exp(x) + z) == y * exp(x) + z
+    assert stabilised(log(1 + x)).func.__name__ == "log1p"
