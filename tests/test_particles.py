@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from codegen import drivers
+from codegen.errors import ArgumentError
 
 BOLTZMANN = 1.380658e-23 / 1e-27
 
