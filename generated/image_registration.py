@@ -1708,7 +1708,7 @@ class Solution(NamedTuple):
     """What `solve` returns: arrays over the nodes, q and p of shape (N + 1, n, 2), energy H along them.
 
     `cost` is the sum of 2 h H at the scheme's points. `residual` is the largest error of an equation, `iterations`
-    counts Broyden's and Newton's steps and `tangents` the linearised trajectories of all attempts, each of which has a line in
+    counts secant and Newton steps and `tangents` the linearised trajectories of all attempts, each of which has a line in
     `attempts`. `margin` is the least value along the path of what the domain demands to be positive.
     """
 
@@ -1791,7 +1791,7 @@ def make_case(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_0f8a5b17fc43adf4"
+_IDENTITY = "codegen_image_registration_9318c3a6360d7f8f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
