@@ -1058,6 +1058,89 @@ def energies(path, own, parameters):
     return values
 
 
+# Broyden's method on the initial momenta: every iteration costs one trajectory and no derivative.
+#
+# The first approximation of the derivative is duration times H_pp at the start, which differs from it by what the motion
+# adds; each step corrects that by a matrix of rank one. Where the residual no longer falls, Newton's method takes over.
+# Source: Kelley (1995), Iterative methods for linear and nonlinear equations, section 7.3 (the inverse as a product).
+
+SECANTS = 40  # iterations, each of which keeps two vectors
+PATIENCE = 6  # iterations after which the residual must have halved
+
+
+@njit(cache=True, error_model="numpy")
+def fill_end_residual(state, target, sigma, residual):
+    """Fill `residual`, shape (nd,), with q_N + sigma^2 p_N - target; return its largest entry and its 2-norm."""
+    size, total, k = 0.0, 0.0, 0
+    for i in range(target.shape[0]):
+        for a in range(target.shape[1]):
+            value = state[0, i, a] + sigma[i] * sigma[i] * state[1, i, a] - target[i, a]
+            residual[k] = value
+            size, total, k = max(size, abs(value)), total + value * value, k + 1
+    return size, np.sqrt(total)
+
+
+@njit(cache=True, error_model="numpy")
+def approximate_inverse(factor, left, right, count, values, change):
+    """Fill `change`, shape (nd,), with the approximate inverse of the derivative times `values`."""
+    for k in range(values.size):
+        change[k] = values[k]
+    solve_cholesky(factor, change.reshape((factor.shape[0], values.size // factor.shape[0])))
+    for c in range(count):
+        product = 0.0
+        for k in range(values.size):
+            product += right[c, k] * change[k]
+        for k in range(values.size):
+            change[k] += left[c, k] * product
+
+
+@njit(cache=True, error_model="numpy")
+def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, points):
+    """Improve path[0, 1] as long as the residual falls; return how many steps were made.
+
+    `path` and `points` belong to the best momenta at the end, whose residual the caller has to look at.
+    """
+    size = target.size
+    left, right = np.empty((SECANTS, size)), np.empty((SECANTS, size))
+    step, change, residual = np.empty(size), np.empty(size), np.empty(size)
+    momenta = path[0, 1].copy()
+    moved, kept = momenta.reshape(size), momenta.copy()
+    error, norm = fill_end_residual(path[-1], target, sigma, residual)
+    start, best, halved, waited, made, is_kept = norm, norm, norm, 0, 0, True
+    approximate_inverse(factor, left, right, 0, residual, step)
+    while made < SECANTS and error > tolerance and waited < PATIENCE:
+        for k in range(size):
+            step[k] = -step[k]
+            moved[k] += step[k]
+        path[0, 1] = momenta
+        made, waited, is_kept = made + 1, waited + 1, False
+        if follow(h, own, parameters, path, points) < 0:
+            break
+        error, norm = fill_end_residual(path[-1], target, sigma, residual)
+        if not norm <= 2.0 * start:
+            break
+        if norm < best:
+            best, kept, is_kept = norm, momenta.copy(), True
+        if norm < 0.5 * halved:
+            halved, waited = norm, 0
+        approximate_inverse(factor, left, right, made - 1, residual, change)
+        along = 0.0
+        for k in range(size):
+            along += step[k] * (step[k] + change[k])
+        if not abs(along) > 0.0:
+            break
+        product = 0.0
+        for k in range(size):
+            left[made - 1, k], right[made - 1, k] = -change[k] / along, step[k]
+            product += step[k] * change[k]
+        for k in range(size):
+            step[k] = change[k] * (1.0 - product / along)
+    if not is_kept:
+        path[0, 1] = kept
+        follow(h, own, parameters, path, points)
+    return made
+
+
 # Newton's method on the initial momenta, by exact tangents of the trajectory.
 #
 # The equations are r(p0) = q_N(p0) + sigma^2 p_N(p0) - target; with sigma = 0 points are met exactly. For sigma > 0 this
@@ -1065,15 +1148,17 @@ def energies(path, own, parameters):
 # method solves for all states at once (multiple shooting with one step for each interval): then each step may have a
 # defect, and states move along the linearised trajectory, which is what elimination of the block-banded Jacobian gives.
 #
-# Few unknowns are solved for by tangents in all directions at once, many by GMRES preconditioned with H_pp at the start,
-# the derivative of r for vanishing motion. The forcing terms are those of Eisenstat and Walker (1996), SIAM Journal on
-# Scientific Computing 17, choice 2; the line search halves steps until the residual decreases.
+# Few unknowns are solved for by tangents in all directions at once. Many are first improved by Broyden's method, then
+# solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing terms
+# are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2; the line search halves
+# steps until the residual decreases.
 
 SOLVED, LIMIT, STALLED, SINGULAR = 1, 0, -5, -2  # how a Newton iteration ends; other negative numbers: see `follow`
 DENSE = 24  # unknowns up to which tangents in all directions are taken
 BASIS = 80  # directions that GMRES keeps
 HALVINGS = 14
 ROUNDING = 1e-10  # residuals below this count as solved once no step makes them smaller
+UNITS = 1.5e-14  # the same for each unit of the largest momentum: 64 rounding errors of what places are summed from
 
 
 @njit(cache=True, error_model="numpy")
@@ -1205,6 +1290,18 @@ def preconditioner(case):
     return matrix if cholesky(matrix) else None
 
 
+def rounding(path):
+    """The residual below which no step can be expected to make it smaller; neighbours need large momenta."""
+    return max(ROUNDING, UNITS * np.abs(path[:, 1]).max())
+
+
+def first_steps(case, h, factor, path, points):
+    """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
+    if factor is None or case.start.size <= DENSE:
+        return 0
+    return secant_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
+
+
 def shoot(case, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
@@ -1215,18 +1312,19 @@ def shoot(case, path, points, log):
     outcome = follow(h, case.own, case.parameters, path, points)
     if outcome < 0:
         return outcome, 0, np.inf
+    made = first_steps(case, h, factor, path, points)
     residual, previous = end_residual(path[-1], case.target, case.sigma), np.inf
     for iteration in range(case.max_iterations + 1):
         error, norm = largest(residual), np.linalg.norm(residual)
         log[iteration, 0] = error
         if error <= case.tolerance or iteration == case.max_iterations:
-            return SOLVED if error <= case.tolerance else LIMIT, iteration, error
+            return SOLVED if error <= case.tolerance else LIMIT, made + iteration, error
         forcing = max(min(0.1, 0.9 * (norm / previous) ** 2), min(0.1, 0.1 * case.tolerance / error), 1e-10)
         previous, linear = norm, Linearised(case, points, factor)
         change = linear.solved(-residual, forcing).reshape(case.start.shape)
         log[iteration, 1] = linear.count
         if not np.isfinite(change).all():
-            return SINGULAR, iteration, error
+            return SINGULAR, made + iteration, error
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
             trial_path[0, 0], trial_path[0, 1] = path[0, 0], path[0, 1] + length * change
@@ -1237,7 +1335,7 @@ def shoot(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= ROUNDING else STALLED, iteration, error
+            return SOLVED if error <= rounding(path) else STALLED, made + iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual = trial_path, trial_points, trial
     raise AssertionError("unreachable")
@@ -1281,7 +1379,7 @@ def all_states(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= ROUNDING else STALLED, iteration, error
+            return SOLVED if error <= rounding(path) else STALLED, iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual, errors[:] = trial_path, trial_points, trial, trial_errors
     raise AssertionError("unreachable")
@@ -1610,7 +1708,7 @@ class Solution(NamedTuple):
     """What `solve` returns: arrays over the nodes, q and p of shape (N + 1, n, 2), energy H along them.
 
     `cost` is the sum of 2 h H at the scheme's points. `residual` is the largest error of an equation, `iterations`
-    counts Newton's steps and `tangents` the linearised trajectories of all attempts, each of which has a line in
+    counts secant and Newton steps and `tangents` the linearised trajectories of all attempts, each of which has a line in
     `attempts`. `margin` is the least value along the path of what the domain demands to be positive.
     """
 
@@ -1693,7 +1791,7 @@ def make_case(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_649b0f83fbb13444"
+_IDENTITY = "codegen_image_registration_9318c3a6360d7f8f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

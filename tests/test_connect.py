@@ -315,3 +315,24 @@ def test_what_does_not_fit_is_refused(module):
         module("lsoda", "full")
     with pytest.raises(SchemeError, match="did you mean midpoint"):
         module("midpont")
+
+
+def test_many_landmarks_by_broydens_method_agree_with_newtons(compiled):
+    """Forty landmarks without a tangent; Newton's method from the result has nothing left to do."""
+    points = read_points(PROBLEMS / "data" / "trilobite40.csv", 2)
+    solution = compiled.solve(points.start, points.target)
+    assert (solution.status, solution.tangents) == ("solved", 0), solution.message
+    case = compiled.make_case(points.start, points.target)
+    matrix = compiled.jacobian(case, solution.p[0].ravel())
+    correction = np.linalg.solve(matrix, compiled.residual(case, solution.p[0].ravel()))
+    assert np.abs(correction).max() < 1e-9
+
+
+def test_neighbours_that_turn_at_a_millionth(compiled):
+    """Momenta of 1e5 leave residuals of 1e-10 times ten, which are rounding; each place is met to 1e-8."""
+    points = read_points(PROBLEMS / "data" / "trilobite40.csv", 2)
+    start, target = points.start.copy(), points.target.copy()
+    start[1], target[1] = start[0] + [1e-6, 0.0], target[0] + [0.0, 1e-6]
+    result = drivers.solve(compiled, points=PointSet(start, target, points.sigma), steps=20)
+    assert result.status == "solved", result.message
+    assert result.residual < 1e-8

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from codegen import drivers
+from codegen.errors import ArgumentError
 
 BOLTZMANN = 1.380658e-23 / 1e-27
 
@@ -89,3 +90,8 @@ def test_unusable_arguments(sun):
         sun.solve(0)
     with pytest.raises(ValueError, match="must be finite"):
         sun.solve(5, m=np.nan)
+
+
+def test_fsolve_says_that_it_does_not_solve_steps_of_particles(sun):
+    with pytest.raises(ArgumentError, match="does not solve the steps of particles"):
+        drivers.solve(sun, "fsolve", steps=20)

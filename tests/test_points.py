@@ -7,6 +7,7 @@ import pytest
 from conftest import PROBLEMS
 
 from codegen.cli import main
+from codegen.drivers.crossings import crossings
 from codegen.errors import PointsError
 from codegen.points import read_points
 
@@ -96,3 +97,11 @@ def test_exit_status_two(tmp_path, capsys, name):
     assert captured.out == ""
     assert finding in captured.err
     assert len(captured.err.splitlines()) == 1
+
+
+def test_crossing_ways_are_found():
+    """The diagonals of a square cross; its sides only touch, and a segment that stops short of another does not."""
+    start = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.6, 0.5]])
+    target = np.array([[1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [0.9, 0.5]])
+    assert crossings(start, target) == [(1, 2)]
+    assert crossings(np.c_[start, start[:, :1]], np.c_[target, target[:, :1]]) == []

@@ -57,33 +57,44 @@ def _own(model: PairwiseModel) -> Any:
     return np.ones((_PARTICLES, len(model.own)))
 
 
-def exact(model: PairwiseModel, state: Any, own: Any, derivatives: bool = True) -> tuple[Any, list[Any]]:
+def exact(model: PairwiseModel, state: Any, own: Any) -> tuple[Any, list[Any]]:
     """H and its gradient at a state from the author's expressions with 50 digits; the gradient as a flat list."""
-    parameters = dict(zip(model.parameters, map(sympy.Float, model.defaults), strict=True))
-    single = [*model.first.moving, *model.first.own]
-    both = [*single, *model.second.moving, *model.second.own]
-    moving = (*model.first.moving, *model.second.moving)
     with mpmath.workdps(DIGITS):
-        parameters = {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
-        alone = [model.self_term, *(sympy.diff(model.self_term, z) for z in model.first.moving)]
-        pair = [model.pair_term, *(sympy.diff(model.pair_term, z) for z in moving)]
-        of_one = sympy.lambdify(single, [e.subs(parameters) for e in alone], "mpmath")
-        of_two = sympy.lambdify(both, [e.subs(parameters) for e in pair], "mpmath")
+        of_one, of_two = _functions(model)
         count, size = state.shape[1], state.shape[2]
         values = [[mpmath.mpf(float(v)) for v in (*state[0, i], *state[1, i], *own[i])] for i in range(count)]
         total, gradient = mpmath.mpf(0), [[[mpmath.mpf(0)] * size for _ in range(count)] for _ in range(2)]
+
+        def add(particle: int, slopes: list[Any]) -> None:
+            for k, slope in enumerate(slopes):
+                gradient[k // size][particle][k % size] += slope
+
         for i in range(count):
-            found = of_one(*values[i])
-            total += found[0]
-            for k in range(2 * size):
-                gradient[k // size][i][k % size] += found[1 + k]
+            energy, *slopes = of_one(*values[i])
+            total += energy
+            add(i, slopes)
             for j in range(i):
-                found = of_two(*values[i], *values[j])
-                total += found[0]
-                for k in range(2 * size):
-                    gradient[k // size][i][k % size] += found[1 + k]
-                    gradient[k // size][j][k % size] += found[1 + 2 * size + k]
+                energy, *slopes = of_two(*values[i], *values[j])
+                total += energy
+                add(i, slopes[: 2 * size])
+                add(j, slopes[2 * size :])
         return total, [value for part in gradient for row in part for value in row]
+
+
+def _functions(model: PairwiseModel) -> tuple[Any, Any]:
+    """The self term of a particle, and the pair term of two, each followed by its derivatives, for mpmath."""
+    parameters = {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
+    single = [*model.first.moving, *model.first.own]
+    both = [*single, *model.second.moving, *model.second.own]
+
+    def function(arguments: list[sympy.Symbol], term: sympy.Expr, moving: tuple[sympy.Symbol, ...]) -> Any:
+        wanted = [term, *(sympy.diff(term, z) for z in moving)]
+        return sympy.lambdify(arguments, [e.subs(parameters) for e in wanted], "mpmath")
+
+    return (
+        function(single, model.self_term, model.first.moving),
+        function(both, model.pair_term, (*model.first.moving, *model.second.moving)),
+    )
 
 
 def _value(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from codegen.drivers.connect import case_of, condition_number
+from codegen.drivers.crossings import crossings
 from codegen.drivers.result import ConnectAttempt, Request, Result, max_norm
 from codegen.load import ConnectModule
 
@@ -27,6 +28,10 @@ def connect_result(module: ConnectModule, driver: str, request: Request, attempt
     if status == "solved" and not residual <= 10.0 * attempt.tolerance:
         status = "inaccurate"
         message = f"{driver} reported success, but the equations have residual {residual:.1e}; try --driver newton"
+    crossed = crossings(case.start, case.target)
+    if status != "solved" and crossed:
+        one, other = crossed[0]
+        message += f"; the straight ways of {len(crossed)} pairs of points cross, first those of {one} and {other}"
     margin = min(float(module.domain_margin(np.ascontiguousarray(z))) for z in path)
     count = case.start.shape[0]
     names = {
@@ -62,6 +67,7 @@ def connect_result(module: ConnectModule, driver: str, request: Request, attempt
             "mean_arrival_error": float(arrival.mean()),
             "largest_miss": float(np.abs(path[-1, 0] - case.target).max()),
             "condition_number": condition_number(module, case),
+            "crossings": float(len(crossed)),
             "energy_drift": float(np.abs(energy - energy[0]).max()),
             "domain_margin": margin,
             "attempts": float(max(1, len(attempt.attempts))),

@@ -60,8 +60,12 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
 def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
     """Solve the equations of each step from the scheme's own prediction; iterations are evaluations of the residual.
 
-    Raises ArgumentError when the scheme is explicit for this problem.
+    Raises ArgumentError when the scheme is explicit for this problem, and for particles.
     """
+    if module.metadata.get("separable") is not None:
+        raise ArgumentError(
+            "driver fsolve does not solve the steps of particles, whose module has its own Newton method", "use newton"
+        )
     if not is_implicit(module):
         raise ArgumentError(
             f"driver fsolve has nothing to solve: {module.metadata['scheme']} is explicit for this problem",

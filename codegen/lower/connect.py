@@ -82,29 +82,18 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
     )
     singles, loops = (separable_loops if by_turns else pair_loops)(model, derivatives)
     around = particle_loops(model, singles)
-    names = [f"{name}_{i + 1}" for i in range(len(model.start[0])) for name in model.coordinates]
-    rates = [f"{name}_{i + 1}" for i in range(len(model.start[0])) for name in model.momenta]
-    metadata = [entry for entry in _metadata(program, derivatives, loops) if entry[0] not in ("adaptive", "points")]
-    metadata = [e for e in metadata if e[0] not in ("coordinates", "rates")]
-    metadata += [("coordinates", repr(tuple(names))), ("rates", repr(tuple(rates)))]
     implicit = _implicit(program) and not by_turns
     step = ["pair_separable"] if by_turns else [
         "pair_algebra", "pair_curvature", "pair_substeps" if program.substeps else "pair_runge_kutta",
         *(["pair_implicit"] if implicit else []),
     ]  # fmt: skip
-    left_out = [
-        line for line in _left_out(program, derivatives, singles) if "action" not in line and "H_pp" not in line
-    ]
-    if by_turns:
-        left_out = [line for line in left_out if "explicit" not in line]
-        left_out.append("Newton's method and second derivatives: H is separable, so that steps are explicit")
     return ParticlesModule(
         template="particles.py.j2",
         name=model.name,
         title=model.title,
         description=tuple(_description(program, derivatives, loops)),
-        left_out=tuple(left_out),
-        metadata=tuple(metadata),
+        left_out=tuple(_left_out_of_motion(program, derivatives, singles, by_turns)),
+        metadata=tuple(_metadata_of_motion(program, derivatives, loops)),
         constants=tuple(_constants(program, derivatives)),
         kernels=(),
         runtime=(*_special(loops, around), *step, "pair_motion"),
@@ -121,6 +110,30 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         start=model.start,
         own_values=model.own_values,
     )
+
+
+def _left_out_of_motion(
+    program: PairwiseProgram, derivatives: PairDerivatives, singles: tuple[str, ...], by_turns: bool
+) -> list[str]:
+    """What a simulation leaves out; `by_turns` says whether places and momenta are updated in turn."""
+    lines = [line for line in _left_out(program, derivatives, singles) if "action" not in line and "H_pp" not in line]
+    if not by_turns:
+        return lines
+    lines = [line for line in lines if "explicit" not in line]
+    return [*lines, "Newton's method and second derivatives: H is separable, so that steps are explicit"]
+
+
+def _metadata_of_motion(
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop, ...]
+) -> list[tuple[str, str]]:
+    """The metadata of a simulation, which names the coordinates of every particle."""
+    model = program.model
+    numbers = range(1, len(model.start[0]) + 1)
+    dropped = ("adaptive", "points", "coordinates", "rates")
+    kept = [entry for entry in _metadata(program, derivatives, loops) if entry[0] not in dropped]
+    for key, group in (("coordinates", model.coordinates), ("rates", model.momenta)):
+        kept.append((key, repr(tuple(f"{name}_{i}" for i in numbers for name in group))))
+    return kept
 
 
 def _special(loops: tuple[PairLoop, ...], around: tuple[ParticleLoop, ...]) -> tuple[str, ...]:
@@ -168,7 +181,7 @@ def _runtime(
     files = [*_special(loops, around)]
     step = "pair_substeps" if program.substeps else "pair_runge_kutta"
     files += ["pair_algebra", "pair_curvature", step, *(["pair_implicit"] if _implicit(program) else [])]
-    files += ["pair_trajectory", "pair_shooting", "pair_case", "pair_ladder"]
+    files += ["pair_trajectory", "pair_secant", "pair_shooting", "pair_case", "pair_ladder"]
     files += ["pair_callbacks", *(["pair_action"] if program.method == "action" else [])]
     return tuple(files)
 

@@ -5,9 +5,10 @@ is stationarity of the cost's half plus sum |q_N - target|^2/(2 sigma^2), since 
 method solves for all states at once (multiple shooting with one step for each interval): then each step may have a
 defect, and states move along the linearised trajectory, which is what elimination of the block-banded Jacobian gives.
 
-Few unknowns are solved for by tangents in all directions at once, many by GMRES preconditioned with H_pp at the start,
-the derivative of r for vanishing motion. The forcing terms are those of Eisenstat and Walker (1996), SIAM Journal on
-Scientific Computing 17, choice 2; the line search halves steps until the residual decreases.
+Few unknowns are solved for by tangents in all directions at once. Many are first improved by Broyden's method, then
+solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing terms
+are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2; the line search halves
+steps until the residual decreases.
 """
 
 import numpy as np
@@ -17,6 +18,7 @@ from codegen.runtime.example_pairs import BLOCKS, POINTS, domain_margin, momentu
 from codegen.runtime.pair_algebra import cholesky, factor_dense, largest, solve_cholesky, solve_factored
 from codegen.runtime.pair_curvature import curvature_at
 from codegen.runtime.pair_runge_kutta import advance_directions
+from codegen.runtime.pair_secant import secant_steps
 from codegen.runtime.pair_trajectory import defects, follow
 
 SOLVED, LIMIT, STALLED, SINGULAR = 1, 0, -5, -2  # how a Newton iteration ends; other negative numbers: see `follow`
@@ -24,6 +26,7 @@ DENSE = 24  # unknowns up to which tangents in all directions are taken
 BASIS = 80  # directions that GMRES keeps
 HALVINGS = 14
 ROUNDING = 1e-10  # residuals below this count as solved once no step makes them smaller
+UNITS = 1.5e-14  # the same for each unit of the largest momentum: 64 rounding errors of what places are summed from
 
 
 @njit(cache=True, error_model="numpy")
@@ -155,6 +158,18 @@ def preconditioner(case):
     return matrix if cholesky(matrix) else None
 
 
+def rounding(path):
+    """The residual below which no step can be expected to make it smaller; neighbours need large momenta."""
+    return max(ROUNDING, UNITS * np.abs(path[:, 1]).max())
+
+
+def first_steps(case, h, factor, path, points):
+    """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
+    if factor is None or case.start.size <= DENSE:
+        return 0
+    return secant_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
+
+
 def shoot(case, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
@@ -165,18 +180,19 @@ def shoot(case, path, points, log):
     outcome = follow(h, case.own, case.parameters, path, points)
     if outcome < 0:
         return outcome, 0, np.inf
+    made = first_steps(case, h, factor, path, points)
     residual, previous = end_residual(path[-1], case.target, case.sigma), np.inf
     for iteration in range(case.max_iterations + 1):
         error, norm = largest(residual), np.linalg.norm(residual)
         log[iteration, 0] = error
         if error <= case.tolerance or iteration == case.max_iterations:
-            return SOLVED if error <= case.tolerance else LIMIT, iteration, error
+            return SOLVED if error <= case.tolerance else LIMIT, made + iteration, error
         forcing = max(min(0.1, 0.9 * (norm / previous) ** 2), min(0.1, 0.1 * case.tolerance / error), 1e-10)
         previous, linear = norm, Linearised(case, points, factor)
         change = linear.solved(-residual, forcing).reshape(case.start.shape)
         log[iteration, 1] = linear.count
         if not np.isfinite(change).all():
-            return SINGULAR, iteration, error
+            return SINGULAR, made + iteration, error
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
             trial_path[0, 0], trial_path[0, 1] = path[0, 0], path[0, 1] + length * change
@@ -187,7 +203,7 @@ def shoot(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= ROUNDING else STALLED, iteration, error
+            return SOLVED if error <= rounding(path) else STALLED, made + iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual = trial_path, trial_points, trial
     raise AssertionError("unreachable")
@@ -231,7 +247,7 @@ def all_states(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= ROUNDING else STALLED, iteration, error
+            return SOLVED if error <= rounding(path) else STALLED, iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual, errors[:] = trial_path, trial_points, trial, trial_errors
     raise AssertionError("unreachable")

@@ -1,10 +1,11 @@
 """What the issue on particles promises, measured: accuracy, speed, sizes, hard cases, long motions.
 
-    python tests/benchmarks/particles.py [table speed sizes hard planets] [--repeat R]
+    python tests/benchmarks/particles.py [table speed sizes hard pairs planets] [--repeat R] [--plot FILE.png]
 
 `table` is the thesis's Table 5.2 on data/trilobite40.csv, `speed` compares with scipy's fsolve over vectorised numpy in
-the same run, `sizes` grows the number of landmarks, `hard` rotates, brings neighbours together and adds noise,
-`planets` follows the outer solar system over a million days. Times are the best of R warm solves.
+the same run, `sizes` grows the number of landmarks and draws a plot on request, `hard` rotates, brings neighbours
+together and adds noise, `pairs` connects 200 random pairs of the trilobites of the package ktch, which has to be
+installed for it, `planets` follows the outer solar system over a million days. Times are the best of R warm solves.
 """
 
 import os
@@ -14,12 +15,14 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 import argparse
 import resource
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 import scipy.optimize
+from matplotlib import pyplot
 from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
@@ -68,36 +71,39 @@ def table(repeat: int) -> None:
     CONSOLE.print(shown)
 
 
+def numpy_kernel(q: Any) -> tuple[Any, Any]:
+    """G between all points, shape (n, n), and its derivative by the first of each two, shape (n, n, 2)."""
+    difference = q[:, None] - q[None]
+    s = (difference**2).sum(-1)
+    a = 1 - (q**2).sum(-1)
+    w = a[:, None] * a[None]
+    safe = np.where(s > 0, s, 1.0)
+    log = np.log1p(w / safe)
+    green = w / 2 - np.where(s > 0, s * log / 2, 0.0)
+    by_s = np.where(s > 0, w / (s + w) - log, 0.0) / 2
+    by_a = a[:, None] * a[None] ** 2 / (2 * (s + w))
+    return green, 2 * by_s[..., None] * difference - 2 * by_a[..., None] * q[:, None]
+
+
+def numpy_path(start: Any, momenta: Any, steps: int) -> tuple[Any, float]:
+    """Where explicit Euler steps arrive, and the discrete cost."""
+    q, p, cost = start.copy(), momenta.reshape(start.shape), 0.0
+    for _ in range(steps):
+        green, slope = numpy_kernel(q)
+        dots = p @ p.T
+        cost += (dots * green).sum() / steps
+        q, p = q + green @ p / steps, p - (dots[..., None] * slope).sum(1) / steps
+    return q, cost
+
+
 def numpy_fsolve(points: PointSet, steps: int) -> tuple[float, float]:
     """The same shooting by scipy's fsolve with finite differences over vectorised numpy: cost and seconds."""
     q0, q1 = points.start, points.target
-
-    def kernel(q: Any) -> tuple[Any, Any]:
-        difference = q[:, None] - q[None]
-        s = (difference**2).sum(-1)
-        a = 1 - (q**2).sum(-1)
-        w = a[:, None] * a[None]
-        safe = np.where(s > 0, s, 1.0)
-        log = np.log1p(w / safe)
-        green = w / 2 - np.where(s > 0, s * log / 2, 0.0)
-        by_s = np.where(s > 0, w / (s + w) - log, 0.0) / 2
-        by_a = a[:, None] * a[None] ** 2 / (2 * (s + w))
-        return green, 2 * by_s[..., None] * difference - 2 * by_a[..., None] * q[:, None]
-
-    def shoot(p: Any) -> tuple[Any, float]:
-        q, p, cost = q0.copy(), p.reshape(q0.shape), 0.0
-        for _ in range(steps):
-            green, slope = kernel(q)
-            dots = p @ p.T
-            cost += (dots * green).sum() / steps
-            q, p = q + green @ p / steps, p - (dots[..., None] * slope).sum(1) / steps
-        return q, cost
-
-    start = np.linalg.solve(kernel(q0)[0], q1 - q0).ravel()
+    start = np.linalg.solve(numpy_kernel(q0)[0], q1 - q0).ravel()
     begin = perf_counter()
-    found = scipy.optimize.fsolve(lambda p: (shoot(p)[0] - q1).ravel(), start, xtol=1e-12)
+    found = scipy.optimize.fsolve(lambda p: (numpy_path(q0, p, steps)[0] - q1).ravel(), start, xtol=1e-12)
     seconds = perf_counter() - begin
-    return shoot(found)[1], seconds
+    return numpy_path(q0, found, steps)[1], seconds
 
 
 def speed(repeat: int) -> None:
@@ -124,18 +130,32 @@ def smooth_pair(count: int, seed: int = 1) -> PointSet:
     return PointSet(start, start + 0.15 * ((1 - radius**2) ** 2)[:, None] * shift, np.zeros(count))
 
 
-def sizes(repeat: int) -> None:
-    """Time and memory against the number of landmarks."""
+def sizes(repeat: int, plot: Path | None = None) -> None:
+    """Time and memory against the number of landmarks; the module, and so its code and build, is the same for all."""
+    begin = perf_counter()
     euler = module("explicit-euler")
-    for count in (5, 10, 20, 50, 100, 200, 500, 1000):
+    size = Path(euler.__file__).stat().st_size
+    CONSOLE.print(f"one module for all, {size} bytes, had after {perf_counter() - begin:.2f} s")
+    counts, times = (5, 10, 20, 50, 100, 200, 500, 1000, 2000), list[float]()
+    for count in counts:
         points = smooth_pair(count)
         runs = repeat if count < 500 else 1
+        used = process_time()
         solution, seconds = best(lambda p=points: euler.solve(p.start, p.target), runs)
+        used = (process_time() - used) / (runs + 1)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+        times.append(seconds)
         CONSOLE.print(
             f"nc {count:5d}: {solution.status}, residual {solution.residual:.1e}, {solution.iterations} iterations, "
-            f"{solution.tangents} tangents, {seconds:.4f} s, peak {memory:.0f} MB"
+            f"{solution.tangents} tangents, {seconds:.4f} s ({used:.4f} s of processor time), peak {memory:.0f} MB"
         )
+    if plot is not None:
+        figure, axes = pyplot.subplots(figsize=(5, 3.5), layout="constrained")
+        axes.loglog(counts, times, "o-")
+        axes.loglog(counts[4:], [times[-1] * (n / counts[-1]) ** 2 for n in counts[4:]], "k:", label="quadratic")
+        axes.set(xlabel="landmarks", ylabel="seconds, explicit Euler, 10 steps")
+        axes.legend()
+        figure.savefig(plot, dpi=150)
 
 
 def hard(repeat: int) -> None:
@@ -161,6 +181,69 @@ def hard(repeat: int) -> None:
         report("targets with noise of 0.03", euler.solve(points.start, noisy, 20))
         report("the same with sigma = 0.03", euler.solve(points.start, noisy, 20, sigma=0.03))
     del generator, repeat
+
+
+def specimens() -> Any:
+    """All points of 300 trilobite cephala, shape (300, 88, 2); see the package ktch for their source."""
+    from ktch.datasets import load_landmark_trilobite_cephala  # type: ignore[import-not-found]
+
+    found = load_landmark_trilobite_cephala()
+    return np.array([np.vstack([a, *curves]) for a, curves in zip(found.landmarks, found.curves, strict=True)])
+
+
+def aligned(one: Any, other: Any, count: int = 40) -> PointSet:
+    """Homologous points far from each other in both specimens, after a similarity, in the disc of radius 0.7."""
+    known = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)  # some landmarks are missing
+    one, other = (x[known] - x[known].mean(axis=0) for x in (one, other))
+    u, s, v = np.linalg.svd(other.T @ one)
+    sign = np.diag([1.0, np.sign(np.linalg.det(u @ v))])
+    other = other @ (u @ sign @ v) * (s * np.diag(sign)).sum() / (other**2).sum()
+    scale = 0.7 / max(np.linalg.norm(x, axis=1).max() for x in (one, other))
+    one, other = one * scale, other * scale
+
+    def away(k: int) -> Any:
+        return np.minimum(np.linalg.norm(one - one[k], axis=1), np.linalg.norm(other - other[k], axis=1))
+
+    chosen, distance = [0], away(0)
+    while len(chosen) < count:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, away(chosen[-1]))
+    return PointSet(one[chosen], other[chosen], np.zeros(count))
+
+
+def pairs(repeat: int) -> None:
+    """Share of random pairs that is connected, in how many steps, and whether each success holds when stepped anew.
+
+    What 10 steps do not connect is tried with more, as the message advises.
+    """
+    euler, everyone = module("explicit-euler"), specimens()
+    generator, ways, times, false = np.random.default_rng(2), dict[str, int](), list[float](), 0
+    for _ in range(200):
+        first, second = generator.choice(len(everyone), 2, replace=False)
+        points = aligned(everyone[first], everyone[second])
+        for steps in (10, 20, 40):
+            begin = perf_counter()
+            solution = euler.solve(points.start, points.target, steps)
+            times.append(perf_counter() - begin)
+            if solution.status == "solved":
+                break
+        way = f"in {steps} steps by {solution.attempts[-1].split(':')[0]}"
+        way = way if solution.status == "solved" else solution.status
+        ways[way] = ways.get(way, 0) + 1
+        if solution.status == "solved":
+            false += arrival_error(solution, points, steps) > 1e-8
+        else:
+            CONSOLE.print(f"specimens {first} and {second}: {solution.message}")
+    for way, count in sorted(ways.items()):
+        CONSOLE.print(f"{count:4d} {way}")
+    CONSOLE.print(f"{false} false successes; median {np.median(times):.3f} s, slowest {max(times):.1f} s")
+    del repeat
+
+
+def arrival_error(solution: Any, points: PointSet, steps: int) -> float:
+    """How far the targets are missed from the solution's momenta, by explicit Euler steps in numpy."""
+    end = numpy_path(points.start, solution.p[0], steps)[0]
+    return float(np.abs(end - points.target).max())
 
 
 def planets(repeat: int) -> None:
@@ -199,11 +282,15 @@ def planets(repeat: int) -> None:
 
 def main() -> None:
     """Run the named parts, or all."""
-    parts = {function.__name__: function for function in (table, speed, sizes, hard, planets)}
+    parts: dict[str, Callable[[int], None]] = {
+        function.__name__: function for function in (table, speed, sizes, hard, pairs, planets)
+    }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[*parts, []])
     parser.add_argument("--repeat", type=int, default=20)
+    parser.add_argument("--plot", type=Path, help="where sizes draws time against the number of landmarks, as PNG")
     chosen = parser.parse_args()
+    parts["sizes"] = partial(sizes, plot=chosen.plot)
     for name in chosen.parts or parts:
         CONSOLE.rule(name)
         parts[name](chosen.repeat)
