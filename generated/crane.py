@@ -1269,7 +1269,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if measured[1] <= tolerance and is_solved(grid, point, tolerance):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift > 0.0
-            return ("saddle point" if doubtful and not is_minimum(search, iterate) else "solved"), point, iteration
+            return ("saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"), point, iteration
         if is_boundless(point, measured[5]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
@@ -1298,11 +1298,15 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     return "iteration limit", point, max_iterations
 
 
-def is_minimum(search, iterate):
-    """Whether a stationary point is a minimum to second order, up to rounding, with the barrier to stand for bounds."""
+def is_minimum(search, iterate, tolerance):
+    """Whether a stationary point is a minimum to second order, with the barrier to stand for bounds.
+
+    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
+    """
     grid, bounds, system = search
+    shift = max(FLAT, 100.0 * tolerance)
     diagonal = np.empty(iterate.point.unknowns.size)
-    barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, FLAT, FLAT, diagonal)
+    barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, FLAT, diagonal)
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
@@ -2140,7 +2144,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_crane_3fb2a1a15453cb64"
+_IDENTITY = "codegen_crane_62ab96e24cbe5738"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
