@@ -1426,7 +1426,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if measured[1] <= tolerance and is_solved(grid, point, tolerance):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift > 0.0
-            return ("saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"), point, iteration
+            minimum = not doubtful or is_minimum(search, iterate, tolerance)
+            return ("solved" if minimum else "saddle point"), point, iteration
         if is_boundless(point, measured[5]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
@@ -2276,7 +2277,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pendulum_ca805134b0937394"
+_IDENTITY = "codegen_cart_pendulum_b071b84156b9ac0c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -92,7 +92,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if measured[1] <= tolerance and is_solved(grid, point, tolerance):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift > 0.0
-            return ("saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"), point, iteration
+            minimum = not doubtful or is_minimum(search, iterate, tolerance)
+            return ("solved" if minimum else "saddle point"), point, iteration
         if is_boundless(point, measured[5]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
