@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
 from codegen.compiler import Choices, generate, module_name
@@ -38,10 +39,12 @@ GALLERY = (
 """Problem, arguments and choices of every committed module."""
 
 
-def fresh() -> dict[str, str]:
-    """File name -> text of every module of the gallery, generated anew."""
+def fresh(problems: Collection[str] | None = None) -> dict[str, str]:
+    """File name -> text of every module of the gallery, or of some problems, generated anew."""
     texts = {}
     for problem, arguments, choices in GALLERY:
+        if problems is not None and problem not in problems:
+            continue
         path = ROOT / "problems" / f"{problem}.py"
         texts[f"{module_name(path, arguments, choices)}.py"] = generate(path, arguments, choices)
     return texts

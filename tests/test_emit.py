@@ -23,14 +23,18 @@ ROOT = Path(__file__).parents[1]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"
 
 
-def test_committed_modules_are_what_the_generator_makes():
-    assert differences(committed(), fresh()) == []
+@pytest.mark.parametrize("problem", sorted({problem for problem, _, _ in GALLERY}))
+def test_committed_modules_are_what_the_generator_makes(problem):
+    """`python tests/golden.py`, which continuous integration runs as well, sees files too many."""
+    made = fresh([problem])
+    assert differences({name: text for name, text in committed().items() if name in made}, made) == []
 
 
 def test_two_hash_seeds_give_identical_bytes(tmp_path):
     code = (
         "import sys; from pathlib import Path; sys.path.insert(0, 'tests'); import golden;"
-        "sys.stdout.write(''.join(text for _, text in sorted(golden.fresh().items())))"
+        "some = golden.fresh(['hovercraft', 'goddard_rocket', 'pendulum', 'image_registration']);"
+        "sys.stdout.write(''.join(text for _, text in sorted(some.items())))"
     )
     texts = [
         subprocess.run(
