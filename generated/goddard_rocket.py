@@ -516,6 +516,7 @@ def end_entries(grid, unknowns):
 # systems; Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
 
 BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
+VANISHING = 1e-300  # the reciprocal of a smaller pivot would overflow
 
 
 @njit(error_model="numpy")
@@ -539,7 +540,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         for k in range(c + 1, count):
             if abs(matrix[row, order[k]]) > beside:
                 beside, place = abs(matrix[row, order[k]]), k
-        if not 0.0 < max(own, beside) < np.inf:
+        if not VANISHING < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
@@ -2221,7 +2222,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_goddard_rocket_1e27bc6637e809d2"
+_IDENTITY = "codegen_goddard_rocket_9a0d4ff3c4c00f8b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -578,6 +578,7 @@ def end_entries(grid, unknowns):
 # systems; Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
 
 BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
+VANISHING = 1e-300  # the reciprocal of a smaller pivot would overflow
 
 
 @njit(error_model="numpy")
@@ -601,7 +602,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         for k in range(c + 1, count):
             if abs(matrix[row, order[k]]) > beside:
                 beside, place = abs(matrix[row, order[k]]), k
-        if not 0.0 < max(own, beside) < np.inf:
+        if not VANISHING < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
@@ -2295,7 +2296,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_robot_arm_14d3b31c612915aa"
+_IDENTITY = "codegen_robot_arm_98a05737e0f30194"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

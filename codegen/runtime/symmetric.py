@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
+VANISHING = 1e-300  # the reciprocal of a smaller pivot would overflow
 
 
 @njit(error_model="numpy")
@@ -35,7 +36,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         for k in range(c + 1, count):
             if abs(matrix[row, order[k]]) > beside:
                 beside, place = abs(matrix[row, order[k]]), k
-        if not 0.0 < max(own, beside) < np.inf:
+        if not VANISHING < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
