@@ -372,11 +372,11 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         if not VANISHING < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
-            other, largest = order[place], 0.0
+            other, largest = order[place], beside  # rounding may have made the two rows differ
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
-            if own * largest < BALANCE * beside * beside:
+            if own * (largest / beside) < BALANCE * beside:
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
@@ -408,9 +408,10 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     """Eliminate the rows that come at places c and c + 1 together; one of two such pivots is negative."""
     p, q = order[c], order[c + 1]
-    a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
-    determinant = a * d - b * b
-    first, both, second = d / determinant, -b / determinant, a / determinant
+    b = matrix[p, q]
+    a, d = matrix[p, p] / b, matrix[q, q] / b
+    determinant = (a * d - 1.0) * b  # divided by b, for squares may leave the range of numbers
+    first, both, second = d / determinant, -1.0 / determinant, a / determinant
     inverse[c, 0], inverse[c, 1], inverse[c + 1, 0], inverse[c + 1, 1] = first, both, second, 0.0
     for k in range(c + 2, count):
         i = order[k]
@@ -2083,7 +2084,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_van_der_pol_39d1a5700cb6b6f4"
+_IDENTITY = "codegen_van_der_pol_095b9699fcad2c9e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
