@@ -374,7 +374,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         if not VANISHING < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
-            other, largest = order[place], beside  # rounding may have made the two rows differ
+            other, largest = order[place], 0.0
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
@@ -382,6 +382,9 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
+        row = order[c]
+        if not paired and not abs(matrix[row, row]) > VANISHING:  # rounding has made two rows differ that were equal
+            return -1
         if paired:
             eliminate_pair(matrix, c, count, width, upper, inverse, order)
             negative += 1
@@ -1624,7 +1627,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_728f44874e1a0a21"
+_IDENTITY = "codegen_linear_pendulum_77fe869f407f19e7"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

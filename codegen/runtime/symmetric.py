@@ -39,7 +39,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         if not VANISHING < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
-            other, largest = order[place], beside  # rounding may have made the two rows differ
+            other, largest = order[place], 0.0
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
@@ -47,6 +47,9 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
+        row = order[c]
+        if not paired and not abs(matrix[row, row]) > VANISHING:  # rounding has made two rows differ that were equal
+            return -1
         if paired:
             eliminate_pair(matrix, c, count, width, upper, inverse, order)
             negative += 1
