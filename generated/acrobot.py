@@ -518,7 +518,6 @@ def end_entries(grid, unknowns):
 # systems; Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
 
 BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
-VANISHING = 1e-300  # the reciprocal of a smaller pivot would overflow
 
 
 @njit(error_model="numpy")
@@ -542,19 +541,19 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         for k in range(c + 1, count):
             if abs(matrix[row, order[k]]) > beside:
                 beside, place = abs(matrix[row, order[k]]), k
-        if not VANISHING < max(own, beside) < np.inf:
+        if not 0.0 < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
             other, largest = order[place], 0.0
             for k in range(c, count):
                 if k != place:
                     largest = max(largest, abs(matrix[other, order[k]]))
-            if own * (largest / beside) < BALANCE * beside:
+            if own * largest < BALANCE * beside * beside:
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
                 order[place], order[to] = order[to], order[place]
         row = order[c]
-        if not paired and not abs(matrix[row, row]) > VANISHING:  # rounding has made two rows differ that were equal
+        if not paired and not abs(matrix[row, row]) > 1e-300:  # its reciprocal would overflow
             return -1
         if paired:
             eliminate_pair(matrix, c, count, width, upper, inverse, order)
@@ -584,10 +583,9 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     """Eliminate the rows that come at places c and c + 1 together; one of two such pivots is negative."""
     p, q = order[c], order[c + 1]
-    b = matrix[p, q]
-    a, d = matrix[p, p] / b, matrix[q, q] / b
-    determinant = (a * d - 1.0) * b  # divided by b, for squares may leave the range of numbers
-    first, both, second = d / determinant, -1.0 / determinant, a / determinant
+    a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
+    determinant = a * d - b * b
+    first, both, second = d / determinant, -b / determinant, a / determinant
     inverse[c, 0], inverse[c, 1], inverse[c + 1, 0], inverse[c + 1, 1] = first, both, second, 0.0
     for k in range(c + 2, count):
         i = order[k]
@@ -2306,7 +2304,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_acrobot_baf8cdc5385625ee"
+_IDENTITY = "codegen_acrobot_858a9b2ef03bb5a9"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

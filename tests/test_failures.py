@@ -91,9 +91,8 @@ def test_equations_hold_where_they_depend_on_each_other(tmp_path, case: Failing,
     """The point that is returned is feasible, and its cost is that of the sound problem beside it."""
     result = drivers.solve(module_of(tmp_path, case.text))
     assert result.residual <= 1e-9
-    # Multipliers are not unique, so rounding decides how Newton's method ends; what it returns must be right.
-    assert result.status in {"solved", "iteration limit", case.status}
-    if result.status == case.status:
+    if result.status != "solved":
+        assert result.status == case.status
         assert all(fragment in result.message for fragment in case.fragments)
     solved = drivers.solve(module_of(tmp_path, Failing("", plain, "", ()).text))
     assert solved.status == "solved"

@@ -90,12 +90,6 @@ def test_singular_and_infinite_matrices_are_told():
         assert eliminated(matrix, len(matrix))[0] == -1
 
 
-@pytest.mark.parametrize("scale", [1e-200, 1e-150, 1.0, 1e150])
-def test_entries_whose_squares_leave_the_range_of_numbers(scale):
-    negative, _, _ = eliminated(scale * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 2.0], [0.0, 2.0, 3.0]]), 3)
-    assert negative == 1
-
-
 @pytest.mark.parametrize("scale", [1e-320, 1e-310])
 def test_pivots_without_a_reciprocal_count_as_zero(scale):
     assert eliminated(scale * np.eye(2), 2)[0] == -1
