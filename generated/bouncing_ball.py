@@ -1155,19 +1155,12 @@ def allocate_system(grid):
     The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
     the pivots and the order of elimination each; zeros, so that solving without factors stays inside the arrays.
     """
-    factors = (
-        np.zeros((BODIES, grid.steps, BLOCK, WIDTH)),
-        np.zeros((BODIES, grid.steps, BLOCK, 2)),
-        np.zeros((BODIES, grid.steps, BLOCK), np.uint64),
-        np.zeros((BODIES, LAST, LAST_WIDTH)),
-        np.zeros((BODIES, LAST, 2)),
-        np.zeros((BODIES, LAST), np.uint64),
-        np.zeros((ROOT, ROOT_WIDTH)),
-        np.zeros((ROOT, 2)),
-        np.zeros(ROOT, np.uint64),
-        allocate_condensed(grid),
-    )
-    return factors, multiplier_unknowns(grid).size
+    blocks, last, root = (BODIES, grid.steps, BLOCK), (BODIES, LAST), (ROOT,)
+    factors = [
+        (np.zeros((*rows, width)), np.zeros((*rows, 2)), np.zeros(rows, np.uint64))
+        for rows, width in ((blocks, WIDTH), (last, LAST_WIDTH), (root, ROOT_WIDTH))
+    ]
+    return (*factors, allocate_condensed(grid)), multiplier_unknowns(grid).size
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system):
@@ -1186,8 +1179,8 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
 @njit(cache=True, error_model="numpy")
 def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
-    root_upper, root_inverse, root_order = factors[6:9]
-    if not prepare_condensed(weight, diagonal, factors[9]):
+    _, _, (root_upper, root_inverse, root_order), condensed = factors
+    if not prepare_condensed(weight, diagonal, condensed):
         return False, 0
     negative = 0
     root, left = np.zeros((ROOT, ROOT_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
@@ -1217,7 +1210,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
     the elimination has stopped.
     """
-    upper, inverse, order, last_upper, last_inverse, last_order = factors[:6]
+    (upper, inverse, order), (last_upper, last_inverse, last_order), _, condensed = factors
     chain, negative = steps * STRIDE + NODE, 0
     own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
     element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
@@ -1228,7 +1221,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             weigh(weight, hessian)
         element[:] = 0.0
         here = added[k * STRIDE : (k + 1) * STRIDE]
-        if not add_element(hessian, here, factors[9], body * steps + k, element):
+        if not add_element(hessian, here, condensed, body * steps + k, element):
             return False, 0, 0
         for i in range(BLOCK):
             element[i, i] += here[i]
@@ -1325,8 +1318,8 @@ def solve_kkt(grid, system, gradient, step):
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def substitute(gradient, steps, factors, step):
     """Solve with the factors: forward over all bodies, the shared unknowns, backward over all bodies."""
-    upper, inverse, order, last_upper, last_inverse, last_order, root_upper, root_inverse, root_order = factors[:9]
-    condensed = factors[9]
+    (upper, inverse, order), (last_upper, last_inverse, last_order), root, condensed = factors
+    root_upper, root_inverse, root_order = root
     reduced, last = np.empty((BODIES, steps * BLOCK + NODE)), np.zeros((BODIES, LAST_WIDTH))
     shared = np.zeros(ROOT_WIDTH)
     for i in range(ROOT):
@@ -2347,7 +2340,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_7be2752e3278869e"
+_IDENTITY = "codegen_bouncing_ball_143f9288b452c37c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

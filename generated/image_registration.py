@@ -611,10 +611,40 @@ def upper_half(x):
     return shifted - (shifted - x)
 
 
-# Linear algebra of shooting: Cholesky and LU factors, products with symmetric matrices, GMRES' rotations.
+# LU factorisation with partial pivoting of a small dense matrix.
 #
-# Inner loops run along rows, so that they are vectorised. Sources: Golub and Van Loan (2013), Matrix computations,
-# algorithms 4.2.2 and 3.4.1.
+# Source: Golub and Van Loan (2013), Matrix computations, algorithm 3.4.1.
+
+
+@njit(cache=True, error_model="numpy")
+def factor_matrix(matrix, pivots):
+    """Factor in place. Return -1, or the first column whose pivot is zero or NaN."""
+    size = matrix.shape[0]
+    for i in range(size):
+        pivot = i
+        for j in range(i + 1, size):
+            if abs(matrix[j, i]) > abs(matrix[pivot, i]):
+                pivot = j
+        if not abs(matrix[pivot, i]) > 0.0:
+            return i
+        pivots[i] = pivot
+        if pivot != i:
+            for c in range(size):
+                matrix[i, c], matrix[pivot, c] = matrix[pivot, c], matrix[i, c]
+        inverse = 1.0 / matrix[i, i]
+        for j in range(i + 1, size):
+            multiplier = matrix[j, i] * inverse
+            matrix[j, i] = multiplier
+            if multiplier != 0.0:
+                for c in range(i + 1, size):
+                    matrix[j, c] -= multiplier * matrix[i, c]
+    return -1
+
+
+# Linear algebra of many particles: Cholesky factors, products with symmetric matrices, norms.
+#
+# Inner loops run along rows, so that they are vectorised. Source: Golub and Van Loan (2013), Matrix computations,
+# algorithm 4.2.2.
 
 
 @njit(cache=True, error_model="numpy")
@@ -684,51 +714,6 @@ def solve_cholesky(factor, vectors):
 
 
 @njit(cache=True, error_model="numpy")
-def factor_dense(matrix, pivots):
-    """Replace a matrix by its LU factors with partial pivoting; return whether it is regular."""
-    size = matrix.shape[0]
-    for k in range(size):
-        pivot = k
-        for row in range(k + 1, size):
-            if abs(matrix[row, k]) > abs(matrix[pivot, k]):
-                pivot = row
-        if not abs(matrix[pivot, k]) > 0.0:
-            return False
-        pivots[k] = pivot
-        if pivot != k:
-            for column in range(size):
-                matrix[k, column], matrix[pivot, column] = matrix[pivot, column], matrix[k, column]
-        for row in range(k + 1, size):
-            factor = matrix[row, k] / matrix[k, k]
-            matrix[row, k] = factor
-            if factor != 0.0:
-                for column in range(k + 1, size):
-                    matrix[row, column] -= factor * matrix[k, column]
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def solve_factored(matrix, pivots, vectors):
-    """Solve in place for several right-hand sides, shape (n, m), with the factors that `factor_dense` left."""
-    size, columns = vectors.shape
-    for k in range(size):
-        for c in range(columns):
-            vectors[k, c], vectors[pivots[k], c] = vectors[pivots[k], c], vectors[k, c]
-    for k in range(size):
-        for column in range(k):
-            factor = matrix[k, column]
-            for c in range(columns):
-                vectors[k, c] -= factor * vectors[column, c]
-    for k in range(size - 1, -1, -1):
-        for column in range(k + 1, size):
-            factor = matrix[k, column]
-            for c in range(columns):
-                vectors[k, c] -= factor * vectors[column, c]
-        for c in range(columns):
-            vectors[k, c] /= matrix[k, k]
-
-
-@njit(cache=True, error_model="numpy")
 def largest(values):
     """Max-norm of a vector; infinite when an entry is not a number."""
     size = 0.0
@@ -749,6 +734,30 @@ def copy_state(source, target):
                 target[s, i, a] = source[s, i, a]
                 finite = finite and abs(source[s, i, a]) < np.inf
     return finite
+
+
+# Solving for several right-hand sides at once with the LU factors of a dense matrix.
+
+
+@njit(cache=True, error_model="numpy")
+def solve_columns(matrix, pivots, vectors):
+    """Solve in place for several right-hand sides, shape (n, m), with the factors that `factor_matrix` left."""
+    size, columns = vectors.shape
+    for k in range(size):
+        for c in range(columns):
+            vectors[k, c], vectors[pivots[k], c] = vectors[pivots[k], c], vectors[k, c]
+    for k in range(size):
+        for column in range(k):
+            factor = matrix[k, column]
+            for c in range(columns):
+                vectors[k, c] -= factor * vectors[column, c]
+    for k in range(size - 1, -1, -1):
+        for column in range(k + 1, size):
+            factor = matrix[k, column]
+            for c in range(columns):
+                vectors[k, c] -= factor * vectors[column, c]
+        for c in range(columns):
+            vectors[k, c] /= matrix[k, k]
 
 
 # The linearised field J H'' times directions, from stored second derivatives or, where they are too many, anew.
@@ -918,11 +927,11 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
         if not is_factored:
             hamiltonian_hessian(point, own, parameters, hessian)
             substep_matrix(hessian, step, a, b, matrix)
-            if not factor_dense(matrix, pivots):
+            if factor_matrix(matrix, pivots) >= 0:
                 return NOT_CONVERGED
         for k in range(size):
             right[k, 0] = goals[k] - ends[k]
-        solve_factored(matrix, pivots, right)
+        solve_columns(matrix, pivots, right)
         change, scale = 0.0, 0.0
         for k in range(size):
             ends[k] += right[k, 0]
@@ -986,7 +995,7 @@ def direct_directions(hessian, step, a, b, before, middle, after):
     size, half = hessian.shape[0], hessian.shape[0] // 2
     matrix, pivots = np.empty((size, size)), np.empty(size, np.int64)
     substep_matrix(hessian, step, a, b, matrix)
-    if not factor_dense(matrix, pivots):
+    if factor_matrix(matrix, pivots) >= 0:
         return False
     for row in range(size):
         for c in range(before.shape[1]):
@@ -998,7 +1007,7 @@ def direct_directions(hessian, step, a, b, before, middle, after):
                 place += step * hessian[half + row, column] * middle[column, c]
                 momentum -= step * hessian[row, column] * middle[column, c]
             after[row, c], after[half + row, c] = place, momentum
-    solve_factored(matrix, pivots, after)
+    solve_columns(matrix, pivots, after)
     return True
 
 
@@ -1250,9 +1259,9 @@ class Linearised:
         if right.size > DENSE:
             return self.gmres(right, forcing)
         matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right[:, None].copy()
-        if not factor_dense(matrix, pivots):
+        if factor_matrix(matrix, pivots) >= 0:
             return np.full(right.size, np.nan)
-        solve_factored(matrix, pivots, solution)
+        solve_columns(matrix, pivots, solution)
         return solution[:, 0]
 
     def preconditioned(self, vector):
@@ -1791,7 +1800,7 @@ def make_case(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_9318c3a6360d7f8f"
+_IDENTITY = "codegen_image_registration_cea4e5f30db05b3f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -133,7 +133,7 @@ def energy(state, t, parameters):
 
 
 @njit(cache=True, error_model="numpy")
-def factor(matrix, pivots):
+def factor_matrix(matrix, pivots):
     """Return -1, or 0 when the coefficient is zero or NaN."""
     return -1 if abs(matrix[0, 0]) > 0.0 else 0
 
@@ -176,7 +176,7 @@ def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
             total += abs(residual[i])
         if not total < np.inf:
             return NON_FINITE
-        if factor(jacobian, pivots) >= 0:
+        if factor_matrix(jacobian, pivots) >= 0:
             return SINGULAR
         solve_factored(jacobian, pivots, residual)
         correction, scale = 0.0, magnitude
@@ -490,7 +490,7 @@ def initial_state(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_2b234f9a5aa57893"
+_IDENTITY = "codegen_pendulum_610e7cfc21b51e31"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -85,7 +85,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
     implicit = _implicit(program) and not by_turns
     step = ["pair_separable"] if by_turns else [
         "pair_algebra", "pair_curvature", "pair_substeps" if program.substeps else "pair_runge_kutta",
-        *(["pair_implicit"] if implicit else []),
+        *(["lu", "pair_lu", "pair_implicit"] if implicit else []),
     ]  # fmt: skip
     return ParticlesModule(
         template="particles.py.j2",
@@ -180,7 +180,14 @@ def _runtime(
 ) -> tuple[str, ...]:
     files = [*_special(loops, around)]
     step = "pair_substeps" if program.substeps else "pair_runge_kutta"
-    files += ["pair_algebra", "pair_curvature", step, *(["pair_implicit"] if _implicit(program) else [])]
+    files += [
+        "lu",
+        "pair_algebra",
+        "pair_lu",
+        "pair_curvature",
+        step,
+        *(["pair_implicit"] if _implicit(program) else []),
+    ]
     files += ["pair_trajectory", "pair_secant", "pair_shooting", "pair_case", "pair_ladder"]
     files += ["pair_callbacks", *(["pair_action"] if program.method == "action" else [])]
     return tuple(files)

@@ -154,8 +154,8 @@ def _runtime(program: StepProgram, derivatives: StepDerivatives) -> tuple[str, .
     step = f"step_{_solver(program, derivatives)}"
     if not program.unknowns:
         return (step, "trajectory", "path")
-    algebra = "scalar" if len(program.unknowns) == 1 else "dense"
-    return (algebra, step, "trajectory", "path", "step_callbacks")
+    algebra = ("scalar",) if len(program.unknowns) == 1 else ("lu", "dense")
+    return (*algebra, step, "trajectory", "path", "step_callbacks")
 
 
 def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:

@@ -39,6 +39,17 @@ def sort_entries():
 TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination changes
 
 
+@njit(error_model="numpy", inline="always")
+def scatter(hessian, element, coupling):
+    """Add second derivatives by unknowns that stay to the element matrix, and put the mixed ones into `coupling`."""
+    for j in range(KEPT.size):
+        element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
+        if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
+            element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
+    for j in range(COUPLED.size):
+        coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
+
+
 @njit(error_model="numpy")
 def invert_positive_definite(block, inverse):
     """Invert a small symmetric matrix by Gauss-Jordan elimination in place; False when it is not positive definite."""

@@ -8,16 +8,11 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.condensation import (
-    COUPLED,
-    COUPLED_COLUMNS,
-    COUPLED_ROWS,
     INSIDE,
     INSIDE_COLUMNS,
     INSIDE_ROWS,
-    KEPT,
-    KEPT_COLUMNS,
-    KEPT_ROWS,
     invert_positive_definite,
+    scatter,
     subtract_condensed,
 )
 from codegen.runtime.elements import BLOCK, WIDTH
@@ -47,12 +42,7 @@ def add_element(hessian, diagonal, condensed, interval, element):
     `diagonal` is that of the interval's node and interval unknowns; inverse(C) and B are kept for the recovery.
     """
     block, inverses, couplings = condensed
-    for j in range(KEPT.size):
-        element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
-        if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
-            element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
-    for j in range(COUPLED.size):
-        couplings[interval, COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
+    scatter(hessian, element, couplings[interval])
     for a in range(CONDENSED):
         for b in range(CONDENSED):
             block[a, b] = 0.0

@@ -8,13 +8,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.condensation import (
-    COUPLED,
-    COUPLED_COLUMNS,
-    COUPLED_ROWS,
-    KEPT,
-    KEPT_COLUMNS,
-    KEPT_ROWS,
     invert_positive_definite,
+    scatter,
     subtract_condensed,
 )
 from codegen.runtime.elements import BLOCK, WIDTH
@@ -46,11 +41,6 @@ def prepare_condensed(weight, diagonal, condensed):
 def add_element(hessian, diagonal, condensed, interval, element):
     """Add K - B' inverse(C) B of an interval to the element matrix, and keep B for the recovery of the controls."""
     _, inverses, couplings = condensed
-    for j in range(KEPT.size):
-        element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
-        if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
-            element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
-    for j in range(COUPLED.size):
-        couplings[interval, COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
+    scatter(hessian, element, couplings[interval])
     subtract_condensed(couplings[interval], inverses[0], element)
     return True

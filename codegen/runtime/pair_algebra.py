@@ -1,7 +1,7 @@
-"""Linear algebra of shooting: Cholesky and LU factors, products with symmetric matrices, GMRES' rotations.
+"""Linear algebra of many particles: Cholesky factors, products with symmetric matrices, norms.
 
-Inner loops run along rows, so that they are vectorised. Sources: Golub and Van Loan (2013), Matrix computations,
-algorithms 4.2.2 and 3.4.1.
+Inner loops run along rows, so that they are vectorised. Source: Golub and Van Loan (2013), Matrix computations,
+algorithm 4.2.2.
 """
 
 import numpy as np
@@ -72,51 +72,6 @@ def solve_cholesky(factor, vectors):
             for column in range(k + 1, size):
                 total -= factor[k, column] * vectors[column, c]
             vectors[k, c] = total / factor[k, k]
-
-
-@njit(cache=True, error_model="numpy")
-def factor_dense(matrix, pivots):
-    """Replace a matrix by its LU factors with partial pivoting; return whether it is regular."""
-    size = matrix.shape[0]
-    for k in range(size):
-        pivot = k
-        for row in range(k + 1, size):
-            if abs(matrix[row, k]) > abs(matrix[pivot, k]):
-                pivot = row
-        if not abs(matrix[pivot, k]) > 0.0:
-            return False
-        pivots[k] = pivot
-        if pivot != k:
-            for column in range(size):
-                matrix[k, column], matrix[pivot, column] = matrix[pivot, column], matrix[k, column]
-        for row in range(k + 1, size):
-            factor = matrix[row, k] / matrix[k, k]
-            matrix[row, k] = factor
-            if factor != 0.0:
-                for column in range(k + 1, size):
-                    matrix[row, column] -= factor * matrix[k, column]
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def solve_factored(matrix, pivots, vectors):
-    """Solve in place for several right-hand sides, shape (n, m), with the factors that `factor_dense` left."""
-    size, columns = vectors.shape
-    for k in range(size):
-        for c in range(columns):
-            vectors[k, c], vectors[pivots[k], c] = vectors[pivots[k], c], vectors[k, c]
-    for k in range(size):
-        for column in range(k):
-            factor = matrix[k, column]
-            for c in range(columns):
-                vectors[k, c] -= factor * vectors[column, c]
-    for k in range(size - 1, -1, -1):
-        for column in range(k + 1, size):
-            factor = matrix[k, column]
-            for c in range(columns):
-                vectors[k, c] -= factor * vectors[column, c]
-        for c in range(columns):
-            vectors[k, c] /= matrix[k, k]
 
 
 @njit(cache=True, error_model="numpy")

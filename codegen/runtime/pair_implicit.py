@@ -8,7 +8,9 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.example_pairs import hamiltonian_gradient, hamiltonian_hessian
-from codegen.runtime.pair_algebra import copy_state, factor_dense, solve_factored
+from codegen.runtime.lu import factor_matrix
+from codegen.runtime.pair_algebra import copy_state
+from codegen.runtime.pair_lu import solve_columns
 from codegen.runtime.pair_curvature import linearised_field
 from codegen.runtime.pair_substeps import moved
 
@@ -69,11 +71,11 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
         if not is_factored:
             hamiltonian_hessian(point, own, parameters, hessian)
             substep_matrix(hessian, step, a, b, matrix)
-            if not factor_dense(matrix, pivots):
+            if factor_matrix(matrix, pivots) >= 0:
                 return NOT_CONVERGED
         for k in range(size):
             right[k, 0] = goals[k] - ends[k]
-        solve_factored(matrix, pivots, right)
+        solve_columns(matrix, pivots, right)
         change, scale = 0.0, 0.0
         for k in range(size):
             ends[k] += right[k, 0]
@@ -137,7 +139,7 @@ def direct_directions(hessian, step, a, b, before, middle, after):
     size, half = hessian.shape[0], hessian.shape[0] // 2
     matrix, pivots = np.empty((size, size)), np.empty(size, np.int64)
     substep_matrix(hessian, step, a, b, matrix)
-    if not factor_dense(matrix, pivots):
+    if factor_matrix(matrix, pivots) >= 0:
         return False
     for row in range(size):
         for c in range(before.shape[1]):
@@ -149,5 +151,5 @@ def direct_directions(hessian, step, a, b, before, middle, after):
                 place += step * hessian[half + row, column] * middle[column, c]
                 momentum -= step * hessian[row, column] * middle[column, c]
             after[row, c], after[half + row, c] = place, momentum
-    solve_factored(matrix, pivots, after)
+    solve_columns(matrix, pivots, after)
     return True

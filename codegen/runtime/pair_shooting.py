@@ -15,7 +15,9 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.example_pairs import BLOCKS, POINTS, domain_margin, momentum_matrix
-from codegen.runtime.pair_algebra import cholesky, factor_dense, largest, solve_cholesky, solve_factored
+from codegen.runtime.lu import factor_matrix
+from codegen.runtime.pair_algebra import cholesky, largest, solve_cholesky
+from codegen.runtime.pair_lu import solve_columns
 from codegen.runtime.pair_curvature import curvature_at
 from codegen.runtime.pair_runge_kutta import advance_directions
 from codegen.runtime.pair_secant import secant_steps
@@ -118,9 +120,9 @@ class Linearised:
         if right.size > DENSE:
             return self.gmres(right, forcing)
         matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right[:, None].copy()
-        if not factor_dense(matrix, pivots):
+        if factor_matrix(matrix, pivots) >= 0:
             return np.full(right.size, np.nan)
-        solve_factored(matrix, pivots, solution)
+        solve_columns(matrix, pivots, solution)
         return solution[:, 0]
 
     def preconditioned(self, vector):

@@ -4,7 +4,7 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy")
-def factor(matrix, pivots):
+def factor_matrix(matrix, pivots):
     """Return -1, or 0 when the coefficient is zero or NaN."""
     return -1 if abs(matrix[0, 0]) > 0.0 else 0
 

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.example_step import STATE, UNKNOWNS, complete_step, predict_step, step_jacobian, step_residual
-from codegen.runtime.scalar import factor, solve_factored
+from codegen.runtime.scalar import factor_matrix, solve_factored
 
 SINGULAR = -2  # what `advance` returns when the linear system has no unique solution
 
@@ -15,7 +15,7 @@ def allocate_work(h, parameters):
     unknowns, residual = np.zeros(UNKNOWNS), np.empty(UNKNOWNS)
     jacobian, pivots = np.empty((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS, np.int64)
     step_jacobian(unknowns, np.zeros(STATE), 0.0, h, parameters, residual, jacobian)
-    if factor(jacobian, pivots) >= 0:
+    if factor_matrix(jacobian, pivots) >= 0:
         pivots[0] = -1
     return unknowns, residual, jacobian, pivots
 

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.example_step import UNKNOWNS, complete_step, predict_step, step_jacobian
-from codegen.runtime.scalar import factor, solve_factored
+from codegen.runtime.scalar import factor_matrix, solve_factored
 
 SINGULAR = -2  # what `advance` returns when the linear system has no unique solution
 
@@ -21,7 +21,7 @@ def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
     unknowns, residual, jacobian, pivots = work
     predict_step(state, t, h, parameters, unknowns)
     step_jacobian(unknowns, state, t, h, parameters, residual, jacobian)
-    if factor(jacobian, pivots) >= 0:
+    if factor_matrix(jacobian, pivots) >= 0:
         return SINGULAR
     solve_factored(jacobian, pivots, residual)
     for i in range(UNKNOWNS):

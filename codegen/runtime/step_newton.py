@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.example_step import UNKNOWNS, complete_step, predict_step, step_jacobian
-from codegen.runtime.scalar import factor, solve_factored
+from codegen.runtime.scalar import factor_matrix, solve_factored
 
 NON_FINITE, SINGULAR, NOT_CONVERGED = -1, -2, -3  # what `advance` returns when there is no solution
 ROUNDING = 1e-8  # relative corrections below this are taken for rounding errors once they no longer shrink
@@ -37,7 +37,7 @@ def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
             total += abs(residual[i])
         if not total < np.inf:
             return NON_FINITE
-        if factor(jacobian, pivots) >= 0:
+        if factor_matrix(jacobian, pivots) >= 0:
             return SINGULAR
         solve_factored(jacobian, pivots, residual)
         correction, scale = 0.0, magnitude

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from codegen.runtime import dense, path, scalar, step_callbacks, step_constant, step_explicit, step_linear, step_newton
+from codegen.runtime import (
+    dense,
+    lu,
+    path,
+    scalar,
+    step_callbacks,
+    step_constant,
+    step_explicit,
+    step_linear,
+    step_newton,
+)
 from codegen.runtime.trajectory import energies, follow, largest_residual
 
 NOTHING = np.empty(0)
@@ -39,22 +49,22 @@ def test_dense_factorisation_agrees_with_lapack(size: int) -> None:
         matrix[0, 0] = 0.0  # no factorisation without row exchanges
     expected = np.linalg.solve(matrix, right)
     pivots = np.empty(size, np.int64)
-    assert dense.factor(matrix, pivots) == -1
+    assert lu.factor_matrix(matrix, pivots) == -1
     dense.solve_factored(matrix, pivots, right)
     np.testing.assert_allclose(right, expected, rtol=1e-11)
 
 
 def test_dense_factorisation_names_the_singular_column() -> None:
     matrix = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 1.0], [3.0, 6.0, 5.0]])
-    assert dense.factor(matrix, np.empty(3, np.int64)) == 1
-    assert dense.factor(np.full((2, 2), np.nan), np.empty(2, np.int64)) == 0
+    assert lu.factor_matrix(matrix, np.empty(3, np.int64)) == 1
+    assert lu.factor_matrix(np.full((2, 2), np.nan), np.empty(2, np.int64)) == 0
 
 
 def test_scalar_equation() -> None:
     right, pivots = np.array([6.0]), np.empty(1, np.int64)
-    assert scalar.factor(np.array([[0.0]]), pivots) == 0
-    assert scalar.factor(np.array([[np.nan]]), pivots) == 0
-    assert scalar.factor(np.array([[4.0]]), pivots) == -1
+    assert scalar.factor_matrix(np.array([[0.0]]), pivots) == 0
+    assert scalar.factor_matrix(np.array([[np.nan]]), pivots) == 0
+    assert scalar.factor_matrix(np.array([[4.0]]), pivots) == -1
     scalar.solve_factored(np.array([[4.0]]), pivots, right)
     assert right[0] == 1.5
 
