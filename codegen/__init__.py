@@ -16,6 +16,7 @@ _HOMES = {
     ),
     **dict.fromkeys(["Connect", "Pairwise", "particles"], "codegen.pairwise"),
     **dict.fromkeys(["Points"], "codegen.points"),
+    **dict.fromkeys(["together"], "codegen.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
     **dict.fromkeys(["load"], "codegen.load"),
 }
@@ -42,9 +43,11 @@ __all__ = [
     "particles",
     "states",
     "time",
+    "together",
 ]
 
 if TYPE_CHECKING:
+    from codegen.bodies import together
     from codegen.compiler import build
     from codegen.load import load
     from codegen.pairwise import Connect, Pairwise, particles

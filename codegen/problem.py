@@ -11,6 +11,10 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar
 
 from codegen.drawing import Item
+from codegen.errors import ExpressionError
+
+FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
+"""The arguments that may say how a system moves, and the form that each makes of a model."""
 
 Expression = Any
 """A sympy expression or a number."""
@@ -103,3 +107,14 @@ class Phases:
     def __init__(self, *phases: Control, jumps: Sequence[Mapping[Any, Expression]] = ()) -> None:
         object.__setattr__(self, "phases", phases)
         object.__setattr__(self, "jumps", jumps)
+
+
+def form_of(problem: Problem) -> str:
+    """Which argument says how the system moves; ExpressionError unless it is exactly one."""
+    given = [form for form in FORMS if getattr(problem, form) is not None]
+    if len(given) != 1:
+        raise ExpressionError(
+            "a problem needs exactly one of lagrangian, hamiltonian and dynamics",
+            "give one of them" if not given else f"leave out all but one of {', '.join(given)}",
+        )
+    return given[0]

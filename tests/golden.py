@@ -18,9 +18,9 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "generated"
 
 CONTROL = (
-    "acrobot betts_10_7 bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole crane double_integrator "
-    "double_integrator_effort four_bar goddard_rocket hovercraft hypersensitive low_thrust n_link_pendulum "
-    "pendulum_swing_up quadrotor robot_arm spherical_pendulum two_link_arm two_stage_rocket van_der_pol"
+    "acrobot betts_10_7 bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole convoy crane "
+    "double_integrator double_integrator_effort four_bar goddard_rocket hovercraft hypersensitive low_thrust "
+    "n_link_pendulum pendulum_swing_up quadrotor robot_arm spherical_pendulum two_link_arm two_stage_rocket van_der_pol"
 ).split()
 
 GALLERY = (

@@ -34,8 +34,8 @@ from codegen.scene import fine_times, scene
 from codegen.symbols import recorded_declarations
 
 DRAWN = (
-    "acrobot brachistochrone cart_pendulum cart_pole crane four_bar hovercraft linear_pendulum low_thrust "
-    "n_link_pendulum orbital_transfer pendulum pendulum_swing_up quadrotor spherical_pendulum two_link_arm"
+    "acrobot brachistochrone cart_pendulum cart_pole convoy crane four_bar hovercraft linear_pendulum "
+    "low_thrust n_link_pendulum orbital_transfer pendulum pendulum_swing_up quadrotor spherical_pendulum two_link_arm"
 ).split()
 
 

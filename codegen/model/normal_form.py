@@ -15,8 +15,8 @@ from codegen.model.conditions import bounds_of, conditions_of, couplings_of, fre
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
 from codegen.model.relations import text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
-from codegen.model.written import FORMS, Entry, form_of, used_quantities, written_entries
-from codegen.problem import Control, Problem, Simulate
+from codegen.model.written import Entry, used_quantities, written_entries
+from codegen.problem import FORMS, Control, Problem, Simulate, form_of
 from codegen.symbols import Quantity
 
 

@@ -16,8 +16,8 @@ from codegen.errors import BoundaryError, CodegenError, ExpressionError, Problem
 from codegen.model import drawings, normal_form, values
 from codegen.model.definitions import FreeParameter, Model
 from codegen.model.scope import Kinds, kinds_of
-from codegen.model.written import Entry, form_of, jump_entries, used_quantities, written_entries
-from codegen.problem import Control, Phases
+from codegen.model.written import Entry, jump_entries, used_quantities, written_entries
+from codegen.problem import Control, Phases, form_of
 from codegen.symbols import Quantity
 
 Jump = tuple[tuple[sympy.Symbol, sympy.Expr], ...]

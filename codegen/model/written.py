@@ -14,9 +14,6 @@ from codegen.model.relations import relation
 from codegen.problem import Control, Problem
 from codegen.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
 
-FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
-"""The arguments that may say how a system moves, and the form that each makes of a model."""
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -31,17 +28,6 @@ class Entry:
     key: Quantity | None = None
     name: str = ""
     equality: bool = True
-
-
-def form_of(problem: Problem) -> str:
-    """Which argument says how the system moves; ExpressionError unless it is exactly one."""
-    given = [form for form in FORMS if getattr(problem, form) is not None]
-    if len(given) != 1:
-        raise ExpressionError(
-            "a problem needs exactly one of lagrangian, hamiltonian and dynamics",
-            "give one of them" if not given else f"leave out all but one of {', '.join(given)}",
-        )
-    return given[0]
 
 
 def written_entries(problem: Problem, form: str, jump: Sequence[Entry] = ()) -> list[Entry]:

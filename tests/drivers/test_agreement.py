@@ -39,8 +39,8 @@ PLAIN = (
     "n_link_pendulum orbital_transfer orbital_transfer_hamiltonian spherical_pendulum"
 ).split()
 BOUNDED = (
-    "acrobot brachistochrone bryson_denham cart_pendulum cart_pole crane double_integrator goddard_rocket low_thrust "
-    "pendulum_swing_up quadrotor robot_arm two_link_arm two_stage_rocket van_der_pol"
+    "acrobot brachistochrone bryson_denham cart_pendulum cart_pole convoy crane double_integrator goddard_rocket "
+    "low_thrust pendulum_swing_up quadrotor robot_arm two_link_arm two_stage_rocket van_der_pol"
 ).split()
 
 ELSEWHERE = {

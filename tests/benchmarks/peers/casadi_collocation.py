@@ -31,7 +31,11 @@ def rates_function(problem: GalleryProblem) -> ca.Function:
         change = ca.jtimes(momentum, q, v) + ca.jacobian(momentum, t)
         push = ca.vertcat(*problem.force(ca, qs, vs, us, t)) + ca.gradient(lagrangian, q) - change
         rate = ca.vertcat(v, ca.solve(ca.jacobian(momentum, v), push))
-    outputs = [rate, ca.SX(problem.cost(qs, vs, us, t)), ca.vertcat(*problem.path(qs, vs, us, t))]
+    outputs = [
+        rate,
+        ca.SX(problem.cost(qs, vs, us, t)),
+        ca.vertcat(*problem.path(qs, vs, us, t), *problem.nodal_path(qs)),
+    ]
     return ca.Function("rates", [ca.vertcat(q, v), u, t, p], outputs, {"cse": True})
 
 

@@ -74,9 +74,14 @@ def interval_function(problem: GalleryProblem, steps: int) -> ca.Function:
             action = step * problem.lagrangian(ca, middle, rate, time)
             cost = step * problem.cost(middle, rate, controls, time)
         outputs = [cost, ca.gradient(action, q0) + minus, ca.gradient(action, q1) + plus]
-    if problem.path is not nothing:
-        outputs.append(ca.vertcat(*problem.path(middle, rate, controls, time)))
+    if has_path(problem):
+        outputs.append(ca.vertcat(*problem.path(middle, rate, controls, time), *problem.nodal_path(ca.vertsplit(q1))))
     return ca.Function("interval", [q0, q1, u, k, p], outputs, {"cse": True})
+
+
+def has_path(problem: GalleryProblem) -> bool:
+    """Whether inequalities hold at every time."""
+    return problem.path is not nothing or problem.nodal_path is not nothing
 
 
 def impulses(problem: GalleryProblem, q: tuple[ca.SX, ca.SX], u: ca.SX, step: ca.SX, k: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -152,7 +157,7 @@ def transcribe(problem: GalleryProblem, steps: int) -> Program:
     ):
         for body in range(bodies):
             constraints += conditions(ca, ca.vertsplit(place[:, body]), ca.vertsplit(rate[:, body]))
-    if problem.path is not nothing:
+    if has_path(problem):
         constraints.append((ca.vec(rest[-1]), -inf, 0.0))
     constraints += [(c, 0.0, 0.0) for c in problem.couplings(ca, [ca.vertsplit(e) for e in ca.horzsplit(ends)])]
     final = problem.terminal_cost(ca.vertsplit(ends[:, 0]), ca.vertsplit(last_rate[:, 0]), values)

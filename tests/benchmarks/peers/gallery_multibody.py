@@ -154,3 +154,20 @@ def cart_pendulum(form: str) -> GalleryProblem:
         guess=line([0] * n, [0] * (n - 1) + [3.14], 0),
         trapezoidal=True,
     )
+
+
+def convoy() -> GalleryProblem:
+    """A trolley on a rail and a drone within radio range of each other."""
+    m, M, g = 1.0, 2.0, 1.0
+    return GalleryProblem(
+        controls=3,
+        lagrangian=lambda F, q, v, t: M / 2 * v[0] ** 2 + m / 2 * (v[1] ** 2 + v[2] ** 2) - m * g * q[2],
+        force=lambda F, q, v, u, t: [u[0], u[1], u[2]],
+        cost=lambda q, v, u, t: u[0] ** 2 + u[1] ** 2 + u[2] ** 2,
+        start=(0.0, 0.0, 0.5),
+        start_rate=(0.0, -4.0, 4.0),
+        end=(2.0, 2.0, 0.5),
+        end_rate=(0.0, 0.0, 0.0),
+        nodal_path=lambda q: [(q[1] - q[0]) ** 2 + q[2] ** 2 - 1],
+        guess=line([0, 0, 0.5], [2, 2, 0.5], 0, 0, 0),
+    )

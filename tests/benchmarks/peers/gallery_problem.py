@@ -22,13 +22,13 @@ def nothing(*_: Any) -> list[Any]:
 class GalleryProblem:
     """An optimal-control problem in the variables q (coordinates or states), their rates v, controls u, time t.
 
-    `p` are static parameters that are optimised along. Exactly one of `lagrangian(F, q, v, t)` and
-    `dynamics(F, q, u, t, p)` is given; `force(F, q, v, u, t)` belongs to a Lagrangian. The cost is the integral of
-    `cost(q, v, u, t)` plus `terminal_cost(q, v, p)`. `start`, `end`, `start_rate`, `end_rate` are numbers, or None
-    where the end is free. Conditions are lists of (expression, lower, upper); `path(q, v, u, t)` is a list of
-    expressions that must not be positive, `constraint(q)` one of expressions that vanish. `guess(F, s)` gives (q, u) at
-    t = s T. With `bodies` > 1 all of this is about one body, `start` and `guess` depend on its number, and
-    `couplings(F, ends)` ties their end coordinates together.
+    `p` are static parameters that are optimised along. Exactly one of `lagrangian(F, q, v, t)` and `dynamics(F, q, u,
+    t, p)` is given; `force(F, q, v, u, t)` belongs to a Lagrangian. The cost is the integral of `cost(q, v, u, t)` plus
+    `terminal_cost(q, v, p)`. `start`, `end`, `start_rate`, `end_rate` are numbers, or None where the end is free.
+    Conditions are lists of (expression, lower, upper); `path(q, v, u, t)` is a list of expressions that must not be
+    positive, `nodal_path(q)` one for every node but the first, `constraint(q)` one of expressions that vanish.
+    `guess(F, s)` gives (q, u) at t = s T. With `bodies` > 1 all of this is about one body, `start` and `guess` depend
+    on its number, and `couplings(F, ends)` ties their end coordinates together.
     """
 
     controls: int
@@ -48,6 +48,7 @@ class GalleryProblem:
     bounds: dict[int, tuple[float, float]] = field(default_factory=dict)
     control_bounds: dict[int, tuple[float, float]] = field(default_factory=dict)
     path: Callable[..., list[Any]] = nothing
+    nodal_path: Callable[..., list[Any]] = nothing
     constraint: Callable[..., list[Any]] = nothing
     free: tuple[tuple[float, float, float], ...] = ()  # guess, lower and upper bound of each static parameter
     bodies: int = 1

@@ -28,6 +28,7 @@ GALLERY: dict[tuple[str, tuple[tuple[str, str], ...]], Callable[[], GalleryProbl
     ("spherical_pendulum", ()): partial(multibody.spherical_pendulum, "cartesian"),
     ("spherical_pendulum", (("form", "angles"),)): partial(multibody.spherical_pendulum, "angles"),
     ("four_bar", ()): multibody.four_bar,
+    ("convoy", ()): multibody.convoy,
     ("betts_10_7", ()): partial(first_order.betts_10_7, 10000.0),
     ("betts_10_7", (("duration", "20"),)): partial(first_order.betts_10_7, 20.0),
     ("cart_pendulum", ()): partial(multibody.cart_pendulum, "plain"),
