@@ -10,7 +10,9 @@ from sympy import Symbol
 from codegen.differentiate.pairwise import PairDerivatives
 from codegen.lower.kernels import Line
 from codegen.lower.module import Argument, Module
-from codegen.lower.pairwise import PairLoop, ParticleLoop, pair_loops, particle_loops, separable_loops
+from codegen.lower.pair_writer import PairLoop
+from codegen.lower.pairwise import pair_loops, separable_loops
+from codegen.lower.particle_loops import ParticleLoop, particle_loops
 from codegen.lower.printer import scalar_code
 from codegen.transcribe.connect import PairwiseProgram
 

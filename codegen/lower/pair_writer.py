@@ -1,0 +1,163 @@
+"""What all loops over pairs of one problem share: how symbols are read, and how both terms stand in a loop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.differentiate.pairwise import Assignment, PairDerivatives, TermDerivatives
+from codegen.lower.kernels import Kernel, Line, Output, kernel
+from codegen.model.pairwise import PairwiseModel
+
+CLOSEST = Symbol("CLOSEST", positive=True)
+"""The least squared distance that kernels tell from zero, where a limit exists."""
+STATE = ("z", "own", "parameters")
+"""The arguments that every loop has: state, particles' own parameters, common parameters."""
+
+
+@dataclass(frozen=True)
+class PairLoop:
+    """A function that visits all particles, and all pairs, as groups of lines in the order in which they are run.
+
+    `head` comes first; for each particle i `inputs`, `alone` and `alone_outputs`; for each j < i `pair_inputs`, `pair`
+    and `pair_outputs`; then `after` for particle i, and at last `tail` and `results`. Lines of `alone_directions` and
+    `pair_directions` are repeated for each of several `directions`. `over_pairs` and `over_directions` are the code of
+    these loops, none where there is nothing to repeat.
+    """
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    head: tuple[Line, ...]
+    inputs: tuple[Line, ...]
+    alone: tuple[Line, ...]
+    alone_outputs: tuple[Line, ...]
+    alone_directions: tuple[Line, ...]
+    pair_inputs: tuple[Line, ...]
+    pair: tuple[Line, ...]
+    pair_outputs: tuple[Line, ...]
+    pair_directions: tuple[Line, ...]
+    after: tuple[Line, ...]
+    tail: tuple[Line, ...]
+    results: tuple[str, ...]
+    operations_before: int
+    operations_after: int
+    over_pairs: tuple[str, ...]
+    over_directions: tuple[str, ...]
+
+
+class Writer:
+    """What all loops of one problem share: how symbols are read, and which scalars belong to single particles."""
+
+    def __init__(self, model: PairwiseModel, derivatives: PairDerivatives) -> None:
+        self.model, self.derivatives = model, derivatives
+        self.dimension = len(model.coordinates)
+        back = dict(zip(model.second.q, model.first.q, strict=True))
+        self.singles: list[Expr] = []
+        self.single_places: dict[Symbol, str] = {}
+        for term in (derivatives.alone, derivatives.pair):
+            for symbol, polynomial in term.scalars:
+                for mark, own in (("i", model.first.q), ("j", model.second.q)):
+                    if polynomial.is_Add and polynomial.free_symbols <= set(own):
+                        value = polynomial.xreplace(back)
+                        if value not in self.singles:
+                            self.singles.append(value)
+                        self.single_places[self._scalar(term, symbol)] = f"singles[{mark}, {self.singles.index(value)}]"
+
+    def _scalar(self, term: TermDerivatives, symbol: Symbol) -> Symbol:
+        """Scalars of the self term and of the pair term may carry the same names."""
+        return symbol if term is self.derivatives.pair else Symbol(f"{symbol.name}_alone", real=True)
+
+    def renamed(self, term: TermDerivatives, expression: Expr) -> Expr:
+        """An expression of one term with its scalars and their derivatives under names of their own."""
+        if term is self.derivatives.pair:
+            return expression
+        named = [symbol for symbol, _ in (*term.scalars, *term.slopes, *term.curvatures)]
+        return expression.xreplace({symbol: Symbol(f"{symbol.name}_alone", real=True) for symbol in named})
+
+    def places(self, mark: str) -> dict[Symbol, str]:
+        """The code that reads the quantities of one particle."""
+        one = self.model.first if mark == "i" else self.model.second
+        places = {s: f"z[0, {mark}, {a}]" for a, s in enumerate(one.q)}
+        places |= {s: f"z[1, {mark}, {a}]" for a, s in enumerate(one.p)}
+        return places | {s: f"own[{mark}, {a}]" for a, s in enumerate(one.own)}
+
+    def lowered(
+        self, term: TermDerivatives, outputs: Sequence[tuple[str, str, Expr]], names: Sequence[Assignment] = ()
+    ) -> Kernel:
+        """Scalars, named derivatives and outputs (target, operator, value) of one term with common parts shared."""
+        read = needed((*term.differences, *term.scalars, *names), [value for _, _, value in outputs])
+        assignments = []
+        for symbol, value in read:
+            renamed = self.renamed(term, symbol)
+            if renamed in self.single_places:
+                continue
+            if self.model.smooth and symbol in term.distances:
+                value = sympy.Max(value, CLOSEST)
+            assignments.append((renamed, self.renamed(term, value)))
+        places = {**self.places("i"), **self.places("j"), **self.single_places}
+        places |= {s: f"parameters[{k}]" for k, s in enumerate(self.model.parameters)}
+        return kernel(
+            "", "", (), places,
+            [Output(target, self.renamed(term, value), "", operator) for target, operator, value in outputs],
+            assignments=assignments,
+        )  # fmt: skip
+
+    def loop(
+        self,
+        name: str,
+        summary: str,
+        arguments: Sequence[str],
+        alone: Kernel,
+        pair: Kernel,
+        head: Sequence[Line] = (),
+        after: Sequence[Line] = (),
+        tail: Sequence[Line] = (),
+        results: Sequence[str] = (),
+        directions: tuple[Sequence[Line], Sequence[Line]] = ((), ()),
+    ) -> PairLoop:
+        """Put both terms into a loop; what belongs to particle i is read once."""
+        uses_singles = any("singles[" in line.code for k in (alone, pair) for line in (*k.inputs, *k.body, *k.outputs))
+        start = [Line("singles", "single_values(z)")] if uses_singles else []
+        read_i, read_j = dict.fromkeys(alone.inputs), dict.fromkeys(line for line in pair.inputs if _of_pair(line))
+        read_i |= dict.fromkeys(line for line in pair.inputs if not _of_pair(line))
+        return PairLoop(
+            name=name,
+            summary=summary,
+            arguments=tuple(arguments),
+            head=(*start, *head),
+            inputs=tuple(read_i),
+            alone=alone.body,
+            alone_outputs=alone.outputs,
+            alone_directions=tuple(directions[0]),
+            pair_inputs=tuple(read_j),
+            pair=pair.body,
+            pair_outputs=pair.outputs,
+            pair_directions=tuple(directions[1]),
+            after=tuple(after),
+            tail=tuple(tail),
+            results=tuple(results),
+            operations_before=pair.operations_before,
+            operations_after=pair.operations_after,
+            over_pairs=("for j in range(i):",) if pair.outputs or directions[1] else (),
+            over_directions=("for c in range(directions.shape[1]):",) if directions[1] else (),
+        )
+
+
+def needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assignment]:
+    """Those assignments that the expressions read, directly or through others."""
+    symbols: set[Symbol] = set().union(*(expression.free_symbols for expression in read))
+    kept: list[Assignment] = []
+    for symbol, value in reversed(assignments):
+        if symbol in symbols:
+            kept.append((symbol, value))
+            symbols |= value.free_symbols
+    return kept[::-1]
+
+
+def _of_pair(line: Line) -> bool:
+    """Whether an input is read for every j; parameters and what belongs to i are read outside that loop."""
+    return ", j, " in line.code or "[j, " in line.code
