@@ -5,9 +5,9 @@ a simulation, takes about half of that time, so one process compiles it, and ano
 loaded numba while the module was still being derived, and numba's cache on disk brings their work together.
 `python -m codegen.drivers.compilation SHARE` is such a process: it reads the path of a module from its standard input.
 
-They let LLVM pack neighbouring operations into one instruction, which numba leaves out by default and which the
-elimination of blocks, written four entries at a time, gains a third from. What they leave out are the entries by which
-Python and C would call functions that only compiled functions call, a quarter of the time.
+They let LLVM pack neighbouring operations into one instruction, which numba leaves out by default. Without it the
+factorisation takes 1.25 (orbital transfer), 1.4 (quadrotor) and 1.5 times (hovercraft) as long. What they leave out are
+the entries by which Python and C would call functions that only compiled functions call, 10 to 30 % of the time.
 """
 
 from __future__ import annotations
