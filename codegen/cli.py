@@ -173,6 +173,9 @@ def solve(
     doublings: Annotated[
         int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
     ] = 0,
+    guesses: Annotated[
+        int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
+    ] = 1,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
     animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
@@ -195,7 +198,7 @@ def solve(
         load_seconds = time.perf_counter() - begin
         _require_fitting(module.metadata["task"], driver, every, log)
         result = drivers.solve(
-            module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings,
+            module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings, guesses=guesses,
             points=points(module.metadata), tolerance=_checked_tolerance(tolerance, module.metadata["task"]),
         )  # fmt: skip
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
@@ -214,6 +217,8 @@ def solve(
         _console().print(output.as_table(record))
     if not result.solved:
         typer.echo(_one_line(f"codegen: {result.message}"), err=True)
+        if result.task == "control" and guesses == 1 and result.status in ("infeasible", "saddle point", "stalled"):
+            typer.echo("codegen: another first guess may do better; --guesses 10 tries ten", err=True)
         raise typer.Exit(1)
 
 

@@ -74,6 +74,7 @@ def solve(
     repeat: int = 1,
     warm: Vector | None = None,
     doublings: int = 0,
+    guesses: int = 1,
     points: PointSet | None = None,
     tolerance: float | None = None,
 ) -> Result:
@@ -81,8 +82,9 @@ def solve(
 
     The first of `repeat` + 1 runs compiles and is not timed. `every` thins the stored steps of a simulation. An
     optimisation may start from the `unknowns` of an earlier result on any number of intervals (`warm`), and may be
-    repeated on twice, four times, ... as many (`doublings`), each time from the solution before. A connect problem
-    needs `points`; its `tolerance` is that of the equations, or of an adaptive integrator's steps. Raises
+    repeated on twice, four times, ... as many (`doublings`), each time from the solution before. With several
+    `guesses` it starts from the problem's own and from variations of it, and the best solution counts. A connect
+    problem needs `points`; its `tolerance` is that of the equations, or of an adaptive integrator's steps. Raises
     ArgumentError when the driver does not apply, NumericsError when a number is unusable; numerical failure is a
     status of the result.
     """
@@ -91,22 +93,29 @@ def solve(
 
     found, task = find(driver, module.metadata["task"]), module.metadata["task"]
     steps = module.metadata["steps"] if steps is None else steps
+    if task != "control" and (warm is not None or doublings or guesses > 1):
+        raise ArgumentError("warm starts, guesses and refinement are for optimisation", f"leave them out to {task}")
+    if warm is not None and guesses > 1:
+        raise ArgumentError("several guesses beside a warm start", "leave one of them out")
     if task == "simulate":
-        if warm is not None or doublings:
-            raise ArgumentError("warm starts and refinement are for optimisation", "leave them out of a simulation")
         return run(module, found, Request(steps, every), repeat)
 
     if task == "connect":
-        if warm is not None or doublings:
-            raise ArgumentError("warm starts and refinement are for optimisation", "leave them out")
         return run(module, found, Request(steps, every, None, points, tolerance), repeat)
 
-    def solve_on(number: int, start: Vector | None) -> Result:
-        return run(module, found, Request(number, every, start), repeat)
-
+    from codegen.drivers.multistart import best_of
     from codegen.drivers.refinement import refine, transferred
 
     control = cast("ControlModule", module)
+
+    def solve_on(number: int, start: Vector | None) -> Result:
+        if start is None and guesses > 1:
+            return best_of(lambda guess: solve_from(number, guess, False), control, number, guesses)
+        return solve_from(number, start, True)
+
+    def solve_from(number: int, start: Vector | None, near: bool) -> Result:
+        return run(module, found, Request(number, every, start, near=near), repeat)
+
     if doublings:
         return refine(solve_on, control, steps, doublings, warm)
     return solve_on(steps, None if warm is None else transferred(control, warm, steps))

@@ -13,9 +13,8 @@ TOLERANCE = 1e-10
 
 def control(module: ControlModule, request: Request) -> ControlAttempt:
     """Call the module's `solve`."""
-    solution = module.solve(
-        steps=request.steps, guess=request.guess, warm=request.guess is not None, tolerance=TOLERANCE
-    )
+    warm = request.guess is not None and request.near
+    solution = module.solve(steps=request.steps, guess=request.guess, warm=warm, tolerance=TOLERANCE)
     return ControlAttempt(
         status=solution.status,
         message=solution.message,

@@ -78,7 +78,7 @@ def refine(
     with at least one doubling, the cost extrapolated by the scheme's stated order and its distance from the last one
     as an error estimate, and the order that three grids show. A grid that fails ends the sequence with that result.
     """
-    result = solve(steps, None if warm is None else transferred(module, warm, steps))
+    first = result = solve(steps, None if warm is None else transferred(module, warm, steps))
     costs = [result.cost]
     for _ in range(doublings):
         if not result.solved or result.unknowns is None:
@@ -86,7 +86,10 @@ def refine(
         steps *= 2
         result = solve(steps, transferred(module, result.unknowns, steps))
         costs.append(result.cost)
-    return replace(result, summary={**result.summary, **_estimates(module, [c for c in costs if c is not None])})
+    estimates = _estimates(module, [c for c in costs if c is not None])
+    # What the first solve alone knows, such as how many guesses it tried, stays.
+    summary = {**first.summary, **result.summary, **estimates}
+    return replace(result, summary=summary, attempts=first.attempts)
 
 
 def _estimates(module: ControlModule, costs: list[float]) -> dict[str, float]:

@@ -33,7 +33,7 @@ class Request:
     """What is asked of a driver.
 
     The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
-    unknowns to start from that is close to the solution; for a connect problem the points, and a tolerance.
+    unknowns to start from, and whether that is `near` the solution; for a connect problem the points, and a tolerance.
     """
 
     steps: int
@@ -41,6 +41,7 @@ class Request:
     guess: Vector | None = None
     points: PointSet | None = None
     tolerance: float | None = None
+    near: bool = True
 
 
 @dataclass(frozen=True)
