@@ -50,8 +50,10 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
     phase = model if model.form == "first-order" else legendre.hamiltonian_form(model)
     step = _Variational(model, phase, scheme) if isinstance(scheme, DiscreteLagrangian) else _OneStep(phase, scheme)
     expand = step.expanded
-    constants = sorted(step.symbols() - {*step.known, *step.unknowns, STEP}, key=str)
-    roomy = FunctionRing((*phase.coordinates, *phase.rates, phase.time), constants)
+    variables = (*phase.coordinates, *phase.rates, phase.time)
+    inner = {*step.known, *step.unknowns, *variables, STEP}
+    constants = sorted((step.symbols() - inner) | set(phase.controls), key=str)
+    roomy = FunctionRing(variables, constants)
     expand(roomy, 1)
     return expand(roomy.compressed(lambda ring: expand(ring, 1)), order)
 
@@ -61,10 +63,14 @@ def _bare(model: Model) -> Model:
 
     Sums of products of sines and cosines in denominators would have no normal form.
     """
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
     function, dynamics = _gathered(model.function), tuple(map(_gathered, model.dynamics))
-    ends = {"start": free, "end": free if model.end else None}
-    return replace(model, cost=None, path=(), function=function, dynamics=dynamics, **ends)
+    return replace(without_ends(model), function=function, dynamics=dynamics)
+
+
+def without_ends(model: Model) -> Model:
+    """The model with free ends and no cost, whose Legendre transforms cannot fail for their sake."""
+    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
+    return replace(model, cost=None, path=(), start=free, end=free if model.end else None)
 
 
 def _gathered(function: Expr) -> Expr:
@@ -128,6 +134,7 @@ class _OneStep(_Step):
         step = one_step_interval(phase, scheme)
         self.action = step.cost if phase.form == "hamiltonian" else None
         self.known = dict(zip((*step.q.left, *step.p.left), states, strict=True)) | {phase.time: phase.time}
+        self.known |= dict(zip(step.q.left_controls, phase.controls, strict=True))
         self.right = (*step.q.right, *step.p.right)
         self.unknowns = (*step.stages, *self.right)
         self.equations = step.equations
@@ -169,7 +176,7 @@ class _Variational(_Step):
         self.velocities = self.unknowns = at_nodes((Symbol(f"{q.name}_mean") for q in phase.coordinates), "_k")
         momenta = at_nodes(phase.rates, "_k")
         self.known = dict(zip((*interval.q.left, *momenta), (*phase.coordinates, *phase.rates), strict=True))
-        self.known[phase.time] = phase.time
+        self.known |= {phase.time: phase.time, **dict(zip(interval.q.left_controls, phase.controls, strict=True))}
         left = interval.q.left
         arrival = {b: a + STEP * v for b, a, v in zip(interval.q.right, left, self.velocities, strict=True)}
         # Ld/h as a function of the left node and of v is free of 1/h, unlike the derivatives of Ld.
@@ -185,7 +192,7 @@ class _Variational(_Step):
 
     def symbols(self) -> set[Symbol]:
         every = (*self.equations, *self.momenta, self.action, self.phase.function)
-        return set().union(*(e.free_symbols for e in every)) - {*self.phase.coordinates, *self.phase.rates}
+        return set().union(*(e.free_symbols for e in every))
 
     def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
         function, momenta = self.phase.function, self.phase.rates
@@ -206,10 +213,6 @@ class _Variational(_Step):
         ]
         flow = (*positions, *(evaluate(p) for p in self.momenta), _clock(ring, order))
         return FlowSeries(ring, flow, evaluate(self.action))
-
-    def _solve(self, ring: FunctionRing, guess, order, correction):  # type: ignore[no-untyped-def]
-        values = super()._solve(ring, guess, order, correction)
-        return values
 
 
 def _clock(ring: FunctionRing, order: int) -> Series:
@@ -257,7 +260,7 @@ class Evaluation:
                 return result
             return self._composed(x**exponent, x, self(base))
         if len(expression.args) != 1:
-            return padded([ring.function(expression.xreplace({}), x, ring.zero)], ring, self._order)
+            return padded([ring.function(expression, x, ring.zero)], ring, self._order)
         return self._composed(expression.func(x), x, self(expression.args[0]))
 
     def _product(self, a: Series, b: Series) -> Series:

@@ -18,7 +18,7 @@ import sympy
 from sympy import Expr, Rational, S, Symbol
 
 from codegen import legendre
-from codegen.analysis.flow_series import FlowSeries, Series, flow_series
+from codegen.analysis.flow_series import FlowSeries, Series, flow_series, without_ends
 from codegen.analysis.function_ring import Element, FunctionRing
 from codegen.model import Model
 from codegen.schemes import Scheme
@@ -39,7 +39,7 @@ class ModifiedEquations:
 
     `defects` is empty where the field is Hamiltonian; `hamiltonian[k]` is then the coefficient of h^k of the modified
     Hamiltonian, up to functions of time alone, or the tuple is empty where no antiderivative was found. Both are None
-    for a first-order system, which has no canonical coordinates. `potential` is that of the forces, zero without.
+    for a first-order system, which has no canonical coordinates.
     """
 
     states: tuple[Symbol, ...]
@@ -60,13 +60,30 @@ def modified_equations(model: Model, scheme: Scheme, power: int) -> ModifiedEqua
     fields = modified_field(series)
     states = ring.variables[:-1]
     written = tuple(tuple(ring.expression(c) for c in field[:-1]) for field in fields)
+    phase = model if model.form == "first-order" else legendre.hamiltonian_form(without_ends(conservative or model))
+    written = (_as_given(written[0], _vector_field(phase)), *written[1:])
     if model.form == "first-order":
         return ModifiedEquations(states, written, None, None)
     found = modified_hamiltonian(series, fields) if conservative is not None else None
     if found is not None and all(_generates(ring, h, field) for h, field in zip(found, fields, strict=True)):
-        return ModifiedEquations(states, written, (), tuple(ring.expression(h) for h in found))
+        first, *others = (ring.expression(h) for h in found)
+        (given,) = _as_given((first,), (phase.function,))
+        return ModifiedEquations(states, written, (), (given, *others))
     defects = tuple(defect for k, field in enumerate(fields) for defect in _defects(ring, field, k))
     return ModifiedEquations(states, written, defects, None if defects else ())
+
+
+def _vector_field(phase: Model) -> tuple[Expr, ...]:
+    if phase.form == "first-order":
+        return phase.dynamics
+    slopes = (f - sympy.diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True))
+    return (*(sympy.diff(phase.function, p) for p in phase.rates), *slopes)
+
+
+def _as_given(found: Sequence[Expr], given: Sequence[Expr]) -> tuple[Expr, ...]:
+    """What the author wrote instead of what was found, where both are equal."""
+    pairs = zip(found, given, strict=True)
+    return tuple(theirs if legendre.vanishes(ours - theirs) else ours for ours, theirs in pairs)
 
 
 def with_potential(model: Model) -> Model | None:
