@@ -140,8 +140,9 @@ class _OneStep(_Step):
         self.equations = step.equations
         self.origin = dict(zip(self.right, states, strict=True))
         for stage in step.stages:
-            of = [x for x in states if stage.name.startswith(f"{x.name}_stage")]
-            self.origin |= {stage: x for x in of}
+            for x in states:
+                if stage.name.startswith(f"{x.name}_stage"):
+                    self.origin[stage] = x
         at_rest = sympy.Matrix([equation.xreplace({STEP: S.Zero}) for equation in self.equations])
         slopes = at_rest.jacobian(list(self.unknowns))
         if any(entry.free_symbols for entry in slopes) or slopes.det() == 0:

@@ -8,7 +8,8 @@ Bronstein (2005), Symbolic integration I, chapter 3.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,7 @@ _SLOTS = 60
 _KINKED = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside)
 _X = Dummy("x", real=True)
 _DIGITS = 60
+_ROUNDING = mpmath.mpf("1e-40")
 
 
 @dataclass
@@ -139,12 +141,24 @@ class FunctionRing:
                 element = self._cleared(element, place, base, degree)
         return element == 0 or self._vanishes_at_points(element, 3)
 
+    def equals(self, element: Element, expression: Expr) -> bool:
+        """Whether an element and an expression of sympy have the same value, to 40 digits, at three random points."""
+        with mpmath.workdps(_DIGITS):
+            for point, values in itertools.islice(self._points(), 3):
+                value = sympy.N(expression.xreplace(dict(point)), _DIGITS)
+                terms = [_term(m, c, values) for m, c in element.items()]
+                scale = mpmath.fsum(map(abs, terms)) + 1
+                if not value.is_real or abs(mpmath.fsum(terms) - _number(value)) > _ROUNDING * scale:
+                    return False
+        return True
+
     def expression(self, element: Element) -> Expr:
         """The element as an expression of sympy."""
         places = {self._place[symbol]: symbol for symbol in self._symbols}
         places |= {self._slot(i): generator.expression for i, generator in enumerate(self._adjoined)}
         terms = (
-            sympy.Mul(sympy.Rational(str(c)), *(places[i] ** e for i, e in enumerate(m) if e)) for m, c in element.items()
+            sympy.Mul(sympy.Rational(str(c)), *(places[i] ** e for i, e in enumerate(m) if e))
+            for m, c in element.items()
         )
         return sympy.Add(*terms)
 
@@ -382,26 +396,27 @@ class FunctionRing:
         """The element times base^degree, where the generator at `place` is one over the base."""
         total = self.zero
         for power in range(degree + 1):
-            part = {m[:place] + (0,) + m[place + 1 :]: c for m, c in element.items() if m[place] == power}
+            part = {(*m[:place], 0, *m[place + 1 :]): c for m, c in element.items() if m[place] == power}
             total += self.ring.from_dict(part) * base ** (degree - power)
         return self.reduced(total)
 
     def _vanishes_at_points(self, element: Element, count: int) -> bool:
         met = 0
         with mpmath.workdps(_DIGITS):
-            for point in expressions.trial_points(self._symbols, {}, {}):
-                values = self._values_at({symbol: Rational(str(round(x, 6))) for symbol, x in point.items()})
-                if values is None:
-                    continue
-                terms = [
-                    mpmath.mpf(int(c.numerator)) / int(c.denominator) * _monomial(m, values) for m, c in element.items()
-                ]
-                if abs(mpmath.fsum(terms)) > mpmath.fsum(map(abs, terms)) * mpmath.mpf(10) ** -40:
+            for _, values in itertools.islice(self._points(), count):
+                terms = [_term(m, c, values) for m, c in element.items()]
+                if abs(mpmath.fsum(terms)) > _ROUNDING * mpmath.fsum(map(abs, terms)):
                     return False
                 met += 1
-                if met == count:
-                    return True
-        return False
+        return met == count
+
+    def _points(self) -> Iterator[tuple[Mapping[Symbol, Rational], list[mpmath.mpf]]]:
+        """Points at which all generators have values, and these; to be read with _DIGITS digits."""
+        for drawn in expressions.trial_points(self._symbols, {}, {}):
+            point = {symbol: Rational(str(round(x, 6))) for symbol, x in drawn.items()}
+            values = self._values_at(point)
+            if values is not None:
+                yield point, values
 
     def _values_at(self, point: Mapping[Symbol, Rational]) -> list[mpmath.mpf] | None:
         """The values of all generators, None where one of them is not a finite real number."""
@@ -412,7 +427,7 @@ class FunctionRing:
             value = sympy.N(generator.expression.xreplace(dict(point)), _DIGITS)
             if not (value.is_finite and value.is_real):
                 return None
-            values[self._slot(i)] = mpmath.mpf(value._mpf_)
+            values[self._slot(i)] = _number(value)
         return values
 
 
@@ -446,8 +461,14 @@ def _weights(basis: sympy.Matrix, row: Sequence[Expr]) -> list[Expr]:
     return list(normal.LUsolve(basis.T * sympy.Matrix(row)))
 
 
-def _monomial(monomial: tuple[int, ...], values: Sequence[mpmath.mpf]) -> mpmath.mpf:
-    return mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
+def _term(monomial: tuple[int, ...], coefficient: Any, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
+    """The value of one term of a polynomial."""
+    powers = mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
+    return powers * int(coefficient.numerator) / int(coefficient.denominator)
+
+
+def _number(value: Expr) -> mpmath.mpf:
+    return mpmath.mpf(sympy.Float(value, _DIGITS)._mpf_)
 
 
 def _only_argument(value: Expr) -> Expr:

@@ -61,14 +61,13 @@ def modified_equations(model: Model, scheme: Scheme, power: int) -> ModifiedEqua
     states = ring.variables[:-1]
     written = tuple(tuple(ring.expression(c) for c in field[:-1]) for field in fields)
     phase = model if model.form == "first-order" else legendre.hamiltonian_form(without_ends(conservative or model))
-    written = (_as_given(written[0], _vector_field(phase)), *written[1:])
+    written = (_as_given(ring, fields[0], _vector_field(phase)), *written[1:])
     if model.form == "first-order":
         return ModifiedEquations(states, written, None, None)
     found = modified_hamiltonian(series, fields) if conservative is not None else None
     if found is not None and all(_generates(ring, h, field) for h, field in zip(found, fields, strict=True)):
-        first, *others = (ring.expression(h) for h in found)
-        (given,) = _as_given((first,), (phase.function,))
-        return ModifiedEquations(states, written, (), (given, *others))
+        _, *others = (ring.expression(h) for h in found)
+        return ModifiedEquations(states, written, (), (*_as_given(ring, found[:1], (phase.function,)), *others))
     defects = tuple(defect for k, field in enumerate(fields) for defect in _defects(ring, field, k))
     return ModifiedEquations(states, written, defects, None if defects else ())
 
@@ -80,10 +79,12 @@ def _vector_field(phase: Model) -> tuple[Expr, ...]:
     return (*(sympy.diff(phase.function, p) for p in phase.rates), *slopes)
 
 
-def _as_given(found: Sequence[Expr], given: Sequence[Expr]) -> tuple[Expr, ...]:
+def _as_given(ring: FunctionRing, found: Sequence[Element], given: Sequence[Expr]) -> tuple[Expr, ...]:
     """What the author wrote instead of what was found, where both are equal."""
-    pairs = zip(found, given, strict=True)
-    return tuple(theirs if legendre.vanishes(ours - theirs) else ours for ours, theirs in pairs)
+    return tuple(
+        theirs if ring.equals(ours, theirs) else ring.expression(ours)
+        for ours, theirs in zip(found, given, strict=False)
+    )
 
 
 def with_potential(model: Model) -> Model | None:
@@ -161,9 +162,7 @@ def modified_hamiltonian(series: FlowSeries, fields: Sequence[Sequence[Element]]
 def _without_constants(ring: FunctionRing, element: Element) -> Element:
     """The element without the terms that depend on no coordinate and no momentum."""
     states = ring.variables[:-1]
-    kept = {
-        m: c for m, c in element.items() if ring.expression(ring.ring.from_dict({m: c})).free_symbols & set(states)
-    }
+    kept = {m: c for m, c in element.items() if ring.expression(ring.ring.from_dict({m: c})).free_symbols & set(states)}
     return ring.ring.from_dict(kept)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import sympy
@@ -65,7 +66,8 @@ def _analysable(model: Model | PairwiseModel) -> Model:
         reason = "holonomic constraints"
     if reason:
         raise ArgumentError(
-            f"modified equations are not derived for {reason}", "analyse a problem without, or a single phase"
+            f"modified equations are not derived for {reason}",
+            "analyse one body, one phase, or independent coordinates by themselves",
         )
     assert isinstance(model, Model)
     return model
@@ -93,7 +95,7 @@ def _family(model: Model) -> schemes.Scheme:
     """The alpha family with a symbol that the problem does not use."""
     taken = {s.name for s in (*model.coordinates, *model.rates, *model.controls, *model.parameters)}
     name = next(n for n in ("alpha", "beta", "gamma", "weight", "family_weight") if n not in taken)
-    return alpha(Symbol(name, real=True))
+    return replace(alpha(Symbol(name, real=True)), name=f"{name} family")
 
 
 def _conclusion(result: ModifiedEquations, latex: bool) -> str:
