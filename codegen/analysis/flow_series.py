@@ -13,7 +13,8 @@ import sympy
 from sympy import Add, Expr, S, Symbol
 
 from codegen import legendre
-from codegen.analysis.function_ring import Element, FunctionRing
+from codegen.analysis.function_ring import FunctionRing
+from codegen.analysis.normal_form import Element
 from codegen.discretise import STEP, at_nodes, one_step_interval, variational_interval
 from codegen.errors import SchemeError
 from codegen.model import Boundary, Model

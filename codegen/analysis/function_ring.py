@@ -1,166 +1,41 @@
 """Exact arithmetic with elementary functions: sparse polynomials in variables and in the functions that occur.
 
 A generator is adjoined for each sine, root, reciprocal and so on, with its derivatives and with what it satisfies,
-such as sin^2 = 1 - cos^2 or w (2 - cos^2) = 1. Sums and products of such polynomials are much faster than those of
-sympy's expressions, and terms that cancel do so at once. Source: the structure theory of elementary functions as in
-Bronstein (2005), Symbolic integration I, chapter 3.
+such as sin^2 = 1 - cos^2 or w (2 - cos^2) = 1. Source: the structure theory of elementary functions as in Bronstein
+(2005), Symbolic integration I, chapter 3.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import mpmath  # type: ignore[import-untyped]
 import sympy
 from sympy import QQ, Dummy, Expr, Rational, Symbol
-from sympy.polys.orderings import lex
-from sympy.polys.rings import PolyRing
 
-from codegen import expressions
+from codegen.analysis.angles import angles_that_span, weights
+from codegen.analysis.normal_form import Element, NormalForms, sparse
 from codegen.errors import ExpressionError
 
-Element = Any
-"""A polynomial of the ring (sympy's PolyElement)."""
 _SLOTS = 60
 """Generators that there is room for while the functions of a problem are collected."""
 _KINKED = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside)
 _X = Dummy("x", real=True)
-_DIGITS = 60
-_ROUNDING = mpmath.mpf("1e-40")
 
 
-@dataclass
-class _Generator:
-    """A function that has been adjoined: how it is written, and its derivatives once they are known."""
-
-    expression: Expr
-    derivatives: Callable[[], tuple[Element, ...]]
-    known: tuple[Element, ...] | None = None
-
-
-class FunctionRing:
+class FunctionRing(NormalForms):
     """Polynomials over the rationals in variables, constants and adjoined functions of them.
 
-    Raises ExpressionError where a function has a kink or no derivative that is elementary.
+    `angles` are those by which all others are expressed; without them each term of an angle has its own sine and
+    cosine. Raises ExpressionError where a function has a kink or no derivative that is elementary.
     """
 
     def __init__(
         self, variables: Sequence[Symbol], constants: Sequence[Symbol], slots: int = _SLOTS, angles: Sequence[Expr] = ()
     ) -> None:
-        self.variables = tuple(variables)
-        self._symbols = (*variables, *constants)
-        self._size = slots + len(self._symbols)
-        # What is adjoined later is greater, so that rewriting ends in functions that were there before.
-        self.ring = PolyRing([f"g{i}" for i in reversed(range(self._size))], QQ, lex)
-        self._adjoined: list[_Generator] = []
-        self._elements: dict[tuple[Any, ...], Element] = {}
-        self._rules: list[tuple[tuple[tuple[int, int], ...], Element]] = []
-        self._reciprocals: list[tuple[int, Element]] = []
-        self._place = {symbol: self._size - 1 - i for i, symbol in enumerate(self._symbols)}
-        self.zero, self.one = self.ring.zero, self.ring.one
+        super().__init__(variables, constants, slots)
         self._angles: set[Expr] = set()
         self._basis = [self.function(angle, _X, self.zero) for angle in angles]
-
-    # Elements
-
-    def symbol(self, symbol: Symbol) -> Element:
-        """The element that a variable or a constant is."""
-        return self.ring.gens[self._place[symbol]]
-
-    def number(self, value: Rational) -> Element:
-        """A rational number."""
-        return self.ring.ground_new(QQ(int(value.p), int(value.q)))
-
-    def product(self, a: Element, b: Element) -> Element:
-        """The product in normal form."""
-        return self.reduced(a * b)
-
-    def power(self, base: Element, exponent: int) -> Element:
-        """A power with a natural exponent."""
-        result = self.one
-        for _ in range(exponent):
-            result = self.product(result, base)
-        return result
-
-    def reduced(self, element: Element) -> Element:
-        """Rewrite by the rules of the adjoined functions until none applies."""
-        changed = True
-        while changed:
-            changed = False
-            for lead, replacement in self._rules:
-                hits = {m: c for m, c in element.items() if all(m[i] >= e for i, e in lead)}
-                if not hits:
-                    continue
-                rest = {m: c for m, c in element.items() if m not in hits}
-                divided = {_divided(m, lead): c for m, c in hits.items()}
-                element = self.ring.from_dict(rest) + self.ring.from_dict(divided) * replacement
-                changed = True
-        return element
-
-    def gradient(self, element: Element) -> tuple[Element, ...]:
-        """Derivatives by all variables."""
-        total = [self.zero] * len(self.variables)
-        for place in sorted({i for monomial in element for i, e in enumerate(monomial) if e}):
-            outer = element.diff(self.ring.gens[place])
-            for a, inner in enumerate(self._slopes(place)):
-                if inner:
-                    total[a] += outer * inner
-        return tuple(self.reduced(part) for part in total)
-
-    def directions(self, field: Sequence[Element]) -> tuple[Element, ...]:
-        """The derivative of each generator along a vector field, which has one element for each variable."""
-        along = [self.zero] * self._size
-        for symbol, component in zip(self.variables, field, strict=True):
-            along[self._place[symbol]] = component
-        for i, generator in enumerate(self._adjoined):
-            pairs = zip(self._derivatives(generator), field, strict=True)
-            along[self._slot(i)] = self.reduced(sum((d * f for d, f in pairs if d and f), self.zero))
-        return tuple(along)
-
-    def derivative(self, element: Element, directions: Sequence[Element]) -> Element:
-        """The derivative of an element when its generators change as `directions` says."""
-        parts = (element.diff(x) * along for x, along in zip(self.ring.gens, directions, strict=True) if along)
-        return self.reduced(sum(parts, self.zero))
-
-    def vanishes(self, element: Element) -> bool:
-        """Whether an element is zero everywhere: in normal form over a common denominator, else at random points.
-
-        Numbers decide, with 60 digits, where functions depend on each other in a way that no rule knows.
-        """
-        element = self.reduced(element)
-        if element == 0:
-            return True
-        if not self._vanishes_at_points(element, 1):
-            return False
-        for place, base in reversed(self._reciprocals):
-            degree = element.degree(self.ring.gens[place])
-            if degree > 0:
-                element = self._cleared(element, place, base, degree)
-        return element == 0 or self._vanishes_at_points(element, 3)
-
-    def equals(self, element: Element, expression: Expr) -> bool:
-        """Whether an element and an expression of sympy have the same value, to 40 digits, at three random points."""
-        with mpmath.workdps(_DIGITS):
-            for point, values in itertools.islice(self._points(), 3):
-                value = sympy.N(expression.xreplace(dict(point)), _DIGITS)
-                terms = [_term(m, c, values) for m, c in element.items()]
-                scale = mpmath.fsum(map(abs, terms)) + 1
-                if not value.is_real or abs(mpmath.fsum(terms) - _number(value)) > _ROUNDING * scale:
-                    return False
-        return True
-
-    def expression(self, element: Element) -> Expr:
-        """The element as an expression of sympy."""
-        places = {self._place[symbol]: symbol for symbol in self._symbols}
-        places |= {self._slot(i): generator.expression for i, generator in enumerate(self._adjoined)}
-        terms = (
-            sympy.Mul(sympy.Rational(str(c)), *(places[i] ** e for i, e in enumerate(m) if e))
-            for m, c in element.items()
-        )
-        return sympy.Add(*terms)
 
     def compressed(self, evaluate_again: Callable[[FunctionRing], object]) -> FunctionRing:
         """A ring without empty slots, in which what is evaluated again adjoins the same functions.
@@ -265,7 +140,7 @@ class FunctionRing:
         """The rule reciprocal * base = 1, for the leading term of the base."""
         lead = base.leading_term()
         rest = base - lead
-        self._rules.append((_sparse((reciprocal * lead).LM), (self.one - reciprocal * rest) * (1 / lead.LC)))
+        self._rules.append((sparse((reciprocal * lead).LM), (self.one - reciprocal * rest) * (1 / lead.LC)))
 
     def _root(self, base: Element, degree: int) -> Element:
         content, primitive = base.primitive()
@@ -280,7 +155,7 @@ class FunctionRing:
                 return tuple(self.product(slope, d) for d in self.gradient(primitive))
 
             element = self._adjoin(key, sympy.root(self.expression(primitive), degree), derivatives)
-            self._rules.append((_sparse((element**degree).LM), primitive))
+            self._rules.append((sparse((element**degree).LM), primitive))
         return self.product(number, self._elements[key])
 
     def _root_of_number(self, value: Rational, degree: int) -> Element:
@@ -297,7 +172,7 @@ class FunctionRing:
             key = ("root", self.number(base), int(exponent.q))
             if key not in self._elements:
                 element = self._adjoin(key, root, lambda: (self.zero,) * len(self.variables))
-                self._rules.append((_sparse((element ** int(exponent.q)).LM), self.number(base)))
+                self._rules.append((sparse((element ** int(exponent.q)).LM), self.number(base)))
             positive = self._elements[key]
             chosen = positive if exponent.p > 0 else self.reciprocal(positive)
             result = self.product(result, self.power(chosen, abs(int(exponent.p))))
@@ -331,7 +206,8 @@ class FunctionRing:
 
     def _turned(self, angle: Element) -> tuple[Element, Element]:
         """Sine and cosine of a sum, by the addition theorems from those of the basis, or else of its terms."""
-        self._angles.add(self.expression(angle))
+        if angle != 0:
+            self._angles.add(self.expression(angle))
         sine, cosine = self.zero, self.one
         for part, numerator in self._parts(angle):
             s, c = self._circle(part)
@@ -346,8 +222,8 @@ class FunctionRing:
             terms = sorted({m for part in (*self._basis, angle) for m in part})
             columns = [[sympy.Rational(str(part.get(m, 0))) for part in self._basis] for m in terms]
             row = [sympy.Rational(str(angle.get(m, 0))) for m in terms]
-            weights = zip(self._basis, _weights(sympy.Matrix(columns), row), strict=True)
-            return [(part, int(weight)) for part, weight in weights if weight]
+            factors = weights(sympy.Matrix(columns), row)
+            return [(part, int(n)) for part, n in zip(self._basis, factors, strict=True) if n]
         return [
             (self.ring.from_dict({m: QQ(1, int(c.denominator))}), int(c.numerator)) for m, c in sorted(angle.items())
         ]
@@ -363,112 +239,8 @@ class FunctionRing:
 
             cosine = self._adjoin(keys[1], sympy.cos(written), scaled(keys[0], -1))
             sine = self._adjoin(keys[0], sympy.sin(written), scaled(keys[1], 1))
-            self._rules.append((_sparse((sine**2).LM), self.one - cosine**2))
+            self._rules.append((sparse((sine**2).LM), self.one - cosine**2))
         return self._elements[keys[0]], self._elements[keys[1]]
-
-    # Bookkeeping
-
-    def _adjoin(self, key: tuple[Any, ...], expression: Expr, derivatives: Callable[[], Any]) -> Element:
-        if key not in self._elements:
-            if self._slot(len(self._adjoined)) < 0:
-                raise ExpressionError("more elementary functions than can be expanded", "write a smaller problem")
-            self._elements[key] = self.ring.gens[self._slot(len(self._adjoined))]
-            self._adjoined.append(_Generator(expression, derivatives))
-        return self._elements[key]
-
-    def _slot(self, number: int) -> int:
-        return self._size - 1 - len(self._symbols) - number
-
-    def _derivatives(self, generator: _Generator) -> tuple[Element, ...]:
-        if generator.known is None:
-            generator.known = generator.derivatives()
-        return generator.known
-
-    def _slopes(self, place: int) -> Sequence[Element]:
-        """Derivatives of the generator at a place."""
-        number = self._size - 1 - place - len(self._symbols)
-        if number >= 0:
-            return self._derivatives(self._adjoined[number])
-        symbol = self._symbols[self._size - 1 - place]
-        return [self.one if symbol == variable else self.zero for variable in self.variables]
-
-    def _cleared(self, element: Element, place: int, base: Element, degree: int) -> Element:
-        """The element times base^degree, where the generator at `place` is one over the base."""
-        total = self.zero
-        for power in range(degree + 1):
-            part = {(*m[:place], 0, *m[place + 1 :]): c for m, c in element.items() if m[place] == power}
-            total += self.ring.from_dict(part) * base ** (degree - power)
-        return self.reduced(total)
-
-    def _vanishes_at_points(self, element: Element, count: int) -> bool:
-        met = 0
-        with mpmath.workdps(_DIGITS):
-            for _, values in itertools.islice(self._points(), count):
-                terms = [_term(m, c, values) for m, c in element.items()]
-                if abs(mpmath.fsum(terms)) > _ROUNDING * mpmath.fsum(map(abs, terms)):
-                    return False
-                met += 1
-        return met == count
-
-    def _points(self) -> Iterator[tuple[Mapping[Symbol, Rational], list[mpmath.mpf]]]:
-        """Points at which all generators have values, and these; to be read with _DIGITS digits."""
-        for drawn in expressions.trial_points(self._symbols, {}, {}):
-            point = {symbol: Rational(str(round(x, 6))) for symbol, x in drawn.items()}
-            values = self._values_at(point)
-            if values is not None:
-                yield point, values
-
-    def _values_at(self, point: Mapping[Symbol, Rational]) -> list[mpmath.mpf] | None:
-        """The values of all generators, None where one of them is not a finite real number."""
-        values = [mpmath.mpf(0)] * self._size
-        for symbol, value in point.items():
-            values[self._place[symbol]] = mpmath.mpf(int(value.p)) / int(value.q)
-        for i, generator in enumerate(self._adjoined):
-            value = sympy.N(generator.expression.xreplace(dict(point)), _DIGITS)
-            if not (value.is_finite and value.is_real):
-                return None
-            values[self._slot(i)] = _number(value)
-        return values
-
-
-def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
-    """Some of the angles of which all are sums with integer coefficients, sums before single terms; or none."""
-    simple = {_without_factor(angle) for angle in angles}
-    longest = sorted(simple, key=lambda angle: (-len(angle.as_coefficients_dict()), sympy.count_ops(angle), str(angle)))
-    terms = sorted({term for angle in simple for term in angle.as_coefficients_dict()}, key=str)
-    rows = {angle: [angle.as_coefficients_dict()[term] for term in terms] for angle in longest}
-    chosen: list[Expr] = []
-    for angle in longest:
-        if sympy.Matrix([rows[x] for x in (*chosen, angle)]).rank() > len(chosen):
-            chosen.append(angle)
-    basis = sympy.Matrix([rows[x] for x in chosen]).T
-    for angle in longest:
-        weights = _weights(basis, rows[angle])
-        if not all(weight.is_Integer for weight in weights):
-            return ()
-    return tuple(chosen)
-
-
-def _without_factor(angle: Expr) -> Expr:
-    """The angle over the common factor of the numerators of its coefficients."""
-    numerators = [coefficient.p for coefficient in angle.as_coefficients_dict().values()]
-    return sympy.expand(angle / sympy.igcd(0, *numerators))
-
-
-def _weights(basis: sympy.Matrix, row: Sequence[Expr]) -> list[Expr]:
-    """The combination of the columns that makes up the row."""
-    normal = basis.T * basis
-    return list(normal.LUsolve(basis.T * sympy.Matrix(row)))
-
-
-def _term(monomial: tuple[int, ...], coefficient: Any, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
-    """The value of one term of a polynomial."""
-    powers = mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
-    return powers * int(coefficient.numerator) / int(coefficient.denominator)
-
-
-def _number(value: Expr) -> mpmath.mpf:
-    return mpmath.mpf(sympy.Float(value, _DIGITS)._mpf_)
 
 
 def _only_argument(value: Expr) -> Expr:
@@ -476,14 +248,3 @@ def _only_argument(value: Expr) -> Expr:
     if len(value.args) != 1 or isinstance(value, _KINKED):
         raise ExpressionError(f"{value.func.__name__} has no expansion in powers of h", "use smooth functions")
     return value.args[0]
-
-
-def _divided(monomial: tuple[int, ...], lead: tuple[tuple[int, int], ...]) -> tuple[int, ...]:
-    quotient = list(monomial)
-    for place, exponent in lead:
-        quotient[place] -= exponent
-    return tuple(quotient)
-
-
-def _sparse(monomial: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    return tuple((i, e) for i, e in enumerate(monomial) if e)

@@ -19,7 +19,8 @@ from sympy import Expr, Rational, S, Symbol
 
 from codegen import legendre
 from codegen.analysis.flow_series import FlowSeries, Series, flow_series, without_ends
-from codegen.analysis.function_ring import Element, FunctionRing
+from codegen.analysis.function_ring import FunctionRing
+from codegen.analysis.normal_form import Element
 from codegen.model import Model
 from codegen.schemes import Scheme
 
