@@ -124,8 +124,8 @@ def _equations(result: ModifiedEquations, model: Model, notation: Notation) -> I
     tex = " + ".join(["f_0", "h f_1", *(f"h^{{{k}}} f_{{{k}}}" for k in range(2, last))])
     remarks = [
         (
-            f"the scheme follows, up to higher powers of h, the flow of ż = {plain} + O(h{_high(last)}), z = ({names})",
-            rf"The scheme follows the flow of $\dot{{z}} = {tex} + O(h^{{{last}}})$, $z = ({names})$.",
+            f"ż = {plain} + O(h{_high(last)}), z = ({names}); its flow over the time h is a step",
+            rf"$\dot{{z}} = {tex} + O(h^{{{last}}})$, $z = ({names})$; its flow over the time $h$ is a step.",
         )
     ]
     for told, holds in (
