@@ -18,9 +18,10 @@ import sympy
 from sympy import Expr, Rational, S, Symbol
 
 from codegen import legendre
-from codegen.analysis.flow_series import FlowSeries, Series, flow_series, without_ends
+from codegen.analysis.flow_series import FlowSeries, flow_series, without_ends
 from codegen.analysis.function_ring import FunctionRing
 from codegen.analysis.normal_form import Element
+from codegen.analysis.series import Series
 from codegen.model import Model
 from codegen.schemes import Scheme
 
