@@ -1,4 +1,4 @@
-"""The command line: `codegen build`, `solve`, `check` and `show`.
+"""The command line: `codegen build`, `solve`, `check`, `show` and `analyse`.
 
 Exit status 0: it worked; 1: the numerics or a check failed; 2: the input was wrong, which is said in one line.
 """
@@ -117,7 +117,7 @@ def _group(
         typer.echo(f"codegen {__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
-        raise ArgumentError("no command was given", "use build, solve, check or show; see codegen --help")
+        raise ArgumentError("no command was given", "use build, solve, check, show or analyse; see codegen --help")
 
 
 @main.command()
@@ -271,6 +271,25 @@ def show(
     arguments = parse_arguments(set_)
     with _working("Deriving"):
         text = equations(problem, arguments, scheme=scheme, method=method, controls=controls.value, latex=latex)
+    typer.echo(text)
+
+
+@main.command()
+def analyse(
+    problem: Problem,
+    set_: Set = [],  # noqa: B006
+    scheme: Annotated[str | None, typer.Option(help="Discretisation, or alpha for the whole family.")] = None,
+    method: Method = None,
+    order: Annotated[int, typer.Option(metavar="N", help="Highest power of the step h.")] = 3,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
+) -> None:
+    """Print the modified equations of a scheme, and the modified Hamiltonian if there is one."""
+    from codegen.analysis.modified_text import analysis
+    from codegen.problem_file import parse_arguments
+
+    arguments = parse_arguments(set_)
+    with _working("Expanding"):
+        text = analysis(problem, arguments, scheme=scheme, method=method, order=order, latex=latex)
     typer.echo(text)
 
 

@@ -1,0 +1,294 @@
+"""The map of one step as a power series in h, from its implicit equations and for any number of inner stages.
+
+The unknowns of a step are series with coefficients in a FunctionRing. Coefficient n follows from the equations'
+coefficient n, which is linear in it; nothing is solved in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import sympy
+from sympy import Add, Expr, S, Symbol
+
+from codegen import legendre
+from codegen.analysis.function_ring import FunctionRing
+from codegen.analysis.normal_form import Element
+from codegen.analysis.series import Evaluation, Series, padded
+from codegen.discretise import STEP, Sites, at_nodes, one_step_interval, variational_interval
+from codegen.errors import SchemeError
+from codegen.model import Boundary, Model
+from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+
+_GATHER_LIMIT = 300
+"""Operation count up to which sympy's trigonometric simplification is affordable."""
+
+
+@dataclass(frozen=True)
+class FlowSeries:
+    """z_k1 = sum_n h^n flow[i][n] for each variable i of (q, p, t), and the action's S = sum_n h^n action[n].
+
+    The action is the discrete Lagrangian, or the scheme's own quadrature of p . dH/dp - H; for a symplectic scheme
+    dS = p_k1 dq_k1 - p_k dq_k. It is None for a first-order system.
+    """
+
+    ring: FunctionRing
+    flow: tuple[Series, ...]
+    action: Series | None
+
+
+def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
+    """Expand one step of a scheme to the power `order` of h.
+
+    The model is of first-order or Hamiltonian form for a one-step scheme, of Lagrangian or Hamiltonian form for a
+    discrete Lagrangian. Variables are coordinates, momenta if there are any, and time; controls, parameters and free
+    parameters are constants. Raises ExpressionError where a function has no expansion, SchemeError where the equations
+    of a step are not of a known kind, and what the Legendre transforms raise.
+    """
+    model = _bare(model)
+    phase = model if model.form == "first-order" else legendre.hamiltonian_form(model)
+    step = _Variational(model, phase, scheme) if isinstance(scheme, DiscreteLagrangian) else _OneStep(phase, scheme)
+    expand = step.expanded
+    variables = (*phase.coordinates, *phase.rates, phase.time)
+    inner = {*step.known, *step.unknowns, *variables, STEP}
+    constants = sorted((step.symbols() - inner) | set(phase.controls), key=str)
+    roomy = FunctionRing(variables, constants)
+    expand(roomy, 1)
+    ring = roomy.compressed(lambda ring: expand(ring, 1))
+    if not step.is_solved(ring):
+        raise SchemeError(f"scheme {scheme.name!r} has equations that h = 0 does not solve", "use another scheme")
+    return expand(ring, order)
+
+
+def _bare(model: Model) -> Model:
+    """The model without what an expansion does not see, its angles gathered: cos(a - b) for cos a cos b + sin a sin b.
+
+    Sums of products of sines and cosines in denominators would have no normal form.
+    """
+    function, dynamics = _gathered(model.function), tuple(map(_gathered, model.dynamics))
+    return replace(without_ends(model), function=function, dynamics=dynamics)
+
+
+def without_ends(model: Model) -> Model:
+    """The model with free ends and no cost, whose Legendre transforms cannot fail for their sake."""
+    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
+    return replace(model, cost=None, path=(), start=free, end=free if model.end else None)
+
+
+def _gathered(function: Expr) -> Expr:
+    if not function.has(sympy.sin, sympy.cos):
+        return function
+    expanded = sympy.expand(function)
+    if expanded.count_ops() > _GATHER_LIMIT:
+        return function
+    found = sympy.expand(sympy.trigsimp(expanded))
+    return found if found.count_ops() < expanded.count_ops() else function
+
+
+class _Step:
+    """The equations of a step; `known` maps the symbols at the left node to variables."""
+
+    known: dict[Symbol, Symbol]
+    unknowns: tuple[Symbol, ...]
+    equations: tuple[Expr, ...]
+    _solution: Mapping[Symbol, Series]
+
+    def symbols(self) -> set[Symbol]:
+        """All symbols of the equations and of the action."""
+        raise NotImplementedError
+
+    def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
+        """Solve for the unknowns, coefficient by coefficient."""
+        raise NotImplementedError
+
+    def is_solved(self, ring: FunctionRing) -> bool:
+        """Whether the first two coefficients of the series satisfy the equations."""
+        self.expanded(ring, 1)
+        evaluate = Evaluation(ring, self._solution, 1)
+        return all(ring.vanishes(value) for equation in self.equations for value in evaluate(equation))
+
+    def _given(self, ring: FunctionRing, order: int) -> dict[Symbol, Series]:
+        values = {symbol: [ring.symbol(variable)] for symbol, variable in self.known.items()}
+        values[STEP] = [ring.zero, ring.one]
+        return {symbol: padded(value, ring, order) for symbol, value in values.items()}
+
+    def _solve(
+        self,
+        ring: FunctionRing,
+        guess: Sequence[Element],
+        order: int,
+        correction: Callable[[Sequence[Element]], Sequence[Element]],
+    ) -> Mapping[Symbol, Series]:
+        """Series of the unknowns; `correction` maps residuals to what must be added to the newest coefficients."""
+        known = self._given(ring, order)
+        unknown = {symbol: padded([value], ring, order) for symbol, value in zip(self.unknowns, guess, strict=True)}
+        for n in range(order + 1):
+            cut = {symbol: value[: n + 1] for symbol, value in {**known, **unknown}.items()}
+            evaluate = Evaluation(ring, cut, n)
+            residuals = [evaluate(equation)[n] for equation in self.equations]
+            for symbol, change in zip(self.unknowns, correction(residuals), strict=True):
+                unknown[symbol][n] = ring.reduced(unknown[symbol][n] + change)
+        self._solution = {**known, **unknown}
+        return self._solution
+
+
+class _OneStep(_Step):
+    """Equations in stages and the right node, of which h = 0 leaves linear equations with numbers as coefficients."""
+
+    def __init__(self, phase: Model, scheme: Scheme) -> None:
+        states = (*phase.coordinates, *phase.rates)
+        if phase.form == "hamiltonian":
+            momentum = sum((p * sympy.diff(phase.function, p) for p in phase.rates), S.Zero)
+            phase = replace(phase, cost=momentum - phase.function)
+        step = one_step_interval(phase, cast(OneStep, scheme))
+        self.action = step.cost if phase.form == "hamiltonian" else None
+        self.known = dict(zip((*step.q.left, *step.p.left), states, strict=True)) | {phase.time: phase.time}
+        self.known |= dict(zip(step.q.left_controls, phase.controls, strict=True))
+        self.right = (*step.q.right, *step.p.right)
+        self.unknowns = (*step.stages, *self.right)
+        self.equations = step.equations
+        self.origin = dict(zip(self.right, states, strict=True))
+        for stage in step.stages:
+            for x in states:
+                if stage.name.startswith(f"{x.name}_stage"):
+                    self.origin[stage] = x
+        at_rest = sympy.Matrix([equation.xreplace({STEP: S.Zero}) for equation in self.equations])
+        slopes = at_rest.jacobian(list(self.unknowns))
+        if any(entry.free_symbols for entry in slopes) or slopes.det() == 0:
+            raise SchemeError(f"scheme {scheme.name!r} has stages that h = 0 does not determine", "use another scheme")
+        self.inverse = slopes.inv()
+
+    def symbols(self) -> set[Symbol]:
+        expressions = (*self.equations, *([] if self.action is None else [self.action]))
+        return set().union(*(e.free_symbols for e in expressions))
+
+    def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
+        numbers = [[ring.function(entry, STEP, ring.zero) for entry in row] for row in self.inverse.tolist()]
+
+        def correction(residuals: Sequence[Element]) -> list[Element]:
+            sums = (sum((a * r for a, r in zip(row, residuals, strict=True)), ring.zero) for row in numbers)
+            return [ring.reduced(-total) for total in sums]
+
+        guess = [ring.symbol(self.origin[y]) if y in self.origin else ring.zero for y in self.unknowns]
+        values = self._solve(ring, guess, order, correction)
+        action = None if self.action is None else Evaluation(ring, values, order)(self.action)
+        flow = (*(values[y] for y in self.right), _clock(ring, order))
+        return FlowSeries(ring, flow, action)
+
+
+@dataclass(frozen=True)
+class _VelocityForm:
+    """One interval in velocities v_j = (q_j - q_k)/h of the inner points j and of the right node, these last.
+
+    With Ld = h D(q_k, v), the derivative of Ld by q_j is that of D by v_j, so that no equation holds 1/h.
+    """
+
+    left: Sites
+    velocities: tuple[Symbol, ...]
+    places: tuple[Expr, ...]
+    equations: tuple[Expr, ...]
+    momenta: tuple[Expr, ...]
+    action: Expr
+
+    @classmethod
+    def of(cls, model: Model, scheme: DiscreteLagrangian) -> _VelocityForm:
+        """p_k + D1 Ld + f- and D_j Ld + f_j for inner points, which vanish, and D2 Ld + f+ = p_k1."""
+        interval = variational_interval(model, scheme)
+        size, left = len(model.coordinates), interval.q.left
+        # The motion is a straight line without inner points, unless the kind of scheme has them.
+        inner = tuple(getattr(interval, "inner", ()))
+        points = (*inner, *interval.q.right)
+        velocities = tuple(Symbol(f"{q.name}_velocity", real=True) for q in points)
+        arrival = {q: left[i % size] + STEP * v for i, (q, v) in enumerate(zip(points, velocities, strict=True))}
+        density = Add(*(term.xreplace(arrival) / STEP for term in Add.make_args(interval.lagrangian)))
+        slopes = [sympy.diff(density, v) for v in velocities]
+        forces = [f.xreplace(arrival) for f in (*getattr(interval, "force_inner", ()), *interval.force_plus)]
+        equations = []
+        for i, (q, f) in enumerate(zip(left, interval.force_minus, strict=True)):
+            pull = STEP * sympy.diff(density, q) - Add(*slopes[i::size])
+            equations.append(at_nodes(_momenta_of(model), "_k")[i] + pull + f.xreplace(arrival))
+        balances = [slope + f for slope, f in zip(slopes, forces, strict=True)]
+        places = (*getattr(interval, "inner_places", ()), *[S.One] * size)
+        count = len(inner)
+        return cls(
+            left=interval.q,
+            velocities=velocities,
+            places=places,
+            equations=(*equations, *balances[:count]),
+            momenta=tuple(balances[count:]),
+            action=STEP * density,
+        )
+
+    @classmethod
+    def inverse_slopes(cls, model: Model, scheme: DiscreteLagrangian) -> sympy.Matrix:
+        """The inverse derivative of the equations of a free particle of unit mass by the velocities.
+
+        At h = 0 all velocities agree, so that for any L the derivative is this one times the mass matrix L_vv.
+        """
+        particle = replace(
+            model,
+            coordinates=model.coordinates[:1],
+            rates=model.rates[:1],
+            function=model.rates[0] ** 2 / 2,
+            force=(S.Zero,),
+            start=Boundary((None,), (None,)),
+            end=None,
+        )
+        form = cls.of(particle, scheme)
+        return sympy.Matrix(form.equations).jacobian(list(form.velocities)).inv()
+
+
+def _momenta_of(model: Model) -> tuple[Symbol, ...]:
+    """Symbols for the momenta of a model of Lagrangian form, which no author can declare."""
+    return tuple(Symbol(f"{q.name}_momentum", real=True) for q in model.coordinates)
+
+
+class _Variational(_Step):
+    """The forced discrete Legendre transforms and the stationarity of Ld at inner points, in velocities."""
+
+    def __init__(self, model: Model, phase: Model, scheme: DiscreteLagrangian) -> None:
+        side = legendre.lagrangian_form(model)
+        self.phase, self.form = phase, _VelocityForm.of(side, scheme)
+        self.inverse = _VelocityForm.inverse_slopes(side, scheme)
+        left = (*self.form.left.left, *at_nodes(_momenta_of(side), "_k"), *self.form.left.left_controls, phase.time)
+        right = (*phase.coordinates, *phase.rates, *phase.controls, phase.time)
+        self.known = dict(zip(left, right, strict=True))
+        self.unknowns, self.equations = self.form.velocities, self.form.equations
+
+    def symbols(self) -> set[Symbol]:
+        every = (*self.equations, *self.form.momenta, self.form.action, self.phase.function)
+        return set().union(*(e.free_symbols for e in every))
+
+    def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
+        function, momenta, size = self.phase.function, self.phase.rates, len(self.phase.rates)
+        own = {x: [ring.symbol(x)] for x in (*self.phase.coordinates, *momenta, self.phase.time)}
+        at_start = Evaluation(ring, own, 0)
+        velocity = [at_start(sympy.diff(function, p))[0] for p in momenta]
+        inverse_mass = [[at_start(sympy.diff(function, a, b))[0] for a in momenta] for b in momenta]
+        numbers = [[ring.function(entry, STEP, ring.zero) for entry in row] for row in self.inverse.tolist()]
+
+        def weighted(row: Sequence[Element], values: Sequence[Element]) -> Element:
+            return ring.reduced(sum((a * x for a, x in zip(row, values, strict=True)), ring.zero))
+
+        def correction(residuals: Sequence[Element]) -> list[Element]:
+            accelerations = [
+                [weighted(row, residuals[j : j + size]) for row in inverse_mass] for j in range(0, len(residuals), size)
+            ]
+            return [-weighted(row, column) for row in numbers for column in zip(*accelerations, strict=True)]
+
+        places = [ring.function(c, STEP, ring.zero) for c in self.form.places]
+        guess = [ring.product(c, velocity[i % size]) for i, c in enumerate(places)]
+        values = self._solve(ring, guess, order, correction)
+        evaluate = Evaluation(ring, values, order)
+        positions = [
+            padded([ring.symbol(q), *values[v]], ring, order)
+            for q, v in zip(self.phase.coordinates, self.unknowns[-size:], strict=True)
+        ]
+        flow = (*positions, *(evaluate(p) for p in self.form.momenta), _clock(ring, order))
+        return FlowSeries(ring, flow, evaluate(self.form.action))
+
+
+def _clock(ring: FunctionRing, order: int) -> Series:
+    return padded([ring.symbol(ring.variables[-1]), ring.one], ring, order)
