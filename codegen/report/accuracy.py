@@ -55,7 +55,7 @@ def points_of(settings: Settings, count: int) -> PointSet:
 def _reference(settings: Settings, count: int) -> Values:
     result = drivers.solve(settings.module("dop853"), points=points_of(settings, count), tolerance=EXACT)
     values = {"cost": result.cost, "residual": result.residual, "status": result.status}
-    return {**values, "path": result.q.reshape(result.steps + 1, count, 2), "drift": result.summary["energy_drift"]}
+    return {**values, "path": result.q.reshape(result.steps + 1, -1, 2), "drift": result.summary["energy_drift"]}
 
 
 def _row(settings: Settings, row: str, count: int) -> Values:

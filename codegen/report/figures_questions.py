@@ -71,15 +71,9 @@ def work_and_precision(store: Store) -> Figure:
     for scheme, points in lines.items():
         x, y = np.array(sorted(points)).T
         adaptive = scheme in ("lsoda", "dop853")
-        axes.loglog(
-            x,
-            np.maximum(y, 1e-16),
-            "--" if adaptive else "o-",
-            color=SCHEME_COLOURS[scheme],
-            markersize=3.5,
-            linewidth=1.1 if adaptive else 1.5,
-            label=scheme,
-        )
+        style = "x" if adaptive else "o-"
+        colour = SCHEME_COLOURS[scheme]
+        axes.loglog(x, np.maximum(y, 1e-16), style, color=colour, markersize=4.0, linewidth=1.3, label=scheme)
     axes.set(xlabel="seconds of a solve", ylabel="|cost − exact|")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

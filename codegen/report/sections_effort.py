@@ -96,7 +96,7 @@ def _orders(store: Store) -> Section:
     head = ("scheme", *(f"N = {n}" for n in (5, 10, 20, 40, 80)[: most - 2]), "order")
     table = Table("Error in cost and seconds on forty landmarks, compiled.", head, padded)
     picture = Picture(
-        "Error against time on forty landmarks; dashed: adaptive codes of scipy.",
+        "Error against time on forty landmarks; crosses: adaptive codes of scipy at the tolerances of the sweep.",
         figures.svg(partial(drawn.work_and_precision, store)),
     )
     return Section("Question 6: do higher orders pay, compiled?", tuple(texts), (table,), (picture,))
@@ -111,7 +111,7 @@ def _ansatz(store: Store) -> Section:
     text = (
         f"The left side of the weak equation {word}: at most {number(worst, 2)} of its first term. That it "
         "vanishes "
-        "for every kernel and every test function is proved by computer algebra in the tests (codegen.analysis.weak_solution)."
+        "for every kernel and every test function is proved by computer algebra (codegen.analysis.weak_solution)."
     )
     table = Table(
         "Fifteen random test functions along the motion: the largest left side, and the largest first term alone.",
