@@ -1,4 +1,4 @@
-"""The command line: `codegen build`, `solve`, `check`, `show` and `analyse`.
+"""The command line: one function for each command, whose work is done elsewhere.
 
 Exit status 0: it worked; 1: the numerics or a check failed; 2: the input was wrong, which is said in one line.
 """
@@ -117,7 +117,12 @@ def _group(
         typer.echo(f"codegen {__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
-        raise ArgumentError("no command was given", "use build, solve, check, show or analyse; see codegen --help")
+        raise ArgumentError("no command was given", f"use {_listed_commands()}; see codegen --help")
+
+
+def _listed_commands() -> str:
+    *names, last = [command.callback.__name__ for command in main.registered_commands if command.callback]
+    return f"{', '.join(names)} or {last}"
 
 
 @main.command()
@@ -291,6 +296,25 @@ def analyse(
     with _working("Expanding"):
         text = analysis(problem, arguments, scheme=scheme, method=method, order=order, latex=latex)
     typer.echo(text)
+
+
+@main.command()
+def report(
+    problem: Problem,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the page and the measurements.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A few cases only, in less than a minute once compiled.")
+    ] = False,
+    limit: Annotated[
+        float | None, typer.Option(min=0.1, metavar="S", help="Take a route no further after a solve of S seconds.")
+    ] = None,
+) -> None:
+    """Measure everything about a problem and write one page; what DIR holds already is not measured again."""
+    from codegen import output
+    from codegen import report as reports
+
+    output.require_folder(out, "--out", may_be_made=True)
+    typer.echo(reports.report(problem, out, quick, limit))
 
 
 def _build(

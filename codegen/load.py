@@ -165,6 +165,8 @@ class ConnectModule(Protocol):
     momentum_matrix: Callable[..., None]
     domain_margin: Callable[[Any], float]
     guessed_path: Callable[..., Any]
+    momenta_of: Callable[..., Any]
+    all_states: Callable[..., tuple[int, int, float]]
     action_start: Callable[[Any], Vector]
     action_path: Callable[[Any, Vector], Any]
     action_cost: Callable[[Any, Vector], float]

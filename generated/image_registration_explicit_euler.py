@@ -903,12 +903,30 @@ def defects(h, own, parameters, path, points, errors):
 
 
 @njit(cache=True, error_model="numpy")
-def energies(path, own, parameters):
-    """H at every state."""
-    values = np.empty(path.shape[0])
+def cost_and_energies(h, own, parameters, path, points, energy):
+    """Fill `energy`, shape (N + 1,), with H at every state; return the discrete cost, see `discrete_cost`.
+
+    H is evaluated once where the first point of a step is the state from which it starts.
+    """
+    cost = 0.0
     for k in range(path.shape[0]):
-        values[k] = hamiltonian(path[k], own, parameters)
-    return values
+        energy[k] = hamiltonian(path[k], own, parameters)
+    for k in range(points.shape[0]):
+        state = points[k]
+        value = energy[k // POINTS] if same_state(state, path[k // POINTS]) else hamiltonian(state, own, parameters)
+        cost += 2.0 * h * COST_WEIGHTS[k % POINTS] * value
+    return cost
+
+
+@njit(cache=True, error_model="numpy")
+def same_state(one, other):
+    """Whether two states are equal in every number."""
+    for s in range(2):
+        for i in range(one.shape[1]):
+            for a in range(one.shape[2]):
+                if one[s, i, a] != other[s, i, a]:
+                    return False
+    return True
 
 
 # Broyden's method on the initial momenta: every iteration costs one trajectory and no derivative.
@@ -1006,12 +1024,13 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
 # are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2; the line search halves
 # steps until the residual decreases.
 
-SOLVED, LIMIT, STALLED, SINGULAR = 1, 0, -5, -2  # how a Newton iteration ends; other negative numbers: see `follow`
+SOLVED, ROUNDED, LIMIT, STALLED, SINGULAR = 1, 2, 0, -5, -2  # how a Newton iteration ends; negative also: `follow`
 DENSE = 24  # unknowns up to which tangents in all directions are taken
 BASIS = 80  # directions that GMRES keeps
 HALVINGS = 14
-ROUNDING = 1e-10  # residuals below this count as solved once no step makes them smaller
-UNITS = 1.5e-14  # the same for each unit of the largest momentum: 64 rounding errors of what places are summed from
+UNIT = 2.0**-52  # a unit in the last place
+SAMPLES = 8  # how often numbers are moved by it to see what rounding does
+VISIBLE = 1e-8  # residuals above this are not put down to rounding
 
 
 @njit(cache=True, error_model="numpy")
@@ -1143,9 +1162,40 @@ def preconditioner(case):
     return matrix if cholesky(matrix) else None
 
 
-def rounding(path):
-    """The residual below which no step can be expected to make it smaller; neighbours need large momenta."""
-    return max(ROUNDING, UNITS * np.abs(path[:, 1]).max())
+def jittered(values):
+    """Copies of an array with entries moved by a unit in the last place up or down, in SAMPLES patterns of signs."""
+    generator = np.random.default_rng(0)
+    return [values * (1.0 + UNIT * generator.choice((-1.0, 1.0), values.shape)) for _ in range(SAMPLES)]
+
+
+def rounding(case, path):
+    """How far the residual moves when the initial momenta move by a unit in the last place.
+
+    They cannot be had more exactly, and the trajectory's own rounding errors show as well: no iteration can be expected
+    to get below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
+    """
+    h, residual, noise = case.duration / case.steps, end_residual(path[-1], case.target, case.sigma), 0.0
+    trial, points = path.copy(), np.empty((case.steps * POINTS, *path.shape[1:]))
+    for momenta in jittered(path[0, 1]):
+        trial[0, 1] = momenta
+        if follow(h, case.own, case.parameters, trial, points) >= 0:
+            noise = max(noise, largest(end_residual(trial[-1], case.target, case.sigma) - residual))
+    return noise
+
+
+def rounding_of_states(case, path, errors):
+    """The same for the defects of all steps, when all states move by a unit in the last place."""
+    h, noise = case.duration / case.steps, 0.0
+    found, points = np.empty_like(errors), np.empty((case.steps * POINTS, *path.shape[1:]))
+    for trial in jittered(path):
+        if defects(h, case.own, case.parameters, trial, points, found) >= 0:
+            noise = max(noise, largest((found - errors).ravel()))
+    return noise
+
+
+def without_progress(error, noise):
+    """How an iteration ends whose steps no longer reduce the residual: rounding excuses no more than VISIBLE."""
+    return ROUNDED if error <= min(noise, VISIBLE) else STALLED
 
 
 def first_steps(case, h, factor, path, points):
@@ -1188,7 +1238,7 @@ def shoot(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= rounding(path) else STALLED, made + iteration, error
+            return without_progress(error, rounding(case, path)), made + iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual = trial_path, trial_points, trial
     raise AssertionError("unreachable")
@@ -1232,7 +1282,7 @@ def all_states(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= rounding(path) else STALLED, iteration, error
+            return without_progress(error, rounding_of_states(case, path, errors)), iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual, errors[:] = trial_path, trial_points, trial, trial_errors
     raise AssertionError("unreachable")
@@ -1321,11 +1371,13 @@ def checked_count(name, number):
 # Which attempts are made to connect given points, in which order, and what is reported about them.
 #
 # Each attempt starts where the one before it failed: Newton's method from the momenta H_pp^-1 (target - start), from
-# rest, by continuation in the target, and on all states at once from a guessed path. Only an attempt whose residual is
-# below the tolerance counts as a solution.
+# rest, by continuation in the target, on all states at once from a guessed path, and with more steps, of which then ever
+# fewer are taken. Only an attempt whose residual is below the tolerance, or below what rounding makes of it, counts as a
+# solution.
 
 OUTCOMES = {
     1: "solved",
+    2: "solved as far as rounding errors allow",
     0: "the iterations ran out",
     -1: "a state became infinite or not a number",
     -2: "the linear equations have no unique solution",
@@ -1333,6 +1385,7 @@ OUTCOMES = {
     -4: "a particle leaves its domain",
     -5: "no step along Newton's direction reduces the residual",
 }
+MORE_STEPS = (2, 4)  # factors by which steps are made more where no attempt succeeds
 LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
 
 
@@ -1361,18 +1414,17 @@ def guessed_path(start, target, steps, duration, own, parameters):
 
 def climb(case, method, guess):
     """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
-    path = np.zeros((case.steps + 1, 2, *case.start.shape))
-    points = np.zeros((case.steps * POINTS, 2, *case.start.shape))
+    path, points = room(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
-    rungs = ATTEMPTS[method] if guess is None else (("Newton's method from the given momenta", from_guess),)
+    rungs = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
     for name, attempt in rungs:
         path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
         log[:] = 0.0
-        outcome, made, residual = attempt(case, path, points, log)
+        outcome, made, residual, *note = attempt(case, path, points, log)
         iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
-        attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}")
-        if outcome == 1:
+        attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}{''.join(note)}")
+        if outcome > 0:
             break
     return outcome, path, points, iterations, tangents, residual, tuple(attempts)
 
@@ -1417,12 +1469,56 @@ def by_continuation(case, path, points, log):
         outcome, made, residual = shoot_at(case, target, path, points, log)
         log[-1, 1] = max(before, log[:, 1].sum())
         total += made
-        if outcome == 1:
+        if outcome > 0:
             done, part = wanted, 1.6 * part
             known.append((wanted, path[0, 1].copy()))
         else:
             part *= 0.4
-    return (outcome if done >= 1.0 or outcome != 1 else 0), total, residual if done >= 1.0 else np.inf
+    return (outcome if done >= 1.0 or outcome <= 0 else 0), total, residual if done >= 1.0 else np.inf
+
+
+def room(case, start_momenta=None):
+    """States and points for the steps of a case, with its points at the start and given momenta."""
+    path = np.zeros((case.steps + 1, 2, *case.start.shape))
+    path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
+    return path, np.zeros((case.steps * POINTS, *path.shape[1:]))
+
+
+def by_steps(case, path, points, log):
+    """Solve with two or four times as many steps by continuation in the target, then with ever fewer of them.
+
+    Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
+    note says with how many steps there still is one.
+    """
+    total, outcome = 0, 0
+    for factor in MORE_STEPS:
+        finer = case._replace(steps=factor * case.steps)
+        fine_path, fine_points = room(finer)
+        outcome, made, residual = by_continuation(finer, fine_path, fine_points, log)
+        total += made
+        if outcome > 0:
+            break
+    if outcome <= 0:
+        return outcome, total, residual, f", with {finer.steps} steps"
+    known, ratio = [(1.0 / finer.steps, fine_path[0, 1].copy())], 0.7
+    while finer.steps > case.steps:
+        fewer = case._replace(steps=max(case.steps, min(finer.steps - 1, int(ratio * finer.steps))))
+        momenta = known[-1][1]
+        if len(known) > 1:
+            (s0, p0), (s1, p1) = known[-2:]
+            momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
+        fine_path, fine_points = room(fewer, momenta)
+        outcome, made, residual = shoot_at(fewer, fewer.target, fine_path, fine_points, log)
+        total += made
+        if outcome > 0:
+            finer, ratio = fewer, max(0.5, 0.9 * ratio)
+            known.append((1.0 / finer.steps, fine_path[0, 1].copy()))
+        elif fewer.steps == finer.steps - 1:
+            return outcome, total, residual, f", with {fewer.steps} steps, but solved with {finer.steps}"
+        else:
+            ratio = ratio**0.4
+    path[:], points[:] = fine_path, fine_points
+    return outcome, total, residual, ""
 
 
 def on_all_states(case, path, points, log):
@@ -1432,28 +1528,34 @@ def on_all_states(case, path, points, log):
 
 
 SHOOTING = (
-    ("Newton's method from the momenta of the straight way", from_velocity),
-    ("Newton's method from rest", from_rest),
+    ("shooting from the momenta of the straight way", from_velocity),
+    ("shooting from rest", from_rest),
     ("continuation in the target", by_continuation),
 )
 ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
-ATTEMPTS = {"stepping": (*SHOOTING, *ALL_STATES), "full": (*ALL_STATES, *SHOOTING), "action": (*ALL_STATES, *SHOOTING)}
+LAST = (("continuation in the number of steps", by_steps),)
+ATTEMPTS = {
+    "stepping": (*SHOOTING, *ALL_STATES, *LAST),
+    "full": (*ALL_STATES, *SHOOTING, *LAST),
+    "action": (*ALL_STATES, *SHOOTING, *LAST),
+}
 
 
 def described(case, method, guess=None):
     """The fields of a Solution."""
     outcome, path, points, iterations, tangents, residual, attempts = climb(case, method, guess)
-    status = "solved" if outcome == 1 else "not connected"
+    status = "solved" if outcome > 0 else "not connected"
     message = (
         attempts[-1]
-        if outcome == 1
+        if outcome > 0
         else f"no attempt connects the points ({'; '.join(attempts)}); take more steps, allow for a sigma, or leave "
         "out points that are close together and move apart"
     )
     h = case.duration / case.steps
     finite = bool(np.isfinite(path).all() and np.isfinite(points).all())
-    cost = discrete_cost(h, case.own, case.parameters, points) if finite else np.nan
-    energy = energies(path, case.own, case.parameters) if finite else np.full(case.steps + 1, np.nan)
+    cost, energy = np.nan, np.full(case.steps + 1, np.nan)
+    if finite:
+        cost = cost_and_energies(h, case.own, case.parameters, path, points, energy)
     margin = min(domain_margin(z) for z in path) if finite else np.nan
     t = h * np.arange(case.steps + 1)
     q, p = path[:, 0].copy(), path[:, 1].copy()
@@ -1644,7 +1746,7 @@ def make_case(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_8de865fce89d1fc1"
+_IDENTITY = "codegen_image_registration_8ecaffadf7d40741"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

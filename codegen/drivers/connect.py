@@ -18,6 +18,7 @@ from codegen.load import ConnectModule, Vector
 
 TOLERANCE = 1e-12
 _DENSE_LIMIT = 3000
+_ROUNDED = 1e-9  # neighbours that move apart have momenta so large that rounding errors of places come near to this
 _SIMPLEX_LIMIT = 24
 
 
@@ -29,7 +30,7 @@ def newton(module: ConnectModule, request: Request) -> ConnectAttempt:
     with quiet_single_thread():
         solution = module.solve_case(case)
     path = np.stack([solution.q, solution.p], axis=1)
-    tolerance = max(case.tolerance, 1e-10)
+    tolerance = max(case.tolerance, _ROUNDED)
     return ConnectAttempt(
         solution.status, solution.message, solution.iterations, path, tolerance, solution.attempts, solution.tangents
     )

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, lsq_linear
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from codegen.drivers.result import Request, max_norm
 from codegen.errors import ArgumentError
@@ -29,13 +29,19 @@ _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500
 
 
+@cache
+def _libraries() -> ThreadpoolController:
+    """Libraries with threads of their own; looking for them takes longer than many a solve."""
+    return ThreadpoolController()
+
+
 @contextmanager
 def quiet_single_thread() -> Iterator[None]:
     """One BLAS thread, because more only wait for each other on small matrices, and no warnings.
 
     What would be warned of, a singular matrix or an overflow, shows in the status and in the residuals.
     """
-    with threadpool_limits(limits=1), warnings.catch_warnings(), np.errstate(all="ignore"):
+    with _libraries().limit(limits=1), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         yield
 

@@ -1,8 +1,9 @@
 """Which attempts are made to connect given points, in which order, and what is reported about them.
 
 Each attempt starts where the one before it failed: Newton's method from the momenta H_pp^-1 (target - start), from
-rest, by continuation in the target, and on all states at once from a guessed path. Only an attempt whose residual is
-below the tolerance counts as a solution.
+rest, by continuation in the target, on all states at once from a guessed path, and with more steps, of which then ever
+fewer are taken. Only an attempt whose residual is below the tolerance, or below what rounding makes of it, counts as a
+solution.
 """
 
 import numpy as np
@@ -10,10 +11,11 @@ import numpy as np
 from codegen.runtime.example_pairs import BLOCKS, POINTS, domain_margin, guide, momentum_matrix
 from codegen.runtime.pair_algebra import cholesky, solve_cholesky
 from codegen.runtime.pair_shooting import all_states, shoot
-from codegen.runtime.pair_trajectory import discrete_cost, energies
+from codegen.runtime.pair_trajectory import cost_and_energies
 
 OUTCOMES = {
     1: "solved",
+    2: "solved as far as rounding errors allow",
     0: "the iterations ran out",
     -1: "a state became infinite or not a number",
     -2: "the linear equations have no unique solution",
@@ -21,6 +23,7 @@ OUTCOMES = {
     -4: "a particle leaves its domain",
     -5: "no step along Newton's direction reduces the residual",
 }
+MORE_STEPS = (2, 4)  # factors by which steps are made more where no attempt succeeds
 LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
 
 
@@ -49,18 +52,17 @@ def guessed_path(start, target, steps, duration, own, parameters):
 
 def climb(case, method, guess):
     """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
-    path = np.zeros((case.steps + 1, 2, *case.start.shape))
-    points = np.zeros((case.steps * POINTS, 2, *case.start.shape))
+    path, points = room(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
-    rungs = ATTEMPTS[method] if guess is None else (("Newton's method from the given momenta", from_guess),)
+    rungs = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
     for name, attempt in rungs:
         path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
         log[:] = 0.0
-        outcome, made, residual = attempt(case, path, points, log)
+        outcome, made, residual, *note = attempt(case, path, points, log)
         iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
-        attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}")
-        if outcome == 1:
+        attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}{''.join(note)}")
+        if outcome > 0:
             break
     return outcome, path, points, iterations, tangents, residual, tuple(attempts)
 
@@ -105,12 +107,56 @@ def by_continuation(case, path, points, log):
         outcome, made, residual = shoot_at(case, target, path, points, log)
         log[-1, 1] = max(before, log[:, 1].sum())
         total += made
-        if outcome == 1:
+        if outcome > 0:
             done, part = wanted, 1.6 * part
             known.append((wanted, path[0, 1].copy()))
         else:
             part *= 0.4
-    return (outcome if done >= 1.0 or outcome != 1 else 0), total, residual if done >= 1.0 else np.inf
+    return (outcome if done >= 1.0 or outcome <= 0 else 0), total, residual if done >= 1.0 else np.inf
+
+
+def room(case, start_momenta=None):
+    """States and points for the steps of a case, with its points at the start and given momenta."""
+    path = np.zeros((case.steps + 1, 2, *case.start.shape))
+    path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
+    return path, np.zeros((case.steps * POINTS, *path.shape[1:]))
+
+
+def by_steps(case, path, points, log):
+    """Solve with two or four times as many steps by continuation in the target, then with ever fewer of them.
+
+    Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
+    note says with how many steps there still is one.
+    """
+    total, outcome = 0, 0
+    for factor in MORE_STEPS:
+        finer = case._replace(steps=factor * case.steps)
+        fine_path, fine_points = room(finer)
+        outcome, made, residual = by_continuation(finer, fine_path, fine_points, log)
+        total += made
+        if outcome > 0:
+            break
+    if outcome <= 0:
+        return outcome, total, residual, f", with {finer.steps} steps"
+    known, ratio = [(1.0 / finer.steps, fine_path[0, 1].copy())], 0.7
+    while finer.steps > case.steps:
+        fewer = case._replace(steps=max(case.steps, min(finer.steps - 1, int(ratio * finer.steps))))
+        momenta = known[-1][1]
+        if len(known) > 1:
+            (s0, p0), (s1, p1) = known[-2:]
+            momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
+        fine_path, fine_points = room(fewer, momenta)
+        outcome, made, residual = shoot_at(fewer, fewer.target, fine_path, fine_points, log)
+        total += made
+        if outcome > 0:
+            finer, ratio = fewer, max(0.5, 0.9 * ratio)
+            known.append((1.0 / finer.steps, fine_path[0, 1].copy()))
+        elif fewer.steps == finer.steps - 1:
+            return outcome, total, residual, f", with {fewer.steps} steps, but solved with {finer.steps}"
+        else:
+            ratio = ratio**0.4
+    path[:], points[:] = fine_path, fine_points
+    return outcome, total, residual, ""
 
 
 def on_all_states(case, path, points, log):
@@ -120,28 +166,34 @@ def on_all_states(case, path, points, log):
 
 
 SHOOTING = (
-    ("Newton's method from the momenta of the straight way", from_velocity),
-    ("Newton's method from rest", from_rest),
+    ("shooting from the momenta of the straight way", from_velocity),
+    ("shooting from rest", from_rest),
     ("continuation in the target", by_continuation),
 )
 ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
-ATTEMPTS = {"stepping": (*SHOOTING, *ALL_STATES), "full": (*ALL_STATES, *SHOOTING), "action": (*ALL_STATES, *SHOOTING)}
+LAST = (("continuation in the number of steps", by_steps),)
+ATTEMPTS = {
+    "stepping": (*SHOOTING, *ALL_STATES, *LAST),
+    "full": (*ALL_STATES, *SHOOTING, *LAST),
+    "action": (*ALL_STATES, *SHOOTING, *LAST),
+}
 
 
 def described(case, method, guess=None):
     """The fields of a Solution."""
     outcome, path, points, iterations, tangents, residual, attempts = climb(case, method, guess)
-    status = "solved" if outcome == 1 else "not connected"
+    status = "solved" if outcome > 0 else "not connected"
     message = (
         attempts[-1]
-        if outcome == 1
+        if outcome > 0
         else f"no attempt connects the points ({'; '.join(attempts)}); take more steps, allow for a sigma, or leave "
         "out points that are close together and move apart"
     )
     h = case.duration / case.steps
     finite = bool(np.isfinite(path).all() and np.isfinite(points).all())
-    cost = discrete_cost(h, case.own, case.parameters, points) if finite else np.nan
-    energy = energies(path, case.own, case.parameters) if finite else np.full(case.steps + 1, np.nan)
+    cost, energy = np.nan, np.full(case.steps + 1, np.nan)
+    if finite:
+        cost = cost_and_energies(h, case.own, case.parameters, path, points, energy)
     margin = min(domain_margin(z) for z in path) if finite else np.nan
     t = h * np.arange(case.steps + 1)
     q, p = path[:, 0].copy(), path[:, 1].copy()

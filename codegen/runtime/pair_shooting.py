@@ -23,12 +23,13 @@ from codegen.runtime.pair_runge_kutta import advance_directions
 from codegen.runtime.pair_secant import secant_steps
 from codegen.runtime.pair_trajectory import defects, follow
 
-SOLVED, LIMIT, STALLED, SINGULAR = 1, 0, -5, -2  # how a Newton iteration ends; other negative numbers: see `follow`
+SOLVED, ROUNDED, LIMIT, STALLED, SINGULAR = 1, 2, 0, -5, -2  # how a Newton iteration ends; negative also: `follow`
 DENSE = 24  # unknowns up to which tangents in all directions are taken
 BASIS = 80  # directions that GMRES keeps
 HALVINGS = 14
-ROUNDING = 1e-10  # residuals below this count as solved once no step makes them smaller
-UNITS = 1.5e-14  # the same for each unit of the largest momentum: 64 rounding errors of what places are summed from
+UNIT = 2.0**-52  # a unit in the last place
+SAMPLES = 8  # how often numbers are moved by it to see what rounding does
+VISIBLE = 1e-8  # residuals above this are not put down to rounding
 
 
 @njit(cache=True, error_model="numpy")
@@ -160,9 +161,40 @@ def preconditioner(case):
     return matrix if cholesky(matrix) else None
 
 
-def rounding(path):
-    """The residual below which no step can be expected to make it smaller; neighbours need large momenta."""
-    return max(ROUNDING, UNITS * np.abs(path[:, 1]).max())
+def jittered(values):
+    """Copies of an array with entries moved by a unit in the last place up or down, in SAMPLES patterns of signs."""
+    generator = np.random.default_rng(0)
+    return [values * (1.0 + UNIT * generator.choice((-1.0, 1.0), values.shape)) for _ in range(SAMPLES)]
+
+
+def rounding(case, path):
+    """How far the residual moves when the initial momenta move by a unit in the last place.
+
+    They cannot be had more exactly, and the trajectory's own rounding errors show as well: no iteration can be expected
+    to get below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
+    """
+    h, residual, noise = case.duration / case.steps, end_residual(path[-1], case.target, case.sigma), 0.0
+    trial, points = path.copy(), np.empty((case.steps * POINTS, *path.shape[1:]))
+    for momenta in jittered(path[0, 1]):
+        trial[0, 1] = momenta
+        if follow(h, case.own, case.parameters, trial, points) >= 0:
+            noise = max(noise, largest(end_residual(trial[-1], case.target, case.sigma) - residual))
+    return noise
+
+
+def rounding_of_states(case, path, errors):
+    """The same for the defects of all steps, when all states move by a unit in the last place."""
+    h, noise = case.duration / case.steps, 0.0
+    found, points = np.empty_like(errors), np.empty((case.steps * POINTS, *path.shape[1:]))
+    for trial in jittered(path):
+        if defects(h, case.own, case.parameters, trial, points, found) >= 0:
+            noise = max(noise, largest((found - errors).ravel()))
+    return noise
+
+
+def without_progress(error, noise):
+    """How an iteration ends whose steps no longer reduce the residual: rounding excuses no more than VISIBLE."""
+    return ROUNDED if error <= min(noise, VISIBLE) else STALLED
 
 
 def first_steps(case, h, factor, path, points):
@@ -205,7 +237,7 @@ def shoot(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= rounding(path) else STALLED, made + iteration, error
+            return without_progress(error, rounding(case, path)), made + iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual = trial_path, trial_points, trial
     raise AssertionError("unreachable")
@@ -249,7 +281,7 @@ def all_states(case, path, points, log):
                     break
             length *= 0.5
         if not accepted:
-            return SOLVED if error <= rounding(path) else STALLED, iteration, error
+            return without_progress(error, rounding_of_states(case, path, errors)), iteration, error
         log[iteration, 2] = length
         path[:], points[:], residual, errors[:] = trial_path, trial_points, trial, trial_errors
     raise AssertionError("unreachable")

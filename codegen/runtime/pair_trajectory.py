@@ -52,9 +52,27 @@ def defects(h, own, parameters, path, points, errors):
 
 
 @njit(cache=True, error_model="numpy")
-def energies(path, own, parameters):
-    """H at every state."""
-    values = np.empty(path.shape[0])
+def cost_and_energies(h, own, parameters, path, points, energy):
+    """Fill `energy`, shape (N + 1,), with H at every state; return the discrete cost, see `discrete_cost`.
+
+    H is evaluated once where the first point of a step is the state from which it starts.
+    """
+    cost = 0.0
     for k in range(path.shape[0]):
-        values[k] = hamiltonian(path[k], own, parameters)
-    return values
+        energy[k] = hamiltonian(path[k], own, parameters)
+    for k in range(points.shape[0]):
+        state = points[k]
+        value = energy[k // POINTS] if same_state(state, path[k // POINTS]) else hamiltonian(state, own, parameters)
+        cost += 2.0 * h * COST_WEIGHTS[k % POINTS] * value
+    return cost
+
+
+@njit(cache=True, error_model="numpy")
+def same_state(one, other):
+    """Whether two states are equal in every number."""
+    for s in range(2):
+        for i in range(one.shape[1]):
+            for a in range(one.shape[2]):
+                if one[s, i, a] != other[s, i, a]:
+                    return False
+    return True

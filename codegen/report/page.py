@@ -1,0 +1,39 @@
+"""The page: sections from the store, rendered into one HTML file that needs no other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from codegen.report.section import Section
+from codegen.report.sections_questions import sections as of_questions
+from codegen.report.sections_thesis import sections as of_thesis
+from codegen.report.settings import Settings
+from codegen.report.store import Store
+
+_TITLE = "Geodesic interpolating splines: the thesis's chapter 5 and its open questions, measured"
+_INTRODUCTION = (
+    "Landmarks in the unit disc move by H = ½ Σ pᵢ·pⱼ G(qᵢ, qⱼ), G being the Green's function of the clamped plate, "
+    "from given places to given places. Every number on this page was measured by the run that made it; sentences take "
+    "their numbers, and what they claim, from these measurements. All of them are in measurements.csv beside this page."
+)
+
+
+def render(settings: Settings, store: Store, environment: Mapping[str, Any]) -> str:
+    """The text of the page."""
+    sections: list[Section] = of_thesis(settings, store) + ([] if settings.quick else of_questions(settings, store))
+    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
+    template = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).get_template("page.html.j2")
+    introduction = _INTRODUCTION
+    if settings.quick:
+        introduction += (
+            " This is the quick form: one set of landmarks, three numbers of steps, the fast routes, no open questions."
+        )
+    return template.render(
+        title=_TITLE, introduction=introduction, sections=sections, environment=[*environment.items()]
+    )
