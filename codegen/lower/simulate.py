@@ -143,10 +143,10 @@ def _constants(program: StepProgram) -> list[Line]:
         names = ", ".join(symbol.name for symbol in program.unknowns)
         lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {names}"))
     if program.fractions:
-        rows = ", ".join(f"({''.join(f'{scalar_code(sympy.N(f, 20))}, ' for f in row)})" for row in program.fractions)
+        rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
         lines += [
             Line("PARTS", str(len(program.fractions)), "steps of the base scheme that make up one step"),
-            Line("FRACTIONS", f"np.array([{rows}])", "the lengths of each, in parts of the whole step"),
+            Line("FRACTIONS", f"np.array([{', '.join(rows)}])", "the lengths of each, in parts of the whole step"),
         ]
     return lines
 
