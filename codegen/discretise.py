@@ -15,10 +15,12 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.model import Condition, Model
-from codegen.schemes import Composition, DiscreteLagrangian, OfSteps, OneStep, RungeKutta
+from codegen.schemes import Composition, DiscreteLagrangian, OfSteps, RungeKutta
 
 STEP = Symbol("h", positive=True)
 """The length h of an interval."""
+LENGTHS = tuple(Symbol(f"h_{i}", positive=True) for i in (1, 2))
+"""The lengths of the two substeps of a composition's base, where they differ."""
 _PLACE = Symbol("place", real=True)
 """The fraction of a step, in basis polynomials."""
 _LONG = 80
@@ -85,9 +87,7 @@ class VariationalInterval:
     @property
     def inner_balance(self) -> tuple[Expr, ...]:
         """What vanishes at the inner points, the forced discrete Euler-Lagrange equations D_i Ld + f_i there."""
-        return tuple(
-            sympy.diff(self.lagrangian, q) + f for q, f in zip(self.inner, self.force_inner, strict=True)
-        )
+        return tuple(sympy.diff(self.lagrangian, q) + f for q, f in zip(self.inner, self.force_inner, strict=True))
 
     def virtual_work(self, displacements: Sequence[Symbol], impulses: Sequence[Expr]) -> Expr:
         """The work of -p_k, p_k1, the inner balances and impulses along displacements of left, right, inner places.
@@ -122,6 +122,12 @@ class OneStepInterval:
     equations: tuple[Expr, ...]
     cost: Expr
     path: tuple[PathValue, ...] = ()
+
+
+def step_lengths(scheme: Composition) -> tuple[Symbol, ...]:
+    """The symbols for the lengths of one step of a composition's base."""
+    count = len(scheme.fractions[0])
+    return (STEP,) if count == 1 else LENGTHS[:count]
 
 
 def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:
@@ -183,7 +189,7 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
 
 @dataclass(frozen=True)
 class _Motion:
-    """The polynomial in time through the coordinates `values` at the fractions `nodes` of the step (Lagrange's form)."""
+    """The polynomial in time, in Lagrange's form, with the coordinates `values` at the fractions `nodes` of the step."""
 
     nodes: tuple[Expr, ...]
     values: tuple[tuple[Symbol, ...], ...]
@@ -290,7 +296,12 @@ def _row(scheme: RungeKutta, stage: int, of_coordinates: bool) -> tuple[Expr, ..
 
 
 def _stage_values(
-    scheme: RungeKutta, i: int, dimension: int, states: Sequence[Symbol], left: Sequence[Symbol], right: Sequence[Symbol]
+    scheme: RungeKutta,
+    i: int,
+    dimension: int,
+    states: Sequence[Symbol],
+    left: Sequence[Symbol],
+    right: Sequence[Symbol],
 ) -> list[Symbol]:
     """The symbols of a stage: those of a node where the table says that it is one."""
     values = list(at_nodes(states, f"_stage{i + 1}"))

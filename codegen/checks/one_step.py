@@ -9,21 +9,27 @@ import sympy
 from sympy import Expr, Matrix, S, Symbol
 
 from codegen import legendre
-from codegen.discretise import at_nodes, one_step_interval, variational_interval
+from codegen.discretise import STEP, at_nodes, one_step_interval, step_lengths, variational_interval
 from codegen.model import Boundary, Model, normalise
 from codegen.problem import Simulate
-from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
 from codegen.symbols import coordinate, time
 
 
 @dataclass(frozen=True)
 class StepEquations:
-    """Expressions that vanish in a step from `left` = (q_k, p_k) over inner `stages` to `right` = (q_k1, p_k1)."""
+    """Expressions that vanish in a step from `left` = (q_k, p_k) over inner `stages` to `right` = (q_k1, p_k1).
+
+    Of a composition they are those of one step of its base, which depend on `lengths`; `fractions` has them for each
+    step of the base, in parts of the whole.
+    """
 
     left: tuple[Symbol, ...]
     stages: tuple[Symbol, ...]
     right: tuple[Symbol, ...]
     equations: tuple[Expr, ...]
+    lengths: tuple[Symbol, ...] = (STEP,)
+    fractions: tuple[tuple[Expr, ...], ...] = ()
 
     @property
     def unknowns(self) -> tuple[Symbol, ...]:
@@ -44,21 +50,26 @@ class StepEquations:
 
 
 def step_equations(model: Model, scheme: Scheme) -> StepEquations:
-    """Write one step: the equations of a one-step method, or both Legendre transforms of a discrete Lagrangian.
+    """Write one step: the equations of a one-step method, or a discrete Lagrangian's balances and Legendre transforms.
 
     Raises what the Legendre transforms raise.
     """
     model = without_boundaries(model)
     phase = legendre.hamiltonian_form(model)
-    if isinstance(scheme, OneStep):
+    if isinstance(scheme, Composition):
+        lengths = step_lengths(scheme)
+        part = step_equations(model, scheme.part(lengths, STEP))
+        return replace(part, lengths=lengths, fractions=scheme.fractions)
+    if isinstance(scheme, OneStep | RungeKutta):
         step = one_step_interval(phase, scheme)
         return StepEquations((*step.q.left, *step.p.left), step.stages, (*step.q.right, *step.p.right), step.equations)
     assert isinstance(scheme, DiscreteLagrangian)
     interval = variational_interval(legendre.lagrangian_form(model), scheme)
     left, right = at_nodes(phase.rates, "_k"), at_nodes(phase.rates, "_k1")
-    equations = [p - momentum for p, momentum in zip(left, interval.left_momentum, strict=True)]
+    equations = [*interval.inner_balance]
+    equations += [p - momentum for p, momentum in zip(left, interval.left_momentum, strict=True)]
     equations += [p - momentum for p, momentum in zip(right, interval.right_momentum, strict=True)]
-    return StepEquations((*interval.q.left, *left), (), (*interval.q.right, *right), tuple(equations))
+    return StepEquations((*interval.q.left, *left), interval.inner, (*interval.q.right, *right), tuple(equations))
 
 
 def without_boundaries(model: Model) -> Model:

@@ -127,7 +127,9 @@ def stabilised(expression: sympy.Expr) -> sympy.Expr:
 
 def with_decimal_roots(expression: sympy.Expr) -> sympy.Expr:
     """Replace roots of numbers, as the coefficients of Gauss methods have them, by decimals that join other factors."""
-    roots = [p for p in expression.atoms(sympy.Pow) if p.base.is_Rational and p.exp.is_Rational and not p.exp.is_Integer]
+    roots = [
+        p for p in expression.atoms(sympy.Pow) if p.base.is_Rational and p.exp.is_Rational and not p.exp.is_Integer
+    ]
     return expression.xreplace({root: sympy.N(root, 30) for root in roots}) if roots else expression
 
 

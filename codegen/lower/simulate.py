@@ -15,7 +15,6 @@ from codegen.lower.printer import scalar_code
 from codegen.transcribe.program import StepProgram
 
 
-
 def _arguments(program: StepProgram) -> tuple[str, ...]:
     return ("state", "t", "lengths" if program.fractions else "h", "parameters")
 
@@ -161,7 +160,12 @@ def _solver(program: StepProgram, derivatives: StepDerivatives) -> str:
 
 
 def _runtime(program: StepProgram, derivatives: StepDerivatives) -> tuple[str, ...]:
-    files = [f"step_{_solver(program, derivatives)}", *(["composition"] if program.fractions else []), "trajectory", "path"]
+    files = [
+        f"step_{_solver(program, derivatives)}",
+        *(["composition"] if program.fractions else []),
+        "trajectory",
+        "path",
+    ]
     if program.unknowns:
         files = ["scalar" if len(program.unknowns) == 1 else "dense", *files]
         files += [] if program.fractions else ["step_callbacks"]
@@ -201,7 +205,7 @@ def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
     if program.fractions:
         lengths = ", ".join(symbol.name for symbol in program.lengths)
         lines = [
-            f"One step is made up of {len(program.fractions)} steps of another scheme, whose lengths {lengths} are in FRACTIONS.",
+            f"One step is made up of {len(program.fractions)} steps of another scheme, with lengths {lengths} in FRACTIONS.",
             "Each leads from t_k to t_k1 (suffixes _k and _k1 mark its nodes):",
             "",
         ]

@@ -20,7 +20,7 @@ def follow(start, steps, h, parameters, every, tolerance, max_iterations, path, 
     the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
     """
     state, interval = start.copy(), np.empty(STAGES + STATE)
-    if PARTS:
+    if PARTS:  # noqa: SIM108  decided when a module is made
         work = allocate_parts(h, parameters)
     else:
         work = allocate_work(h, parameters)
@@ -66,7 +66,7 @@ def largest_residual(before, path, rows, steps, h, parameters, every, tolerance,
     Inner stages, which are not stored, are computed again from the state before the step.
     """
     interval, residual = np.empty(STAGES + STATE), np.empty(STAGES + STATE)
-    if PARTS:
+    if PARTS:  # noqa: SIM108  decided when a module is made
         work = allocate_parts(h, parameters)
     else:
         work = allocate_work(h, parameters)

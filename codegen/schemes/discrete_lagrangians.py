@@ -1,4 +1,4 @@
-"""Discrete Lagrangians by quadrature: along straight lines, and along polynomials (Galerkin variational integrators)."""
+"""Discrete Lagrangians by quadrature along straight lines, and along polynomials: Galerkin variational integrators."""
 
 from __future__ import annotations
 

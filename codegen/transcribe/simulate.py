@@ -22,7 +22,14 @@ import sympy
 from sympy import Add, Expr, S, Symbol, diff, expand_mul
 
 from codegen import legendre
-from codegen.discretise import STEP, VariationalInterval, at_nodes, one_step_interval, variational_interval
+from codegen.discretise import (
+    STEP,
+    VariationalInterval,
+    at_nodes,
+    one_step_interval,
+    step_lengths,
+    variational_interval,
+)
 from codegen.errors import SchemeError
 from codegen.model import Model
 from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
@@ -93,9 +100,7 @@ def _part(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
     """The symbols of the lengths on which a step's equations depend, and what one step of a composition is."""
     if not isinstance(scheme, Composition):
         return (STEP,), scheme
-    count = len(scheme.fractions[0])
-    lengths = (STEP,) if count == 1 else tuple(Symbol(f"h_{i + 1}", real=True) for i in range(count))
-    return lengths, scheme.part(lengths, STEP)
+    return step_lengths(scheme), scheme.part(step_lengths(scheme), STEP)
 
 
 def _variational_step(

@@ -1,8 +1,8 @@
 """Control task by the variational method -> ControlProgram.
 
 l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+), and lambda_i . (D_i Ld + f_i) for each inner point of a
-Galerkin variational integrator (Ober-Bloebaum and Saake 2015). Summed over intervals the multipliers of a node meet both
-halves of its forced discrete Euler-Lagrange equation; the momentum boundary conditions arise at the two end nodes
+Galerkin variational integrator (Ober-Bloebaum and Saake 2015). Summed over intervals the multipliers of a node meet
+both halves of its forced discrete Euler-Lagrange equation; the momentum boundary conditions arise at the two end nodes
 (`momentum_ends`). Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control.
 """
 
