@@ -189,7 +189,7 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
 
 @dataclass(frozen=True)
 class _Motion:
-    """The polynomial in time, in Lagrange's form, with the coordinates `values` at the fractions `nodes` of the step."""
+    """The polynomial in time, in Lagrange's form, through `values` of the coordinates at the `nodes`."""
 
     nodes: tuple[Expr, ...]
     values: tuple[tuple[Symbol, ...], ...]

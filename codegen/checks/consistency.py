@@ -19,7 +19,14 @@ from sympy import Expr, Rational, S, Symbol
 from codegen import legendre
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import Function, function_of
-from codegen.checks.one_step import StepEquations, generic_model, step_equations, without_boundaries
+from codegen.checks.one_step import (
+    StepEquations,
+    generic_model,
+    jacobians,
+    solved_step,
+    step_equations,
+    without_boundaries,
+)
 from codegen.discretise import STEP
 from codegen.model import Model
 from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
@@ -63,24 +70,23 @@ def measured_order(scheme: Scheme) -> tuple[float, float]:
     step = step_equations(model, scheme)
     known = [model.time, *step.lengths, *step.left]
     residual = function_of([*known, *step.unknowns], step.equations)
+    jacobian = function_of([*known, *step.unknowns], list(jacobians(step.left, step.unknowns, step.equations)[1]))
     errors = []
     with mpmath.workdps(_DIGITS):
         for divisions in _DIVISIONS:
-            found = _state_after(step, residual, 1 / mpmath.mpf(divisions))
+            found = _state_after(step, residual, jacobian, 1 / mpmath.mpf(divisions))
             errors.append(max(abs(a - b) for a, b in zip(_flow_after(divisions), found, strict=True)))
         return float(mpmath.log(errors[0] / errors[1], 2)) - 1.0, float(errors[1])
 
 
-def _state_after(step: StepEquations, residual: Function, length: mpmath.mpf) -> list[mpmath.mpf]:
+def _state_after(step: StepEquations, residual: Function, jacobian: Function, length: mpmath.mpf) -> list[mpmath.mpf]:
     """The state after a step from the generic one, solved part by part."""
     state, instant = [mpmath.mpf(x.p) / x.q for x in _STATE], mpmath.mpf(_INSTANT.p) / _INSTANT.q
     rows = [[mpmath.mpf(str(sympy.N(f, _DIGITS))) for f in row] for row in step.fractions] or [[mpmath.mpf(1)]]
     for row in rows:
         lengths = [length * fraction for fraction in row]
-        given = (instant, *lengths, *state)
         start = [state[i % len(state)] for i in range(-len(step.unknowns), 0)]
-        found = mpmath.findroot(lambda *y, known=given: residual(*known, *y), start, tol=mpmath.mpf(10) ** -100)
-        state = list(found)[-len(state) :]
+        state = solved_step(residual, jacobian, (instant, *lengths, *state), start)[-len(state) :]
         instant += sum(lengths)
     return state
 

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import mpmath  # type: ignore[import-untyped]
 import sympy
 from sympy import Expr, Matrix, S, Symbol
 
 from codegen import legendre
+from codegen.checks.evaluation import Function
 from codegen.discretise import STEP, at_nodes, one_step_interval, step_lengths, variational_interval
+from codegen.errors import NumericsError
 from codegen.model import Boundary, Model, normalise
 from codegen.problem import Simulate
 from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
 from codegen.symbols import coordinate, time
+
+_MOST_ITERATIONS = 60
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,27 @@ def step_equations(model: Model, scheme: Scheme) -> StepEquations:
     equations += [p - momentum for p, momentum in zip(left, interval.left_momentum, strict=True)]
     equations += [p - momentum for p, momentum in zip(right, interval.right_momentum, strict=True)]
     return StepEquations((*interval.q.left, *left), interval.inner, (*interval.q.right, *right), tuple(equations))
+
+
+def solved_step(residual: Function, jacobian: Function, given: Sequence[Any], start: Sequence[Any]) -> list[Any]:
+    """The unknowns of a step by Newton's method in mpmath's current precision, from `start`.
+
+    `residual` and `jacobian` (row by row) are functions of `given` and the unknowns. Raises NumericsError where the
+    method does not converge.
+    """
+    y, count = [mpmath.mpf(x) for x in start], len(start)
+    least = mpmath.mpf(10) ** (8 - mpmath.mp.dps)
+    for _ in range(_MOST_ITERATIONS):
+        entries = jacobian(*given, *y)
+        matrix = mpmath.matrix([entries[i : i + count] for i in range(0, count**2, count)])
+        try:
+            change = mpmath.lu_solve(matrix, mpmath.matrix(residual(*given, *y)))
+        except ZeroDivisionError:
+            break
+        y = [value - change[i] for i, value in enumerate(y)]
+        if max(abs(x) for x in change) <= least * (1 + max(abs(x) for x in y)):
+            return y
+    raise NumericsError("the equations of a step could not be solved", "check the scheme")
 
 
 def without_boundaries(model: Model) -> Model:

@@ -205,7 +205,7 @@ def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
     if program.fractions:
         lengths = ", ".join(symbol.name for symbol in program.lengths)
         lines = [
-            f"One step is made up of {len(program.fractions)} steps of another scheme, with lengths {lengths} in FRACTIONS.",
+            f"One step is made up of {len(program.fractions)} steps of another scheme; FRACTIONS holds {lengths}.",
             "Each leads from t_k to t_k1 (suffixes _k and _k1 mark its nodes):",
             "",
         ]
