@@ -8,21 +8,20 @@ suffixes `_k` and `_k1`; h is the length of the interval and t the time at its l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import sympy
 from sympy import Expr, Symbol
 
 from codegen.model import Condition, Model
+from codegen.polynomials import PolynomialMotion, between
 from codegen.schemes import Composition, DiscreteLagrangian, OfSteps, RungeKutta
 
 STEP = Symbol("h", positive=True)
 """The length h of an interval."""
 LENGTHS = tuple(Symbol(f"h_{i}", positive=True) for i in (1, 2))
 """The lengths of the two substeps of a composition's base, where they differ."""
-_PLACE = Symbol("place", real=True)
-"""The fraction of a step, in basis polynomials."""
 _LONG = 80
 """Operations from which on the variation of a discrete Lagrangian is taken as a whole."""
 
@@ -60,6 +59,8 @@ class VariationalInterval:
 
     Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
     point after the other, at the fractions `inner_places` of the step, and is stationary there up to `force_inner`.
+    Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
+    made from those of L: to differentiate Ld itself would take long.
     """
 
     q: Sites
@@ -71,23 +72,32 @@ class VariationalInterval:
     inner: tuple[Symbol, ...] = ()
     inner_places: tuple[Expr, ...] = ()
     force_inner: tuple[Expr, ...] = ()
+    slopes: tuple[Expr, ...] = ()
 
     @property
     def left_momentum(self) -> tuple[Expr, ...]:
         """The forced discrete Legendre transform p_k = -D1 Ld - f-."""
-        pairs = zip(self.q.left, self.force_minus, strict=True)
-        return tuple(-sympy.diff(self.lagrangian, q) - f for q, f in pairs)
+        pairs = zip(self._derivatives(self.q.left), self.force_minus, strict=True)
+        return tuple(-slope - f for slope, f in pairs)
 
     @property
     def right_momentum(self) -> tuple[Expr, ...]:
         """The forced discrete Legendre transform p_k1 = D2 Ld + f+."""
-        pairs = zip(self.q.right, self.force_plus, strict=True)
-        return tuple(sympy.diff(self.lagrangian, q) + f for q, f in pairs)
+        pairs = zip(self._derivatives(self.q.right), self.force_plus, strict=True)
+        return tuple(slope + f for slope, f in pairs)
+
+    def _derivatives(self, coordinates: Sequence[Symbol]) -> list[Expr]:
+        """The derivatives of Ld by coordinates at nodes or inner points."""
+        if not self.slopes:
+            return [sympy.diff(self.lagrangian, q) for q in coordinates]
+        known = dict(zip((*self.q.left, *self.inner, *self.q.right), self.slopes, strict=True))
+        return [known[q] for q in coordinates]
 
     @property
     def inner_balance(self) -> tuple[Expr, ...]:
         """What vanishes at the inner points, the forced discrete Euler-Lagrange equations D_i Ld + f_i there."""
-        return tuple(sympy.diff(self.lagrangian, q) + f for q, f in zip(self.inner, self.force_inner, strict=True))
+        pairs = zip(self._derivatives(self.inner), self.force_inner, strict=True)
+        return tuple(slope + f for slope, f in pairs)
 
     def virtual_work(self, displacements: Sequence[Symbol], impulses: Sequence[Expr]) -> Expr:
         """The work of -p_k, p_k1, the inner balances and impulses along displacements of left, right, inner places.
@@ -95,16 +105,15 @@ class VariationalInterval:
         A long Ld is differentiated in the direction of the displacements instead of by each coordinate: this keeps
         its structure, such as the speed of a body that many coordinates move.
         """
-        if self.lagrangian.count_ops() < _LONG:
+        if self.inner or self.lagrangian.count_ops() < _LONG:
             halves = (*(-p for p in self.left_momentum), *self.right_momentum, *self.inner_balance)
             work = (d * (half + impulse) for d, half, impulse in zip(displacements, halves, impulses, strict=True))
             return sum(work, sympy.S.Zero)
         amount = sympy.Dummy("amount", real=True)
-        coordinates = (*self.q.left, *self.q.right, *self.inner)
+        coordinates = (*self.q.left, *self.q.right)
         displaced = {q: q + amount * d for q, d in zip(coordinates, displacements, strict=True)}
         variation = sympy.diff(self.lagrangian.xreplace(displaced), amount).xreplace({amount: sympy.S.Zero})
-        own = (*self.force_minus, *self.force_plus, *self.force_inner)
-        forces = zip(displacements, own, impulses, strict=True)
+        forces = zip(displacements, (*self.force_minus, *self.force_plus), impulses, strict=True)
         return variation + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
 
 
@@ -151,7 +160,7 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
     """
     places = sites(model, model.coordinates, nodal_controls)
     inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(scheme.nodes) - 1)]
-    motion = _Motion(scheme.nodes, (places.left, *inner, places.right))
+    motion = PolynomialMotion(STEP, scheme.nodes, (places.left, *inner, places.right))
 
     def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
         return _substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
@@ -174,6 +183,7 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
             for i, f in enumerate(model.force):
                 node[i] += weight * share * force_at(f, c)
     minus, *between, plus = (tuple(node) for node in forces)
+    slopes = _slopes(model, scheme, motion, lambda f, c: at(f, c, _mean_controls(places, c))) if inner else ()
     return VariationalInterval(
         q=places,
         lagrangian=lagrangian,
@@ -184,45 +194,23 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
         inner=tuple(q for point in inner for q in point),
         inner_places=tuple(c for c in scheme.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),
+        slopes=slopes,
     )
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """The polynomial in time, in Lagrange's form, through `values` of the coordinates at the `nodes`."""
-
-    nodes: tuple[Expr, ...]
-    values: tuple[tuple[Symbol, ...], ...]
-
-    def shares(self, c: Expr) -> list[Expr]:
-        """The basis polynomials at c, with which the values enter the position."""
-        if len(self.nodes) == 2:
-            return [1 - c, c]
-        return [sympy.expand(basis.subs(_PLACE, c)) for basis in self._basis()]
-
-    def position(self, c: Expr) -> list[Expr]:
-        """The coordinates at c."""
-        if len(self.nodes) == 2:
-            return [_between(left, right, c) for left, right in zip(*self.values, strict=True)]
-        return [sum((s * q for s, q in zip(self.shares(c), point, strict=True)), sympy.S.Zero)
-                for point in zip(*self.values, strict=True)]  # fmt: skip
-
-    def velocity(self, c: Expr) -> list[Expr]:
-        """The derivative by time at c, written in differences from the first value, of which no digits cancel."""
-        if len(self.nodes) == 2:
-            return [(right - left) / STEP for left, right in zip(*self.values, strict=True)]
-        slopes = [sympy.expand(sympy.diff(basis, _PLACE).subs(_PLACE, c)) for basis in self._basis()]
-        velocities = []
-        for first, *others in zip(*self.values, strict=True):
-            terms = (slope * ((q - first) / STEP) for slope, q in zip(slopes[1:], others, strict=True))
-            velocities.append(sum(terms, sympy.S.Zero))
-        return velocities
-
-    def _basis(self) -> list[Expr]:
-        return [
-            sympy.prod([(_PLACE - other) / (node - other) for other in self.nodes if other != node])
-            for node in self.nodes
-        ]
+def _slopes(
+    model: Model, scheme: DiscreteLagrangian, motion: PolynomialMotion, at: Callable[[Expr, Expr], Expr]
+) -> tuple[Expr, ...]:
+    """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i."""
+    slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
+    for point in scheme.points:
+        weight, c = point.weight, point.place
+        by_position = [at(sympy.diff(model.function, q), c) for q in model.coordinates]
+        by_velocity = [at(sympy.diff(model.function, v), c) for v in model.rates]
+        for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
+            for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
+                node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
+    return tuple(slope for node in slopes for slope in node)
 
 
 def one_step_interval(model: Model, scheme: OfSteps, nodal_controls: bool = False) -> OneStepInterval:
@@ -249,8 +237,8 @@ def one_step_interval(model: Model, scheme: OfSteps, nodal_controls: bool = Fals
     cost, elapsed = sympy.S.Zero, sympy.S.Zero
     for substep, x0, x1 in zip(scheme.substeps, ends[:-1], ends[1:], strict=True):
         a, b, fraction = substep.position, substep.momentum, STEP * substep.fraction
-        position = [_between(left, right, a) for left, right in zip(x0[:dimension], x1[:dimension], strict=True)]
-        momentum = [_between(left, right, b) for left, right in zip(x0[dimension:], x1[dimension:], strict=True)]
+        position = [between(left, right, a) for left, right in zip(x0[:dimension], x1[:dimension], strict=True)]
+        momentum = [between(left, right, b) for left, right in zip(x0[dimension:], x1[dimension:], strict=True)]
         c = elapsed + a * substep.fraction
         controls = _mean_controls(q_sites, c)
 
@@ -355,15 +343,7 @@ def _distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
 
 def _mean_controls(places: Sites, c: Expr) -> list[Expr]:
     """The controls at a fraction of the step: the interval's own, or the line between those of both nodes."""
-    return [_between(a, b, c) for a, b in zip(places.left_controls, places.right_controls, strict=True)]
-
-
-def _between(left: Expr, right: Expr, c: Expr) -> Expr:
-    if left == right:
-        return left
-    if c == sympy.Rational(1, 2):
-        return (left + right) / 2
-    return (1 - c) * left + c * right
+    return [between(a, b, c) for a, b in zip(places.left_controls, places.right_controls, strict=True)]
 
 
 def _substitute(
