@@ -11,7 +11,10 @@ _HALF = Rational(1, 2)
 
 
 def _galerkin(method: RungeKutta, degree: int, summary: str) -> DiscreteLagrangian:
-    """The Galerkin integrator with the quadrature rule of a Runge-Kutta method; it is the same map."""
+    """The Galerkin integrator with the quadrature rule of a Runge-Kutta method.
+
+    It is the same map with Gauss quadrature, and with another where the mass matrix is constant.
+    """
     pairs = zip(method.weights, method.places, strict=True)
     return DiscreteLagrangian(
         name=method.name,
