@@ -18,7 +18,9 @@ from simulation_systems import model_of, module_of
 from codegen import schemes
 from codegen.checks.symplecticity import has_symplectic_table
 from codegen.compiler import Choices, generate
-from codegen.errors import SchemeError
+from codegen.drivers.fsolve import simulate as fsolve
+from codegen.drivers.result import Request
+from codegen.errors import ArgumentError, SchemeError
 from codegen.schemes.compositions import COMPOSITIONS
 from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, RUNGE_KUTTA
 from codegen.transcribe import transcribe
@@ -189,6 +191,11 @@ def test_long_compositions_are_refused_in_control() -> None:
 def test_inner_points_do_not_meet_holonomic_constraints() -> None:
     with pytest.raises(SchemeError, match="holonomic constraints are not imposed"):
         generate(PROBLEMS / "spherical_pendulum.py", {}, Choices("gauss-4", "variational"))
+
+
+def test_fsolve_does_not_solve_compositions() -> None:
+    with pytest.raises(ArgumentError, match="makes 3 steps of another scheme"):
+        fsolve(module_of("pendulum-hamiltonian", "hamiltonian", "yoshida-4-of-midpoint"), Request(5))
 
 
 def test_a_composition_emits_its_base_once() -> None:
