@@ -84,8 +84,8 @@ def exact_motion():
     return lambdify(model.time, exact_optimum(model).states, "numpy")
 
 
-LONG = {"blanes-moan-4", "suzuki-4", "mclachlan-4"}
-"""Compositions whose control problems take long to derive; yoshida-4 stands for them."""
+LONG = {"blanes-moan-4", "suzuki-4", "mclachlan-4", "gauss-6"}
+"""Schemes whose control problems take long to derive; yoshida-4 and gauss-4 stand for them."""
 SCHEMES = [
     (method, name)
     for method, table in METHODS.items()
