@@ -107,7 +107,7 @@ def _dimension(store: Store) -> Section:
         tuple(rows),
     )
     picture = Picture(
-        "Seconds of a trajectory and of a solve, explicit Euler, N = 10.",
+        "Processor time of a trajectory and of a solve, explicit Euler, N = 10.",
         figures.svg(partial(drawn.dimension_figure, store)),
     )
     return Section(
@@ -138,6 +138,13 @@ def _smoothness(store: Store) -> Section:
         )
         if folded and unfolded:
             texts.append(f"Displacements × {amplitude:g} fold the grid with N = {listed([str(n) for n in folded])}.")
+    if rows:
+        texts.append(
+            "Displacements "
+            + "; ".join(f"{row[0]} need {row[2]} steps for an error of 1e-2 and {row[3]} for 1e-3" for row in rows)
+            + ". "
+            + ("No warp folds." if all(row[4] == "none" for row in rows) else "Some warps fold.")
+        )
     texts.append(
         "A single explicit step is one to one where h times the Lipschitz constant of v is below one; the constant "
         "that was measured tells how many steps guarantee it."
