@@ -99,8 +99,8 @@ def _dimension(store: Store) -> Section:
                 "for a trajectory as in the plane."
             )
     texts.append(
-        "The dimension changes the operations of each pair only, whose numbers the table gives; logarithms and roots among "
-        "them count as one each, though they take longer. How cost grows with the number of landmarks is measured below."
+        "The dimension changes the operations of each pair only, whose numbers the table gives; logarithms and roots "
+        "among them count as one each, though they take longer. Growth with the number of landmarks is measured below."
     )
     table = Table(
         "Growth with the number of landmarks: exponents from 20 landmarks on; operations for each pair as emitted.",
