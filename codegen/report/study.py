@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
@@ -63,6 +64,7 @@ def environment(settings: Settings) -> dict[str, Any]:
         "processor": _processor(),
         "processors": _processors(),
         "system": platform.system(),
+        "load of the machine when the page was made": _load(),
         "problem": settings.problem.name,
         "quick": settings.quick,
         "seconds allowed for one solve before a route goes no further": settings.limit,
@@ -82,9 +84,12 @@ def _processor() -> str:
 
 
 def _processors() -> int:
-    import os
-
     return os.cpu_count() or 1
+
+
+def _load() -> float | None:
+    """Processes that wanted a processor over the last quarter of an hour: other work makes measured times longer."""
+    return round(os.getloadavg()[2], 1) if hasattr(os, "getloadavg") else None
 
 
 @contextmanager
