@@ -198,19 +198,19 @@ class _VelocityForm:
         interval = variational_interval(model, scheme)
         size, left = len(model.coordinates), interval.q.left
         # The motion is a straight line without inner points, unless the kind of scheme has them.
-        inner = tuple(getattr(interval, "inner", ()))
+        inner = tuple(interval.inner)
         points = (*inner, *interval.q.right)
         velocities = tuple(Symbol(f"{q.name}_velocity", real=True) for q in points)
         arrival = {q: left[i % size] + STEP * v for i, (q, v) in enumerate(zip(points, velocities, strict=True))}
         density = Add(*(term.xreplace(arrival) / STEP for term in Add.make_args(interval.lagrangian)))
         slopes = [sympy.diff(density, v) for v in velocities]
-        forces = [f.xreplace(arrival) for f in (*getattr(interval, "force_inner", ()), *interval.force_plus)]
+        forces = [f.xreplace(arrival) for f in (*interval.force_inner, *interval.force_plus)]
         equations = []
         for i, (q, f) in enumerate(zip(left, interval.force_minus, strict=True)):
             pull = STEP * sympy.diff(density, q) - Add(*slopes[i::size])
             equations.append(at_nodes(_momenta_of(model), "_k")[i] + pull + f.xreplace(arrival))
         balances = [slope + f for slope, f in zip(slopes, forces, strict=True)]
-        places = (*getattr(interval, "inner_places", ()), *[S.One] * size)
+        places = (*interval.inner_places, *[S.One] * size)
         count = len(inner)
         return cls(
             left=interval.q,
