@@ -20,18 +20,25 @@ from codegen.runtime.barrier import (
     push_inside,
     step_duals,
 )
+from codegen.runtime.callbacks import multiplier_unknowns
 from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
 from codegen.runtime.example import variable_bounds
 from codegen.runtime.filter import accept, acceptable, envelope
-from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_rounding, is_solved
 
-SHORTEST_STEP = 1e-12
+SHORTEST_STEP = 1e-3  # below it restoration gets further than a shorter step
+FUNNEL = 2.0  # the violation may grow by this factor
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
-BARRIER, WARM_BARRIER = 0.1, 1e-5  # first weights
+WARM_BARRIER = 1e-5
+COLD = (0.1, False, 1e-2)  # first weight, whether to begin nearby, and how far inside the bounds
+OTHER_ATTEMPTS = ((0.1, True, 1e-2), (10.0, False, 1e-2))
+NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
+RESTORATIONS = 5  # with more of them an attempt leads nowhere
+UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
 
 
@@ -45,11 +52,12 @@ class Iterate(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system."""
+    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers."""
 
     grid: NamedTuple
     bounds: NamedTuple
     system: tuple[NamedTuple, int]
+    equations: np.ndarray
 
 
 class Step(NamedTuple):
@@ -68,18 +76,38 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
-    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds.
+    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds. Where that
+    fails, the search begins anew: at a point near the guess that violates the equations less, and then with a weight
+    that keeps unknowns away from their bounds for longer. If no attempt succeeds, the first one is reported.
+    `max_iterations` is for all of them together; steps of the restoration are not counted.
     """
     lower, upper = variable_bounds(grid)
-    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid))
+    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid), multiplier_unknowns(grid))
+    primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
+    for mu, nearby, push in ((WARM_BARRIER, False, 1e-4) if warm else COLD, *OTHER_ATTEMPTS):
+        # Far from a solution duals of one serve better than the central path.
+        inside = push_inside(lower, upper, primal, push)
+        iterate = with_multipliers(search, inside, mu if mu == WARM_BARRIER else None)
+        status = "restored"
+        if nearby and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, mu, NEARBY, [])
+        if status == "restored":
+            status, point, iterations = descend(search, iterate, mu, tolerance, max_iterations - total, log)
+            total += iterations
+            first = first or (status, point)
+        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+            break
+    return *((status, point) if status == "solved" else first), total
+
+
+def descend(search, iterate, mu, tolerance, max_iterations, log):
+    """Lower the barrier's weight from mu on and follow the minima; return (status, point, iterations)."""
+    grid = search.grid
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
-    mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    # Far from a solution duals of one serve better than the central path.
-    inside = push_inside(lower, upper, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
-    iterate = with_multipliers(search, inside, mu if warm else None)
+    least = tolerance / max(10.0, 2.0 * search.bounds.place.size)
     first = max(1.0, iterate.point.violation)
-    small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
-    shift, last_shift, length = 0.0, 0.0, 0.0
+    small_violation, filtered = 1e-4 * first, [(FUNNEL * first, -np.inf)]
+    shift, last_shift, length, restorations = 0.0, 0.0, 0.0, 0
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
         measured = measure_optimality(
@@ -114,10 +142,13 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
                 closed = measured[1] <= tolerance * search.bounds.place.size
                 return ("solved" if closed else "stalled"), point, iteration
+            if restorations == RESTORATIONS:
+                return "stalled", point, iteration
+            restorations += 1
             filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
-            status, trial = restored(search, iterate, mu, filtered)
-            if trial is None:
-                return status, point, iteration
+            status, trial = restored(search, iterate, mu, 0.9, filtered)
+            if status != "restored":
+                return status, (trial.point if status == "infeasible" else point), iteration
         iterate = trial
     return "iteration limit", point, max_iterations
 
@@ -127,7 +158,7 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     shift = max(FLAT, 100.0 * tolerance)
     diagonal = np.empty(iterate.point.unknowns.size)
     barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, FLAT, diagonal)
@@ -148,9 +179,9 @@ def with_multipliers(search, unknowns, mu):
 
 def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
-    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) is None:
+    if not is_factored(factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system)):
         return unknowns
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)
@@ -174,7 +205,7 @@ def barrier_error(point, measured, mu):
 
 def regularised_step(search, iterate, mu, last_shift):
     """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
@@ -203,7 +234,7 @@ def regularised_step(search, iterate, mu, last_shift):
 
 def line_search(search, iterate, step, mu, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-    grid, bounds, _ = search
+    grid, bounds, *_ = search
     violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
 
     def accepted(trial, length):
@@ -242,7 +273,7 @@ def moved(grid, bounds, unknowns, step, length):
 
 def corrected(search, iterate, step, mu, trial, accepted):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
     for _ in range(CORRECTIONS):
@@ -263,11 +294,11 @@ def corrected(search, iterate, step, mu, trial, accepted):
     return None
 
 
-def restored(search, iterate, mu, filtered):
-    """(status, iterate) after the violation has been lowered; the iterate is None when it cannot be."""
+def restored(search, iterate, mu, reduction, filtered):
+    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
     def is_acceptable(point, logarithms):
         return acceptable(point.violation, point.cost - mu * logarithms, filtered)
 
-    status, unknowns = restore(search, iterate, is_acceptable)
-    return status, None if unknowns is None else with_multipliers(search, unknowns, mu)
+    status, unknowns = restore(search, iterate, reduction, is_acceptable)
+    return status, with_multipliers(search, np.where(search.grid.is_multiplier, 0.0, unknowns), mu)
