@@ -30,16 +30,27 @@ from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_rounding, is_solved
 
-SHORTEST_STEP = 1e-3  # below it restoration gets further than a shorter step
-FUNNEL = 2.0  # the violation may grow by this factor
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
-WARM_BARRIER = 1e-5
-COLD = (0.1, False, 1e-2)  # first weight, whether to begin nearby, and how far inside the bounds
-OTHER_ATTEMPTS = ((0.1, True, 1e-2), (10.0, False, 1e-2))
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
-RESTORATIONS = 5  # with more of them an attempt leads nowhere
 UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+
+
+class Attempt(NamedTuple):
+    """First weight of the barrier, how far inside their bounds unknowns begin, and whether nearer to feasibility.
+
+    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`.
+    """
+
+    weight: float
+    push: float
+    nearby: bool
+    shortest: float
+    funnel: float
+
+
+WARM, COLD = Attempt(1e-5, 1e-4, False, 1e-12, 1e4), Attempt(0.1, 1e-2, False, 1e-12, 1e4)
+OTHERS = Attempt(0.1, 1e-2, True, 1e-3, 2.0), Attempt(10.0, 1e-2, False, 1e-3, 2.0)
 
 
 class Iterate(NamedTuple):
@@ -84,15 +95,15 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     lower, upper = variable_bounds(grid)
     search = Search(grid, finite_bounds(lower, upper), allocate_system(grid), multiplier_unknowns(grid))
     primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
-    for mu, nearby, push in ((WARM_BARRIER, False, 1e-4) if warm else COLD, *OTHER_ATTEMPTS):
+    for attempt in (WARM if warm else COLD, *OTHERS):
         # Far from a solution duals of one serve better than the central path.
-        inside = push_inside(lower, upper, primal, push)
-        iterate = with_multipliers(search, inside, mu if mu == WARM_BARRIER else None)
+        inside = push_inside(lower, upper, primal, attempt.push)
+        iterate = with_multipliers(search, inside, attempt.weight if attempt is WARM else None)
         status = "restored"
-        if nearby and iterate.point.error < np.inf:
-            status, iterate = restored(search, iterate, mu, NEARBY, [])
+        if attempt.nearby and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
         if status == "restored":
-            status, point, iterations = descend(search, iterate, mu, tolerance, max_iterations - total, log)
+            status, point, iterations = descend(search, iterate, attempt, tolerance, max_iterations - total, log)
             total += iterations
             first = first or (status, point)
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
@@ -100,14 +111,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     return *((status, point) if status == "solved" else first), total
 
 
-def descend(search, iterate, mu, tolerance, max_iterations, log):
-    """Lower the barrier's weight from mu on and follow the minima; return (status, point, iterations)."""
-    grid = search.grid
+def descend(search, iterate, attempt, tolerance, max_iterations, log):
+    """Lower the barrier's weight and follow the minima; return (status, point, iterations)."""
+    grid, mu = search.grid, attempt.weight
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
     least = tolerance / max(10.0, 2.0 * search.bounds.place.size)
     first = max(1.0, iterate.point.violation)
-    small_violation, filtered = 1e-4 * first, [(FUNNEL * first, -np.inf)]
-    shift, last_shift, length, restorations = 0.0, 0.0, 0.0, 0
+    small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
+    shift, last_shift, length = 0.0, 0.0, 0.0
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
         measured = measure_optimality(
@@ -136,19 +147,16 @@ def descend(search, iterate, mu, tolerance, max_iterations, log):
         if step is None:
             return "rank-deficient", point, iteration
         shift, last_shift = step.shift, step.shift or last_shift
-        trial, length = line_search(search, iterate, step, mu, small_violation, filtered)
+        trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
         if trial is None:
             if is_rounding(grid, point):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
                 closed = measured[1] <= tolerance * search.bounds.place.size
                 return ("solved" if closed else "stalled"), point, iteration
-            if restorations == RESTORATIONS:
-                return "stalled", point, iteration
-            restorations += 1
             filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
             status, trial = restored(search, iterate, mu, 0.9, filtered)
             if status != "restored":
-                return status, (trial.point if status == "infeasible" else point), iteration
+                return status, point, iteration
         iterate = trial
     return "iteration limit", point, max_iterations
 
@@ -232,7 +240,7 @@ def regularised_step(search, iterate, mu, last_shift):
     return None
 
 
-def line_search(search, iterate, step, mu, small_violation, filtered):
+def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
     grid, bounds, *_ = search
     violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
@@ -251,7 +259,7 @@ def line_search(search, iterate, step, mu, small_violation, filtered):
         )
 
     length = step.longest
-    while length > SHORTEST_STEP:
+    while length > shortest:
         trial = moved(grid, bounds, iterate.point.unknowns, step.primal, length)
         if not accepted(trial, length):
             worse = length == step.longest and trial[0].violation >= violation
