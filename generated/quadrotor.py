@@ -1326,7 +1326,7 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     while damping < 1e12:
         barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 0.0, diagonal)
         diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
-        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system)):
+        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system) is not None:
             solve_kkt(grid, system, right, step)
             step[grid.is_multiplier] = 0.0
             length, dual_length = step_duals(step, *bounds[::2], distance, duals, nu, 0.99, dual_step)
@@ -1513,7 +1513,7 @@ def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     grid, bounds, system, _ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
-    if not is_factored(factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system)):
+    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) is None:
         return unknowns
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)

@@ -25,7 +25,7 @@ from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
 from codegen.runtime.example import variable_bounds
 from codegen.runtime.filter import accept, acceptable, envelope
-from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_rounding, is_solved
@@ -189,7 +189,7 @@ def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     grid, bounds, system, _ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
-    if not is_factored(factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system)):
+    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) is None:
         return unknowns
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)

@@ -9,7 +9,7 @@ Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), se
 import numpy as np
 
 from codegen.runtime.barrier import barrier_diagonal, move, move_duals, step_duals
-from codegen.runtime.frontal import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.frontal import factor_kkt, solve_kkt
 from codegen.runtime.point import evaluate
 
 RESTORATION_STEPS = 200
@@ -67,7 +67,7 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     while damping < 1e12:
         barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 0.0, diagonal)
         diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
-        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system)):
+        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system) is not None:
             solve_kkt(grid, system, right, step)
             step[grid.is_multiplier] = 0.0
             length, dual_length = step_duals(step, *bounds[::2], distance, duals, nu, 0.99, dual_step)
