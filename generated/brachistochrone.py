@@ -710,6 +710,11 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     return excess if regular else None
 
 
+def is_factored(excess):
+    """Whether what `factor_kkt` gave says that the whole matrix was factored, so that `solve_kkt` may follow."""
+    return excess is not None and excess <= 0
+
+
 @njit(cache=True, error_model="numpy")
 def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
@@ -1172,9 +1177,12 @@ def move_duals(duals, dual_step, length, distance, mu, result):
 RESTORATION_STEPS = 200
 
 
-def restore(search, iterate, is_acceptable):
-    """(status, unknowns): primal unknowns that the filter accepts, or None with the word for what went wrong."""
-    grid, bounds, _ = search
+def restore(search, iterate, reduction, is_acceptable):
+    """("restored", unknowns) with primal unknowns that the filter accepts, or (what went wrong, the last unknowns).
+
+    When restored, their violation is at most `reduction` times the first.
+    """
+    grid, bounds, *_ = search
     unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
     logarithms, point = iterate.logarithms, evaluate(grid, unknowns)
     first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 1e-4
@@ -1183,16 +1191,16 @@ def restore(search, iterate, is_acceptable):
         pull = attraction(grid, point)
         error = restoration_error(grid, bounds, pull, distance, duals)
         if error <= 1e-8 * point.residual:
-            return "infeasible", None
+            return "infeasible", point.unknowns
         while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
             nu = max(1e-14, min(0.2 * nu, nu**1.5))
         taken = damped_step(search, point, pull, distance, logarithms, duals, nu, damping)
         if taken is None:
-            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), None
+            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), point.unknowns
         (point, distance, logarithms), duals, damping = taken
-        if point.violation <= 0.9 * first and is_acceptable(point, logarithms):
+        if point.violation <= reduction * first and is_acceptable(point, logarithms):
             return "restored", point.unknowns
-    return "stalled", None
+    return "stalled", point.unknowns
 
 
 def attraction(grid, point):
@@ -1211,7 +1219,7 @@ def restoration_error(grid, bounds, pull, distance, duals):
 
 def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
-    grid, bounds, system = search
+    grid, bounds, system, equations = search
     size = point.unknowns.size
     diagonal, step, slopes = np.empty(size), np.empty(size), pull.copy()
     dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
@@ -1219,7 +1227,8 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
     merit = sum_of_squares(grid, point) - nu * logarithms
     while damping < 1e12:
-        barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 1.0, diagonal)
+        barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 0.0, diagonal)
+        diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         if factor_kkt(grid, point.unknowns, 0.0, diagonal, system) is not None:
             solve_kkt(grid, system, right, step)
             step[grid.is_multiplier] = 0.0
@@ -1248,10 +1257,27 @@ def sum_of_squares(grid, point):
 # decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
 # line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
-SHORTEST_STEP = 1e-12
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
-BARRIER, WARM_BARRIER = 0.1, 1e-5  # first weights
+NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
+UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+
+
+class Attempt(NamedTuple):
+    """First weight of the barrier, how far inside their bounds unknowns begin, and whether nearer to feasibility.
+
+    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`.
+    """
+
+    weight: float
+    push: float
+    nearby: bool
+    shortest: float
+    funnel: float
+
+
+WARM, COLD = Attempt(1e-5, 1e-4, False, 1e-12, 1e4), Attempt(0.1, 1e-2, False, 1e-12, 1e4)
+OTHERS = Attempt(0.1, 1e-2, True, 1e-3, 2.0), Attempt(10.0, 1e-2, False, 1e-3, 2.0)
 
 
 class Iterate(NamedTuple):
@@ -1264,11 +1290,12 @@ class Iterate(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system."""
+    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers."""
 
     grid: NamedTuple
     bounds: NamedTuple
     system: tuple[NamedTuple, int]
+    equations: np.ndarray
 
 
 class Step(NamedTuple):
@@ -1287,17 +1314,37 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
-    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds.
+    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds. Where that
+    fails, the search begins anew: at a point near the guess that violates the equations less, and then with a weight
+    that keeps unknowns away from their bounds for longer. If no attempt succeeds, the first one is reported.
+    `max_iterations` is for all of them together; steps of the restoration are not counted.
     """
     lower, upper = variable_bounds(grid)
-    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid))
+    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid), multiplier_unknowns(grid))
+    primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
+    for attempt in (WARM if warm else COLD, *OTHERS):
+        # Far from a solution duals of one serve better than the central path.
+        inside = push_inside(lower, upper, primal, attempt.push)
+        iterate = with_multipliers(search, inside, attempt.weight if attempt is WARM else None)
+        status = "restored"
+        if attempt.nearby and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
+        if status == "restored":
+            status, point, iterations = descend(search, iterate, attempt, tolerance, max_iterations - total, log)
+            total += iterations
+            first = first or (status, point)
+        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+            break
+    return *((status, point) if status == "solved" else first), total
+
+
+def descend(search, iterate, attempt, tolerance, max_iterations, log):
+    """Lower the barrier's weight and follow the minima; return (status, point, iterations)."""
+    grid, mu = search.grid, attempt.weight
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
-    mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    # Far from a solution duals of one serve better than the central path.
-    inside = push_inside(lower, upper, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
-    iterate = with_multipliers(search, inside, mu if warm else None)
+    least = tolerance / max(10.0, 2.0 * search.bounds.place.size)
     first = max(1.0, iterate.point.violation)
-    small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
+    small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
     shift, last_shift, length = 0.0, 0.0, 0.0
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
@@ -1327,15 +1374,15 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if step is None:
             return "rank-deficient", point, iteration
         shift, last_shift = step.shift, step.shift or last_shift
-        trial, length = line_search(search, iterate, step, mu, small_violation, filtered)
+        trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
         if trial is None:
             if is_rounding(grid, point):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
                 closed = measured[1] <= tolerance * search.bounds.place.size
                 return ("solved" if closed else "stalled"), point, iteration
             filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
-            status, trial = restored(search, iterate, mu, filtered)
-            if trial is None:
+            status, trial = restored(search, iterate, mu, 0.9, filtered)
+            if status != "restored":
                 return status, point, iteration
         iterate = trial
     return "iteration limit", point, max_iterations
@@ -1346,7 +1393,7 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     shift = max(FLAT, 100.0 * tolerance)
     diagonal = np.empty(iterate.point.unknowns.size)
     barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, FLAT, diagonal)
@@ -1367,7 +1414,7 @@ def with_multipliers(search, unknowns, mu):
 
 def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
     if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) is None:
         return unknowns
@@ -1393,7 +1440,7 @@ def barrier_error(point, measured, mu):
 
 def regularised_step(search, iterate, mu, last_shift):
     """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
@@ -1420,9 +1467,9 @@ def regularised_step(search, iterate, mu, last_shift):
     return None
 
 
-def line_search(search, iterate, step, mu, small_violation, filtered):
+def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-    grid, bounds, _ = search
+    grid, bounds, *_ = search
     violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
 
     def accepted(trial, length):
@@ -1439,7 +1486,7 @@ def line_search(search, iterate, step, mu, small_violation, filtered):
         )
 
     length = step.longest
-    while length > SHORTEST_STEP:
+    while length > shortest:
         trial = moved(grid, bounds, iterate.point.unknowns, step.primal, length)
         if not accepted(trial, length):
             worse = length == step.longest and trial[0].violation >= violation
@@ -1461,7 +1508,7 @@ def moved(grid, bounds, unknowns, step, length):
 
 def corrected(search, iterate, step, mu, trial, accepted):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
     for _ in range(CORRECTIONS):
@@ -1482,14 +1529,14 @@ def corrected(search, iterate, step, mu, trial, accepted):
     return None
 
 
-def restored(search, iterate, mu, filtered):
-    """(status, iterate) after the violation has been lowered; the iterate is None when it cannot be."""
+def restored(search, iterate, mu, reduction, filtered):
+    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
     def is_acceptable(point, logarithms):
         return acceptable(point.violation, point.cost - mu * logarithms, filtered)
 
-    status, unknowns = restore(search, iterate, is_acceptable)
-    return status, None if unknowns is None else with_multipliers(search, unknowns, mu)
+    status, unknowns = restore(search, iterate, reduction, is_acceptable)
+    return status, with_multipliers(search, np.where(search.grid.is_multiplier, 0.0, unknowns), mu)
 
 
 # What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
@@ -2146,7 +2193,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_brachistochrone_fe76d99799cbd551"
+_IDENTITY = "codegen_brachistochrone_47aa5d1652cf65a1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -710,6 +710,11 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     return excess if regular else None
 
 
+def is_factored(excess):
+    """Whether what `factor_kkt` gave says that the whole matrix was factored, so that `solve_kkt` may follow."""
+    return excess is not None and excess <= 0
+
+
 @njit(cache=True, error_model="numpy")
 def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
@@ -998,7 +1003,8 @@ def least_violation(grid, point, system):
     step = np.empty_like(point.unknowns)
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
     for _ in range(5):
-        if factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system) is None:
+        excess = factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system)
+        if not is_factored(excess):
             return point
         solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
         step[grid.is_multiplier] = 0.0
@@ -1630,7 +1636,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_double_integrator_effort_3e9e3a25943b3955"
+_IDENTITY = "codegen_double_integrator_effort_89376b9bac785c80"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

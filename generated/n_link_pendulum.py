@@ -946,6 +946,11 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     return excess if regular else None
 
 
+def is_factored(excess):
+    """Whether what `factor_kkt` gave says that the whole matrix was factored, so that `solve_kkt` may follow."""
+    return excess is not None and excess <= 0
+
+
 @njit(cache=True, error_model="numpy")
 def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
@@ -1205,9 +1210,8 @@ def slope_of(unknowns, gradient, step, is_multiplier):
 
 # Newton's method on the KKT system, made dependable by a filter line search and by shifts of the Hessian.
 #
-# Sources: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
-# equation numbers are quoted; Chiang and Zavala (2016), An inertia-free filter line-search algorithm, for the test of
-# curvature that replaces the inertia of the KKT matrix.
+# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
+# equation numbers are quoted. The inertia of the KKT matrix, by which the shifts are chosen, comes from its factors.
 
 SHORTEST_STEP = 1e-10
 
@@ -1258,7 +1262,9 @@ def is_minimum(grid, point, system):
 def guess_multipliers(grid, unknowns, system):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
-    if point.stationarity == 0.0 or factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system) is None:
+    if point.stationarity == 0.0:
+        return point.unknowns
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system)):
         return point.unknowns
     step = np.empty_like(unknowns)
     solve_kkt(grid, system, np.where(grid.is_multiplier, 0.0, point.gradient), step)
@@ -1339,7 +1345,7 @@ def restore(grid, point, filtered, system):
     """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced by a tenth."""
     step, first = np.empty_like(point.gradient), point.violation
     for _ in range(50):
-        if factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system) is None:
+        if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system)):
             return None
         solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
         step[grid.is_multiplier] = 0.0
@@ -1995,7 +2001,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_n_link_pendulum_8daa82f2fc99c2dc"
+_IDENTITY = "codegen_n_link_pendulum_e9f8acf288ce7bba"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -168,7 +168,7 @@ def _newton_step(
         diagonal = np.zeros(unknowns.size)
         diagonal[free] = np.where(grid.is_multiplier[free], -_DUAL_SHIFT, shift)
         excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
-        if excess is not None and excess <= 0:  # above zero the elimination has stopped early
+        if module.is_factored(excess):
             break
     else:
         return Finding("assembly", subject, False, "the KKT matrix cannot be factored, however its Hessian is shifted")

@@ -94,6 +94,11 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     return excess if regular else None
 
 
+def is_factored(excess):
+    """Whether what `factor_kkt` gave says that the whole matrix was factored, so that `solve_kkt` may follow."""
+    return excess is not None and excess <= 0
+
+
 @njit(cache=True, error_model="numpy")
 def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""

@@ -20,6 +20,7 @@ from codegen.runtime.barrier import (
     push_inside,
     step_duals,
 )
+from codegen.runtime.callbacks import multiplier_unknowns
 from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
 from codegen.runtime.example import variable_bounds
@@ -29,10 +30,27 @@ from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_rounding, is_solved
 
-SHORTEST_STEP = 1e-12
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
-BARRIER, WARM_BARRIER = 0.1, 1e-5  # first weights
+NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
+UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+
+
+class Attempt(NamedTuple):
+    """First weight of the barrier, how far inside their bounds unknowns begin, and whether nearer to feasibility.
+
+    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`.
+    """
+
+    weight: float
+    push: float
+    nearby: bool
+    shortest: float
+    funnel: float
+
+
+WARM, COLD = Attempt(1e-5, 1e-4, False, 1e-12, 1e4), Attempt(0.1, 1e-2, False, 1e-12, 1e4)
+OTHERS = Attempt(0.1, 1e-2, True, 1e-3, 2.0), Attempt(10.0, 1e-2, False, 1e-3, 2.0)
 
 
 class Iterate(NamedTuple):
@@ -45,11 +63,12 @@ class Iterate(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system."""
+    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers."""
 
     grid: NamedTuple
     bounds: NamedTuple
     system: tuple[NamedTuple, int]
+    equations: np.ndarray
 
 
 class Step(NamedTuple):
@@ -68,17 +87,37 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
-    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds.
+    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds. Where that
+    fails, the search begins anew: at a point near the guess that violates the equations less, and then with a weight
+    that keeps unknowns away from their bounds for longer. If no attempt succeeds, the first one is reported.
+    `max_iterations` is for all of them together; steps of the restoration are not counted.
     """
     lower, upper = variable_bounds(grid)
-    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid))
+    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid), multiplier_unknowns(grid))
+    primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
+    for attempt in (WARM if warm else COLD, *OTHERS):
+        # Far from a solution duals of one serve better than the central path.
+        inside = push_inside(lower, upper, primal, attempt.push)
+        iterate = with_multipliers(search, inside, attempt.weight if attempt is WARM else None)
+        status = "restored"
+        if attempt.nearby and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
+        if status == "restored":
+            status, point, iterations = descend(search, iterate, attempt, tolerance, max_iterations - total, log)
+            total += iterations
+            first = first or (status, point)
+        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+            break
+    return *((status, point) if status == "solved" else first), total
+
+
+def descend(search, iterate, attempt, tolerance, max_iterations, log):
+    """Lower the barrier's weight and follow the minima; return (status, point, iterations)."""
+    grid, mu = search.grid, attempt.weight
     # The cost is off by the sum of all complementarities, which ends below the tolerance.
-    mu, least = WARM_BARRIER if warm else BARRIER, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    # Far from a solution duals of one serve better than the central path.
-    inside = push_inside(lower, upper, np.where(grid.is_multiplier, 0.0, unknowns), 1e-4 if warm else 1e-2)
-    iterate = with_multipliers(search, inside, mu if warm else None)
+    least = tolerance / max(10.0, 2.0 * search.bounds.place.size)
     first = max(1.0, iterate.point.violation)
-    small_violation, filtered = 1e-4 * first, [(1e4 * first, -np.inf)]
+    small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
     shift, last_shift, length = 0.0, 0.0, 0.0
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
@@ -108,15 +147,15 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if step is None:
             return "rank-deficient", point, iteration
         shift, last_shift = step.shift, step.shift or last_shift
-        trial, length = line_search(search, iterate, step, mu, small_violation, filtered)
+        trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
         if trial is None:
             if is_rounding(grid, point):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
                 closed = measured[1] <= tolerance * search.bounds.place.size
                 return ("solved" if closed else "stalled"), point, iteration
             filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
-            status, trial = restored(search, iterate, mu, filtered)
-            if trial is None:
+            status, trial = restored(search, iterate, mu, 0.9, filtered)
+            if status != "restored":
                 return status, point, iteration
         iterate = trial
     return "iteration limit", point, max_iterations
@@ -127,7 +166,7 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     shift = max(FLAT, 100.0 * tolerance)
     diagonal = np.empty(iterate.point.unknowns.size)
     barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, FLAT, diagonal)
@@ -148,7 +187,7 @@ def with_multipliers(search, unknowns, mu):
 
 def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
     if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) is None:
         return unknowns
@@ -174,7 +213,7 @@ def barrier_error(point, measured, mu):
 
 def regularised_step(search, iterate, mu, last_shift):
     """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
@@ -201,9 +240,9 @@ def regularised_step(search, iterate, mu, last_shift):
     return None
 
 
-def line_search(search, iterate, step, mu, small_violation, filtered):
+def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-    grid, bounds, _ = search
+    grid, bounds, *_ = search
     violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
 
     def accepted(trial, length):
@@ -220,7 +259,7 @@ def line_search(search, iterate, step, mu, small_violation, filtered):
         )
 
     length = step.longest
-    while length > SHORTEST_STEP:
+    while length > shortest:
         trial = moved(grid, bounds, iterate.point.unknowns, step.primal, length)
         if not accepted(trial, length):
             worse = length == step.longest and trial[0].violation >= violation
@@ -242,7 +281,7 @@ def moved(grid, bounds, unknowns, step, length):
 
 def corrected(search, iterate, step, mu, trial, accepted):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
-    grid, bounds, system = search
+    grid, bounds, system, _ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
     for _ in range(CORRECTIONS):
@@ -263,11 +302,11 @@ def corrected(search, iterate, step, mu, trial, accepted):
     return None
 
 
-def restored(search, iterate, mu, filtered):
-    """(status, iterate) after the violation has been lowered; the iterate is None when it cannot be."""
+def restored(search, iterate, mu, reduction, filtered):
+    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
     def is_acceptable(point, logarithms):
         return acceptable(point.violation, point.cost - mu * logarithms, filtered)
 
-    status, unknowns = restore(search, iterate, is_acceptable)
-    return status, None if unknowns is None else with_multipliers(search, unknowns, mu)
+    status, unknowns = restore(search, iterate, reduction, is_acceptable)
+    return status, with_multipliers(search, np.where(search.grid.is_multiplier, 0.0, unknowns), mu)

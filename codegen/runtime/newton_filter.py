@@ -1,14 +1,13 @@
 """Newton's method on the KKT system, made dependable by a filter line search and by shifts of the Hessian.
 
-Sources: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
-equation numbers are quoted; Chiang and Zavala (2016), An inertia-free filter line-search algorithm, for the test of
-curvature that replaces the inertia of the KKT matrix.
+Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
+equation numbers are quoted. The inertia of the KKT matrix, by which the shifts are chosen, comes from its factors.
 """
 
 import numpy as np
 
 from codegen.runtime.curvature import FLAT
-from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.descent import slope_of
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_rounding, is_solved
@@ -62,7 +61,9 @@ def is_minimum(grid, point, system):
 def guess_multipliers(grid, unknowns, system):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
-    if point.stationarity == 0.0 or factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system) is None:
+    if point.stationarity == 0.0:
+        return point.unknowns
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system)):
         return point.unknowns
     step = np.empty_like(unknowns)
     solve_kkt(grid, system, np.where(grid.is_multiplier, 0.0, point.gradient), step)
@@ -143,7 +144,7 @@ def restore(grid, point, filtered, system):
     """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced by a tenth."""
     step, first = np.empty_like(point.gradient), point.violation
     for _ in range(50):
-        if factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system) is None:
+        if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system)):
             return None
         solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
         step[grid.is_multiplier] = 0.0

@@ -3,7 +3,7 @@
 import numpy as np
 
 from codegen.runtime.curvature import FLAT, least_shift
-from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_solved
 
@@ -53,7 +53,8 @@ def least_violation(grid, point, system):
     step = np.empty_like(point.unknowns)
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
     for _ in range(5):
-        if factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system) is None:
+        excess = factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system)
+        if not is_factored(excess):
             return point
         solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
         step[grid.is_multiplier] = 0.0

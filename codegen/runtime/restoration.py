@@ -15,9 +15,12 @@ from codegen.runtime.point import evaluate
 RESTORATION_STEPS = 200
 
 
-def restore(search, iterate, is_acceptable):
-    """(status, unknowns): primal unknowns that the filter accepts, or None with the word for what went wrong."""
-    grid, bounds, _ = search
+def restore(search, iterate, reduction, is_acceptable):
+    """("restored", unknowns) with primal unknowns that the filter accepts, or (what went wrong, the last unknowns).
+
+    When restored, their violation is at most `reduction` times the first.
+    """
+    grid, bounds, *_ = search
     unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
     logarithms, point = iterate.logarithms, evaluate(grid, unknowns)
     first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 1e-4
@@ -26,16 +29,16 @@ def restore(search, iterate, is_acceptable):
         pull = attraction(grid, point)
         error = restoration_error(grid, bounds, pull, distance, duals)
         if error <= 1e-8 * point.residual:
-            return "infeasible", None
+            return "infeasible", point.unknowns
         while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
             nu = max(1e-14, min(0.2 * nu, nu**1.5))
         taken = damped_step(search, point, pull, distance, logarithms, duals, nu, damping)
         if taken is None:
-            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), None
+            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), point.unknowns
         (point, distance, logarithms), duals, damping = taken
-        if point.violation <= 0.9 * first and is_acceptable(point, logarithms):
+        if point.violation <= reduction * first and is_acceptable(point, logarithms):
             return "restored", point.unknowns
-    return "stalled", None
+    return "stalled", point.unknowns
 
 
 def attraction(grid, point):
@@ -54,7 +57,7 @@ def restoration_error(grid, bounds, pull, distance, duals):
 
 def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
-    grid, bounds, system = search
+    grid, bounds, system, equations = search
     size = point.unknowns.size
     diagonal, step, slopes = np.empty(size), np.empty(size), pull.copy()
     dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
@@ -62,7 +65,8 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
     merit = sum_of_squares(grid, point) - nu * logarithms
     while damping < 1e12:
-        barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 1.0, diagonal)
+        barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 0.0, diagonal)
+        diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         if factor_kkt(grid, point.unknowns, 0.0, diagonal, system) is not None:
             solve_kkt(grid, system, right, step)
             step[grid.is_multiplier] = 0.0

@@ -101,6 +101,10 @@ def free_unknowns(grid: Dense) -> NDArray[np.bool_]:
     return grid.free
 
 
+def multiplier_unknowns(grid: Dense) -> NDArray[np.intp]:
+    return np.flatnonzero(grid.is_multiplier & grid.free)
+
+
 def term_sizes(grid: Dense, unknowns: Vector) -> tuple[float, float]:
     sums = np.abs(kkt_matrix(grid, unknowns)) @ np.abs(unknowns)
     return float(sums[grid.is_multiplier].max(initial=0.0)), float(sums[~grid.is_multiplier].max(initial=0.0))
