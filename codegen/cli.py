@@ -221,9 +221,11 @@ def solve(
         _console().print(result.title, style="bold", markup=False)
         _console().print(output.as_table(record))
     if not result.solved:
-        typer.echo(_one_line(f"codegen: {result.message}"), err=True)
-        if result.task == "control" and guesses == 1 and result.status in ("infeasible", "saddle point", "stalled"):
-            typer.echo("codegen: another first guess may do better; --guesses 10 tries ten", err=True)
+        may_help = (
+            guesses == 1 and result.task == "control" and result.status in ("infeasible", "saddle point", "stalled")
+        )
+        hint = "; --guesses 10 tries ten first guesses" if may_help else ""
+        typer.echo(_one_line(f"codegen: {result.message}{hint}"), err=True)
         raise typer.Exit(1)
 
 
