@@ -67,3 +67,8 @@ def find(name: str, method: str) -> Scheme:
     close = difflib.get_close_matches(name, offered, 1)
     hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(table)}"
     raise SchemeError(f"there is no scheme {name!r}", hint)
+
+
+def of_method(method: str) -> tuple[Scheme, ...]:
+    """Every scheme of a method by itself, without families and aliases."""
+    return tuple(_ALL[method].values())
