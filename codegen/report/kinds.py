@@ -6,7 +6,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from codegen.report import optima, sections_control, sections_simulation, simulations, thesis_pendulum
+from codegen.report import (
+    optima,
+    sections_control,
+    sections_simulation,
+    simulations,
+    thesis_craft,
+    thesis_linear,
+    thesis_orbit,
+    thesis_pendulum,
+)
 from codegen.report.building import Variant, Workshop
 from codegen.report.extent import Extent
 from codegen.report.section import Section
@@ -49,5 +58,8 @@ class Extra:
 
 EXTRAS = {
     "pendulum": Extra(thesis_pendulum.variants, thesis_pendulum.cases, thesis_pendulum.sections),
+    "linear_pendulum": Extra(thesis_linear.variants, thesis_linear.cases, thesis_linear.sections),
+    "orbital_transfer": Extra(thesis_orbit.variants, thesis_orbit.cases, thesis_orbit.sections),
+    "hovercraft": Extra(thesis_craft.variants, thesis_craft.cases, thesis_craft.sections),
 }
 """Experiments by the names of problem files."""

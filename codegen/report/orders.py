@@ -44,7 +44,7 @@ def above_plateau(steps: Sequence[int], errors: Sequence[float | None], floor: f
         if error <= max(ABOVE * floor, 1e-300):
             break
         if kept and error > SHRINKING * kept[-1][1] and error < SMALL * largest:
-            kept.pop()  # the point before may be at the plateau already
-            break
+            plateau = min(e for _, e in rows)
+            return [(k, e) for k, e in kept if e > ABOVE * plateau]
         kept.append((n, error))
     return kept
