@@ -26,7 +26,7 @@ class Extent:
 
 FULL = Extent()
 """One problem with all schemes."""
-GALLERY = Extent(control_doublings=3, most_schemes=3, limit=1.0, repeat=2, driver_unknowns=150)
+GALLERY = Extent(control_doublings=3, most_schemes=2, limit=1.0, repeat=2, driver_unknowns=150)
 """A folder of problems in less than 20 minutes on two processors."""
 QUICK = Extent(
     quick=True,
