@@ -16,6 +16,7 @@ from codegen.discretise import (
     VariationalInterval,
     at_nodes,
     one_step_interval,
+    step_lengths,
     variational_interval,
 )
 from codegen.model import Boundary, Model
@@ -23,7 +24,7 @@ from codegen.model.pairwise import PairwiseModel
 from codegen.model.values import prescribed
 from codegen.notation import Block, Notation, written
 from codegen.problem_file import load_problem, split_points
-from codegen.schemes import DiscreteLagrangian, OneStep
+from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta
 from codegen.show_pairwise import pairwise_equations
 from codegen.transcribe.program import ControlProgram, StepProgram
 
@@ -157,12 +158,15 @@ def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
     side, scheme = _side(model, program.method), schemes.find(program.scheme, program.method)
     nodal = isinstance(program, ControlProgram) and program.nodal_controls
+    if isinstance(scheme, Composition):
+        yield _composition(scheme)
+        scheme = scheme.part(step_lengths(scheme), STEP) if isinstance(program, StepProgram) else scheme.written_out()
     if isinstance(scheme, DiscreteLagrangian):
         interval = variational_interval(side, scheme, nodal)
         yield from _variational(side, interval)
         cost = interval.cost
     else:
-        assert isinstance(scheme, OneStep)
+        assert isinstance(scheme, OneStep | RungeKutta)
         step = one_step_interval(side, scheme, nodal)
         yield _one_step(step)
         cost = step.cost
@@ -170,12 +174,26 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))
 
 
+def _composition(scheme: Composition) -> Block:
+    """The lengths of the base's steps, as parts of h."""
+    rows = []
+    for i, row in enumerate(scheme.fractions, start=1):
+        names = (f"h_{i}",) if len(row) == 1 else (f"h_1({i})", f"h_2({i})")
+        rows += [(_named(name), STEP * sympy.N(fraction, 16)) for name, fraction in zip(names, row, strict=True)]
+    text = f"{len(scheme.fractions)} steps of {scheme.base.name}, one after the other"
+    return Block("Composition", tuple(rows), ((text, text + r"\\"),))
+
+
 def _variational(model: Model, interval: VariationalInterval) -> Iterator[Block]:
     names = [q.name for q in model.coordinates]
     rows = [(_named("L_d"), interval.lagrangian)]
     for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
         rows += [(_named(f"{mark} {name}"), f) for name, f in zip(names, forces, strict=True) if f != 0]
+    inner = list(zip(interval.inner, interval.inner_balance, strict=True))
+    rows += [(_named(f"f {q}"), f) for q, f in zip(interval.inner, interval.force_inner, strict=True) if f != 0]
     yield Block("Discrete Lagrangian" + (" and discrete forces" if len(rows) > 1 else ""), tuple(rows))
+    if inner:
+        yield Block("Balances at inner points", tuple((_named("0"), _shortest(balance)) for _, balance in inner))
     momenta = [(_named(f"p_{n}_k"), _shortest(p)) for n, p in zip(names, interval.left_momentum, strict=True)]
     momenta += [(_named(f"p_{n}_k1"), _shortest(p)) for n, p in zip(names, interval.right_momentum, strict=True)]
     yield Block("Discrete Legendre transforms", tuple(momenta), (_LEGENDRE,))
@@ -193,6 +211,7 @@ def _one_interval_earlier(model: Model, interval: VariationalInterval) -> dict[S
     places = interval.q
     shift: dict[Symbol, Expr] = dict(zip(places.left, at_nodes(model.coordinates, "_k-1"), strict=True))
     shift |= dict(zip(places.right, places.left, strict=True))
+    shift |= dict(zip(interval.inner, at_nodes(interval.inner, "_k-1"), strict=True))
     shift |= dict(zip(places.left_controls, at_nodes(model.controls, "_k-1"), strict=True))
     if places.nodal:
         shift |= dict(zip(places.right_controls, places.left_controls, strict=True))

@@ -30,7 +30,7 @@ RESERVED = frozenset(
     "prescribed nodes intervals last views Solution Grid make_grid checked_grid replace_values initial_state "
     "initial_guess with_pinned_values minimise evaluate describe unpack print_log integrate NODE START OWN "
     "warm BODIES bodies shared own common coupling couplings slack slacks lower upper bounds variable_bounds "
-    "node_times interval_times phase_durations PHASES".split()
+    "node_times interval_times phase_durations PHASES PARTS FRACTIONS lengths h_1 h_2".split()
 )
 """Names that generated modules use for their own purposes."""
 _INNER_STAGE = re.compile(r"_stage\d+$")

@@ -1370,9 +1370,9 @@ def checked_count(name, number):
 
 # Which attempts are made to connect given points, in which order, and what is reported about them.
 #
-# Each attempt starts where the one before it failed: Newton's method from the momenta H_pp^-1 (target - start), from
-# rest, by continuation in the target, on all states at once from a guessed path, and with more steps, of which then ever
-# fewer are taken. Only an attempt whose residual is below the tolerance, or below what rounding makes of it, counts as a
+# Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from rest,
+# by continuation in the target, on all states at once from a guessed path, and with more steps, of which then ever fewer
+# are taken. Only an attempt whose residual is below the tolerance, or below what rounding makes of it, counts as a
 # solution.
 
 OUTCOMES = {
@@ -1746,7 +1746,7 @@ def make_case(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_8ecaffadf7d40741"
+_IDENTITY = "codegen_image_registration_e8532107d0b9a696"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

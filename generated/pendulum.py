@@ -44,6 +44,7 @@ metadata = {
     "method": 'hamiltonian',
     "scheme": 'midpoint',
     "order": 2,
+    "parts": 0,
     "form": 'hamiltonian',
     "solver": 'newton',
     "coordinates": ('q',),
@@ -353,8 +354,8 @@ def describe(grid, steps, iterations, outcome):
 def step(grid, state, t=0.0, tolerance=1e-13, max_iterations=50):
     """State (q, p) one step of length grid.h after `state`; NaN when the equations cannot be solved."""
     interval = np.empty(STAGES + STATE)
-    work = allocate_work(grid.h, grid.parameters)
     state = np.array(state, dtype=float)
+    work = allocate_work(grid.h, grid.parameters)
     outcome = advance(state, t, grid.h, grid.parameters, work, interval, tolerance, max_iterations)
     return interval[STAGES:] if outcome >= 0 else np.full(STATE, np.nan)
 
@@ -490,7 +491,7 @@ def initial_state(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_610e7cfc21b51e31"
+_IDENTITY = "codegen_pendulum_7c1ee62b37c3b7f1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

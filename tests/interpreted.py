@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from codegen.compiler import Choices, generate, generate_from_model
+from codegen.compiler import Choices, build, generate_from_model
 from codegen.lower.module import Origin
 from codegen.model import normalise
 from codegen.problem import Control, Phases
@@ -70,5 +70,6 @@ class Interpreted:
             if text is not None:
                 path = self.folder / f"{name}.py"
                 path.write_text(text)
-            self.made[key] = without_compilation(generate(path, arguments or {}, Choices(**choices)), name)
+            found = build(path, arguments or {}, **choices).path  # derived once for all worker processes
+            self.made[key] = without_compilation(found.read_text(encoding="utf-8"), name)
         return self.made[key]

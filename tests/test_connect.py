@@ -144,8 +144,9 @@ def test_the_ansatz_solves_the_euler_poincare_equations(module):
 
 @pytest.mark.parametrize("scheme", STEPS)
 def test_shooting_and_all_states_agree(module, scheme):
-    one = module(scheme).solve(START, TARGET, 4)
-    other = module(scheme, "full").solve(START, TARGET, 4)
+    made = module(scheme)  # only the order of attempts differs between the two methods
+    case = made.make_case(START, TARGET, 4)
+    one, other = (made.Solution(*made.described(case, method)) for method in ("stepping", "full"))
     assert one.status == other.status == "solved"
     assert len(one.attempts) == len(other.attempts) == 1
     assert "all states" in other.attempts[0]
@@ -279,6 +280,21 @@ def test_every_attempt_finds_the_solution_by_itself(module, attempt):
         made.ATTEMPTS["stepping"] = rungs
     assert solution.status == "solved", solution.message
     np.testing.assert_allclose(solution.q, reference.q, atol=1e-10)
+
+
+def test_fewer_steps_are_taken_as_long_as_they_have_a_solution(module, monkeypatch):
+    """Where steps below six never succeed, the attempt says so instead of handing over the solution with six."""
+    made, original = module("explicit-euler"), module("explicit-euler").shoot_at
+
+    def shoot_at(case, *others):
+        return original(case, *others) if case.steps >= 6 else (made.STALLED, 1, 0.1)
+
+    monkeypatch.setattr(made, "shoot_at", shoot_at)
+    monkeypatch.setitem(made.ATTEMPTS, "stepping", made.LAST)
+    solution = made.solve(START, TARGET, 4)
+    assert solution.status == "not connected"
+    assert solution.attempts[-1].endswith("residual 1.0e-01, with 5 steps, but solved with 6")
+    assert made.solve(START, TARGET, 6).status == "solved"
 
 
 def test_what_cannot_be_solved_is_not_called_solved(module):

@@ -99,6 +99,23 @@ def variational_defect(rule: Sequence[tuple[Any, Any]]) -> Callable[..., list[An
     return defect
 
 
+def position_verlet_defect(system: System, q0: Any, p0: Any, q1: Any, p1: Any, t: Any, h: Any) -> list[Any]:
+    """The other variant of Hairer, Lubich and Wanner (VI.3.4), with the inner position."""
+    n = len(q0)
+
+    def inner(*middle: Any) -> list[Any]:
+        velocity, _ = field(system, list(middle), p0, t + h / 2)
+        return [m - a - h / 2 * v for m, a, v in zip(middle, q0, velocity, strict=True)]
+
+    solution = mpmath.findroot(inner, list(q0)) if n > 1 else [mpmath.findroot(lambda m: inner(m)[0], q0[0])]
+    middle = list(solution)
+    before, after = field(system, middle, p0, t + h / 2)[1], field(system, middle, p1, t + h / 2)
+    return [
+        *(b - m - h / 2 * v for m, b, v in zip(middle, q1, after[0], strict=True)),
+        *(b - a - h / 2 * (u + v) for a, b, u, v in zip(p0, p1, before, after[1], strict=True)),
+    ]
+
+
 HALF = mpmath.mpf(1) / 2
 TEXTBOOK = {
     ("hamiltonian", "explicit-euler"): one_step_defect("left"),
@@ -107,6 +124,7 @@ TEXTBOOK = {
     ("hamiltonian", "symplectic-euler-adjoint"): one_step_defect("new q, old p"),
     ("hamiltonian", "midpoint"): one_step_defect("middle"),
     ("hamiltonian", "stormer-verlet"): stormer_verlet_defect,
+    ("hamiltonian", "position-verlet"): position_verlet_defect,
     ("variational", "rectangle"): variational_defect([(1, 0)]),
     ("variational", "midpoint"): variational_defect([(1, HALF)]),
     ("variational", "trapezoidal"): variational_defect([(HALF, 0), (HALF, 1)]),

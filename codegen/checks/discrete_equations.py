@@ -20,6 +20,7 @@ from codegen.checks.evaluation import DIGITS, function_of, random_points
 from codegen.checks.one_step import without_boundaries
 from codegen.discretise import STEP, at_nodes
 from codegen.model import Model
+from codegen.schemes import Composition, DiscreteLagrangian, RungeKutta, Scheme
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 _STEPS = (mpmath.mpf(10) ** -20, mpmath.mpf(10) ** -22)
@@ -34,13 +35,18 @@ def check(context: Context) -> Iterator[Finding]:
         model = legendre.lagrangian_form(model)
         names = [f"equation of motion of {q}" for q in model.coordinates]
         forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(model.holonomic))]
-        discrete, continuous = _nodal(model, node_equations(program), program, forces), _euler_lagrange(model, forces)
+        scheme = context.scheme.base if isinstance(context.scheme, Composition) else context.scheme
+        assert isinstance(scheme, DiscreteLagrangian)
+        share = weight_of_node(scheme)
+        discrete = [e / share for e in _nodal(model, node_equations(program), program, forces, scheme)]
+        continuous = _euler_lagrange(model, forces)
         rates: list[Symbol] = [*model.rates, *_accelerations(model), *forces]
     else:
         model = model if model.form == "first-order" else legendre.hamiltonian_form(model)
         names = [f"step of {x}" for x in (*model.coordinates, *model.rates)]
         rates = [Symbol(f"rate_{x}", real=True) for x in (*model.coordinates, *model.rates)]
-        discrete, continuous = _stepwise(model, _one_step_equations(program), rates), _flow(model, rates)
+        discrete = _stepwise(model, _one_step_equations(program), rates, context.scheme)
+        continuous = _flow(model, rates)
     free = [parameter.symbol for parameter in model.free_parameters]
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, *free, model.time]
     symbols = list(dict.fromkeys(symbols))
@@ -75,9 +81,10 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
         right = program.right_symbols[dimension : 2 * dimension]
         after, before = ([_in_time(program, sympy.diff(program.element, m)) for m in side] for side in (left, right))
         return after, before
-    # The step's equations are p - (momentum as a function of both positions).
+    # The last of the step's equations are p - (momentum as a function of both positions).
     momenta = [*program.left_symbols[dimension:], *program.right_symbols[dimension:]]
-    values = [p - equation for p, (_, equation) in zip(momenta, program.equations, strict=True)]
+    equations = program.equations[-len(momenta) :]
+    values = [p - equation for p, (_, equation) in zip(momenta, equations, strict=True)]
     return [-value for value in values[:dimension]], values[dimension:]
 
 
@@ -100,8 +107,35 @@ def constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -
     return list(at_nodes([Symbol(name) for name in names], suffix))
 
 
+def weight_of_node(scheme: DiscreteLagrangian) -> Expr:
+    """The part of the equation of motion, in units of h, that a node's equation holds; inner points hold the rest."""
+    rest = [c for c in scheme.nodes if c != 0]
+
+    def first_basis(c: Expr) -> Expr:
+        return sympy.prod([(c - node) / (-node) for node in rest])
+
+    return 2 * sympy.expand(sum(point.weight * first_basis(point.place) for point in scheme.points))
+
+
+def inner_motion(model: Model, scheme: DiscreteLagrangian, before: bool) -> dict[Symbol, Expr]:
+    """Inner points of the interval after a node at time t, or before it, on q(t + s) = q + s v + s^2 a/2."""
+    place: dict[Symbol, Expr] = {}
+    for i, c in enumerate(scheme.nodes[1:-1], start=1):
+        s = STEP * (c - 1 if before else c)
+        motion = zip(model.coordinates, model.rates, _accelerations(model), strict=True)
+        place |= {
+            site: x + s * w + s**2 * b / 2
+            for site, (x, w, b) in zip(at_nodes(model.coordinates, f"_stage{i}"), motion, strict=True)
+        }
+    return place
+
+
 def _nodal(
-    model: Model, halves: tuple[list[Expr], list[Expr]], program: ControlProgram | StepProgram, forces: Sequence[Symbol]
+    model: Model,
+    halves: tuple[list[Expr], list[Expr]],
+    program: ControlProgram | StepProgram,
+    forces: Sequence[Symbol],
+    scheme: DiscreteLagrangian,
 ) -> list[Expr]:
     """The equations of a node on the motion q(t +- h) = q +- h v + h^2 a/2, with the node at time t."""
     after, before = halves
@@ -118,6 +152,8 @@ def _nodal(
     going = {**dict(zip(left, q, strict=True)), **dict(zip(right, later, strict=True)), **controls}
     coming = {**dict(zip(left, earlier, strict=True)), **dict(zip(right, q, strict=True)), **controls}
     coming[model.time] = model.time - STEP
+    going |= inner_motion(model, scheme, before=False)
+    coming |= inner_motion(model, scheme, before=True)
     return [e.xreplace(going) + f.xreplace(coming) for e, f in zip(after, before, strict=True)]
 
 
@@ -136,16 +172,25 @@ def _euler_lagrange(model: Model, forces: Sequence[Symbol]) -> list[Expr]:
 
 def _one_step_equations(program: ControlProgram | StepProgram) -> list[Expr]:
     if isinstance(program, StepProgram):
-        return [equation for _, equation in program.equations]
+        whole = {h: STEP / len(program.lengths) for h in program.lengths}
+        return [equation.xreplace(whole) for _, equation in program.equations]
     return [_in_time(program, equation) for name, equation in program.equations if name == "0"]
 
 
-def _stepwise(model: Model, equations: Sequence[Expr], rates: Sequence[Symbol]) -> list[Expr]:
-    """The sum of all substeps on the motion x(t + s h) = x + s h x', for each state."""
+def _stepwise(model: Model, equations: Sequence[Expr], rates: Sequence[Symbol], scheme: Scheme) -> list[Expr]:
+    """The sum of all substeps on the motion x(t + s h) = x + s h x', for each state.
+
+    Of a Runge-Kutta method it is the last of its equations, which leads from one node to the next.
+    """
     states = (*model.coordinates, *model.rates)
     size = len(states)
-    count = len(equations) // size
     place: dict[Symbol, Expr] = _controls(model)
+    if isinstance(scheme, RungeKutta):
+        equations = equations[-size:]
+        for i, c in enumerate(scheme.places, start=1):
+            sites = zip(at_nodes(states, f"_stage{i}"), states, rates, strict=True)
+            place |= {site: x + c * STEP * rate for site, x, rate in sites}
+    count = len(equations) // size
     for index in range(count + 1):
         suffix = "_k" if index == 0 else "_k1" if index == count else f"_stage{index}"
         share = sympy.Rational(index, count)

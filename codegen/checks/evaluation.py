@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise import STEP
+from codegen.discretise import LENGTHS, STEP
 from codegen.errors import NumericsError
 
 Point: TypeAlias = Mapping[Symbol, float]
@@ -57,8 +57,7 @@ def random_points(
     for _ in range(_ATTEMPTS):
         drawn = {symbol: float(generator.uniform(0.4, 1.6)) for symbol in symbols}
         drawn |= {symbol: value * drawn[symbol] for symbol, value in defaults.items() if symbol in drawn and value}
-        if STEP in drawn:
-            drawn[STEP] *= 0.25
+        drawn |= {length: 0.25 * drawn[length] for length in (STEP, *LENGTHS) if length in drawn}
         if _has_value(function, [drawn[symbol] for symbol in symbols]):
             points.append(drawn)
         if len(points) == count:

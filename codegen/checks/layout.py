@@ -10,11 +10,13 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import sympy
 
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import random_points
 from codegen.checks.flat_vector import FlatVector
 from codegen.checks.kernel_arguments import all_shared_symbols, kernel_stems, other_symbols, parameter_vector
+from codegen.checks.step_kernels import step_length
 from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram, StepProgram
 
@@ -219,21 +221,28 @@ def _step_difference(module: Any, program: StepProgram) -> str:
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     sizes = {"STATE": len(program.state), "STAGES": len(program.stage_symbols), "UNKNOWNS": len(program.unknowns)}
+    sizes["PARTS"] = len(program.fractions)
+    if program.fractions:
+        found = np.array(getattr(module, "FRACTIONS", []))
+        exact = np.array([[float(sympy.N(f, 20)) for f in row] for row in program.fractions])
+        if found.shape != exact.shape or not np.abs(found - exact).max() < 1e-15:
+            return "FRACTIONS are not those of the composition"
     wanted = {name: size for name, size in sizes.items() if size or hasattr(module, name)}
     return _differing_metadata(module.metadata, names) or _differing_values(module, wanted)
 
 
 def _step_run(module: Any, program: StepProgram) -> str:
     interval = [*program.stage_symbols, *program.right_symbols]
-    symbols = [*program.left_symbols, *interval, *program.model.parameters, program.model.time, STEP]
-    symbols = list(dict.fromkeys([*symbols, *program.unknowns]))
+    symbols = [*program.left_symbols, *interval, *program.model.parameters, program.model.time]
+    symbols = list(dict.fromkeys([*symbols, *program.lengths, *program.unknowns]))
     expressions = [*(value for _, value in program.equations), program.energy]
     (point,) = random_points(expressions, symbols, program.model.default_values, count=1)
 
     def at(group: Any) -> Any:
         return np.array([point[symbol] for symbol in group])
 
-    base = (at(program.left_symbols), point[program.model.time], point[STEP], at(program.model.parameters))
+    length = step_length(point, program)
+    base = (at(program.left_symbols), point[program.model.time], length, at(program.model.parameters))
     size, whole = len(program.unknowns), len(interval)
     problem = _run(module, "step_equations", (base[0], at(interval), *base[1:]), residual=(whole,))
     problem = problem or _run(module, "energy", (base[0], base[1], base[3]))

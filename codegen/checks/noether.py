@@ -17,7 +17,7 @@ from codegen.checks.evaluation import vanishing
 from codegen.checks.one_step import without_boundaries, without_forces
 from codegen.discretise import one_step_interval, variational_interval
 from codegen.model import Model
-from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -44,14 +44,22 @@ def check(context: Context) -> Iterator[Finding]:
 
 
 def momentum_change(model: Model, scheme: Scheme, i: int) -> Expr:
-    """D1 Ld + D2 Ld in one component, or what a one-step method adds to the momentum; forces left out."""
+    """The sum of all D_j Ld in one component, or what a one-step method adds to the momentum; forces left out.
+
+    A composition conserves what its base does.
+    """
     model = without_forces(without_boundaries(model))
+    if isinstance(scheme, Composition):
+        scheme = scheme.base
     if isinstance(scheme, DiscreteLagrangian):
         interval = variational_interval(legendre.lagrangian_form(model), scheme)
-        left, right = interval.q.left[i], interval.q.right[i]
-        return sympy.diff(interval.lagrangian, left) + sympy.diff(interval.lagrangian, right)
-    assert isinstance(scheme, OneStep)
+        inner = interval.inner[i :: len(model.coordinates)]
+        places = (interval.q.left[i], interval.q.right[i], *inner)
+        return sum((sympy.diff(interval.lagrangian, q) for q in places), sympy.S.Zero)
+    assert isinstance(scheme, OneStep | RungeKutta)
     step = one_step_interval(legendre.hamiltonian_form(model), scheme)
     dimension = len(model.coordinates)
+    if isinstance(scheme, RungeKutta):
+        return step.equations[len(step.stages) + dimension + i] - (step.p.right[i] - step.p.left[i])
     momenta = step.equations[dimension + i :: 2 * dimension]
     return sum(momenta, sympy.S.Zero) - (step.p.right[i] - step.p.left[i])

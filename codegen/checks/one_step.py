@@ -4,26 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import mpmath  # type: ignore[import-untyped]
 import sympy
 from sympy import Expr, Matrix, S, Symbol
 
 from codegen import legendre
-from codegen.discretise import at_nodes, one_step_interval, variational_interval
+from codegen.checks.evaluation import Function
+from codegen.discretise import STEP, at_nodes, one_step_interval, step_lengths, variational_interval
+from codegen.errors import NumericsError
 from codegen.model import Boundary, Model, normalise
 from codegen.problem import Simulate
-from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
 from codegen.symbols import coordinate, time
+
+_MOST_ITERATIONS = 60
 
 
 @dataclass(frozen=True)
 class StepEquations:
-    """Expressions that vanish in a step from `left` = (q_k, p_k) over inner `stages` to `right` = (q_k1, p_k1)."""
+    """Expressions that vanish in a step from `left` = (q_k, p_k) over inner `stages` to `right` = (q_k1, p_k1).
+
+    Of a composition they are those of one step of its base, which depend on `lengths`; `fractions` has them for each
+    step of the base, in parts of the whole.
+    """
 
     left: tuple[Symbol, ...]
     stages: tuple[Symbol, ...]
     right: tuple[Symbol, ...]
     equations: tuple[Expr, ...]
+    lengths: tuple[Symbol, ...] = (STEP,)
+    fractions: tuple[tuple[Expr, ...], ...] = ()
 
     @property
     def unknowns(self) -> tuple[Symbol, ...]:
@@ -44,21 +56,47 @@ class StepEquations:
 
 
 def step_equations(model: Model, scheme: Scheme) -> StepEquations:
-    """Write one step: the equations of a one-step method, or both Legendre transforms of a discrete Lagrangian.
+    """Write one step: the equations of a one-step method, or a discrete Lagrangian's balances and Legendre transforms.
 
     Raises what the Legendre transforms raise.
     """
     model = without_boundaries(model)
     phase = legendre.hamiltonian_form(model)
-    if isinstance(scheme, OneStep):
+    if isinstance(scheme, Composition):
+        lengths = step_lengths(scheme)
+        part = step_equations(model, scheme.part(lengths, STEP))
+        return replace(part, lengths=lengths, fractions=scheme.fractions)
+    if isinstance(scheme, OneStep | RungeKutta):
         step = one_step_interval(phase, scheme)
         return StepEquations((*step.q.left, *step.p.left), step.stages, (*step.q.right, *step.p.right), step.equations)
     assert isinstance(scheme, DiscreteLagrangian)
     interval = variational_interval(legendre.lagrangian_form(model), scheme)
     left, right = at_nodes(phase.rates, "_k"), at_nodes(phase.rates, "_k1")
-    equations = [p - momentum for p, momentum in zip(left, interval.left_momentum, strict=True)]
+    equations = [*interval.inner_balance]
+    equations += [p - momentum for p, momentum in zip(left, interval.left_momentum, strict=True)]
     equations += [p - momentum for p, momentum in zip(right, interval.right_momentum, strict=True)]
-    return StepEquations((*interval.q.left, *left), (), (*interval.q.right, *right), tuple(equations))
+    return StepEquations((*interval.q.left, *left), interval.inner, (*interval.q.right, *right), tuple(equations))
+
+
+def solved_step(residual: Function, jacobian: Function, given: Sequence[Any], start: Sequence[Any]) -> list[Any]:
+    """The unknowns of a step by Newton's method in mpmath's current precision, from `start`.
+
+    `residual` and `jacobian` (row by row) are functions of `given` and the unknowns. Raises NumericsError where the
+    method does not converge.
+    """
+    y, count = [mpmath.mpf(x) for x in start], len(start)
+    least = mpmath.mpf(10) ** (8 - mpmath.mp.dps)
+    for _ in range(_MOST_ITERATIONS):
+        entries = jacobian(*given, *y)
+        matrix = mpmath.matrix([entries[i : i + count] for i in range(0, count**2, count)])
+        try:
+            change = mpmath.lu_solve(matrix, mpmath.matrix(residual(*given, *y)))
+        except ZeroDivisionError:
+            break
+        y = [value - change[i] for i, value in enumerate(y)]
+        if max(abs(x) for x in change) <= least * (1 + max(abs(x) for x in y)):
+            return y
+    raise NumericsError("the equations of a step could not be solved", "check the scheme")
 
 
 def without_boundaries(model: Model) -> Model:

@@ -12,14 +12,13 @@ from sympy import Expr, Symbol
 from codegen.checks.agreement import Agreement
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import DIGITS, Point, function_of, gradient, random_points
-from codegen.discretise import STEP
 from codegen.transcribe.program import StepProgram
 
 
 def check_step(context: Context, program: StepProgram) -> Iterator[Finding]:
     """The scheme's equations and the energy as written; the elimination by the equations that a step makes vanish."""
     interval = [*program.stage_symbols, *program.right_symbols]
-    base = [*program.left_symbols, program.model.time, STEP, *program.model.parameters]
+    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
     energy = function_of(base, [program.energy])
     written, closed, height = Agreement(), Agreement(), Agreement()
@@ -50,7 +49,7 @@ def check_step(context: Context, program: StepProgram) -> Iterator[Finding]:
 
 
 def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
-    base = [*program.left_symbols, program.model.time, STEP, *program.model.parameters]
+    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     symbols = [*program.unknowns, *base]
     residual = [_expanded(value, program.before) for value in program.residual]
     functions, size = [function_of(symbols, [value]) for value in residual], len(program.unknowns)
@@ -77,11 +76,17 @@ def _expanded(value: Expr, assignments: Sequence[tuple[Symbol, Expr]]) -> Expr:
     return value
 
 
-def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, float, Any]:
+def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, Any, Any]:
     state = np.array([point[symbol] for symbol in program.left_symbols])
     parameters = np.array([point[symbol] for symbol in program.model.parameters])
-    return state, point[program.model.time], point[STEP], parameters
+    return state, point[program.model.time], step_length(point, program), parameters
 
 
-def _time_and_parameters(arguments: tuple[Any, float, float, Any]) -> tuple[float, Any]:
+def step_length(point: Point, program: StepProgram) -> Any:
+    """What a kernel takes for the length of the step: an array of all lengths where a composition repeats it."""
+    lengths = np.array([point[h] for h in program.lengths])
+    return lengths if program.fractions else float(lengths[0])
+
+
+def _time_and_parameters(arguments: tuple[Any, float, Any, Any]) -> tuple[float, Any]:
     return arguments[1], arguments[3]

@@ -66,6 +66,12 @@ def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
         raise ArgumentError(
             "driver fsolve does not solve the steps of particles, whose module has its own Newton method", "use newton"
         )
+    if module.metadata.get("parts"):
+        raise ArgumentError(
+            f"driver fsolve solves one system in each step, and {module.metadata['scheme']} makes "
+            f"{module.metadata['parts']} steps of another scheme",
+            "use newton",
+        )
     if not is_implicit(module):
         raise ArgumentError(
             f"driver fsolve has nothing to solve: {module.metadata['scheme']} is explicit for this problem",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.lower.printer import scalar_code, stabilised
+from codegen.lower.printer import scalar_code, stabilised, with_decimal_roots
 
 CACHED = ('@njit(cache=True, error_model="numpy")',)
 """Decorator of functions that Python calls; division by zero gives infinity, as it does in numpy."""
@@ -74,10 +74,9 @@ def kernel(
     `straight_line` program do as well, but hold all common subexpressions already; a kernel has one or the other.
     """
     names = [symbol for symbol, _ in (*assignments, *straight_line)]
-    expressions = [stabilised(value) for _, value in (*assignments, *straight_line)]
-    expressions += [stabilised(output.value) for output in outputs]
-    if result is not None:
-        expressions.append(stabilised(result))
+    values = [*(value for _, value in (*assignments, *straight_line)), *(output.value for output in outputs)]
+    values += [] if result is None else [result]
+    expressions = [with_decimal_roots(stabilised(value)) for value in values]
     used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
     inputs = tuple(Line(s.name, code) for s, code in places.items() if s in used and code != s.name)
     body, reduced = [*zip(names, expressions, strict=False)], expressions[len(names) :]

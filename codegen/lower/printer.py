@@ -125,6 +125,14 @@ def stabilised(expression: sympy.Expr) -> sympy.Expr:
     return expression
 
 
+def with_decimal_roots(expression: sympy.Expr) -> sympy.Expr:
+    """Replace roots of numbers, as the coefficients of Gauss methods have them, by decimals that join other factors."""
+    roots = [
+        p for p in expression.atoms(sympy.Pow) if p.base.is_Rational and p.exp.is_Rational and not p.exp.is_Integer
+    ]
+    return expression.xreplace({root: sympy.N(root, 30) for root in roots}) if roots else expression
+
+
 def _without_cancellation(expression: sympy.Expr) -> sympy.Expr:
     """Rewrite log(1 + x) and exp(x) - 1, also where factors hide it, as in y exp(x) - y.
 

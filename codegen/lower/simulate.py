@@ -14,7 +14,9 @@ from codegen.lower.module import Argument, SimulateModule
 from codegen.lower.printer import scalar_code
 from codegen.transcribe.program import StepProgram
 
-_ARGUMENTS = ("state", "t", "h", "parameters")
+
+def _arguments(program: StepProgram) -> tuple[str, ...]:
+    return ("state", "t", "lengths" if program.fractions else "h", "parameters")
 
 
 def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
@@ -36,7 +38,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         constants=tuple(_constants(program)),
         kernels=kernels,
         runtime=_runtime(program, derivatives),
-        sizes=(),
+        sizes=(("PARTS", len(program.fractions)),),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),
@@ -59,7 +61,8 @@ def _places(program: StepProgram) -> dict[Symbol, str]:
     places = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(program.unknowns)}
     places |= {symbol: f"state[{i}]" for i, symbol in enumerate(program.left_symbols)}
     places |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(program.model.parameters)}
-    return places | {program.model.time: "t", STEP: "h"}
+    lengths = {h: f"lengths[{i}]" for i, h in enumerate(program.lengths)} if program.fractions else {STEP: "h"}
+    return places | lengths | {program.model.time: "t"}
 
 
 def _interval(program: StepProgram) -> tuple[Symbol, ...]:
@@ -74,12 +77,12 @@ def _explicit_kernel(program: StepProgram) -> Kernel:
     return kernel(
         "explicit_step",
         "Inner stages, if there are any, and the state at the right node.",
-        (*_ARGUMENTS, "interval"), _places(program), _interval_outputs(program), None, program.before,
+        (*_arguments(program), "interval"), _places(program), _interval_outputs(program), None, program.before,
     )  # fmt: skip
 
 
 def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tuple[Kernel, ...]:
-    places = _places(program)
+    places, arguments = _places(program), _arguments(program)
     names = [symbol.name for symbol in program.unknowns]
     guess = [Output(f"unknowns[{i}]", value, names[i]) for i, value in enumerate(program.guess)]
     residual = [Output(f"residual[{i}]", value, "") for i, value in enumerate(program.residual)]
@@ -91,18 +94,18 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
     listed = ", ".join(names)
     needed = _needed(program.before, (*program.residual, *(entry.value for entry in entries)))
     return (
-        kernel("predict_step", f"Where to start solving for {listed}.", (*_ARGUMENTS, "unknowns"), places, guess),
+        kernel("predict_step", f"Where to start solving for {listed}.", (*arguments, "unknowns"), places, guess),
         kernel(
             "step_residual", f"What must vanish, as a function of {listed}.",
-            ("unknowns", *_ARGUMENTS, "residual"), places, residual, None, _needed(program.before, program.residual),
+            ("unknowns", *arguments, "residual"), places, residual, None, _needed(program.before, program.residual),
         ),
         kernel(
             "step_jacobian", f"Residual, and its Jacobian by {listed}.",
-            ("unknowns", *_ARGUMENTS, "residual", "jacobian"), places, [*residual, *entries], None, needed,
+            ("unknowns", *arguments, "residual", "jacobian"), places, [*residual, *entries], None, needed,
         ),
         kernel(
             "complete_step", f"Inner stages, if there are any, and the state at the right node, given {listed}.",
-            ("unknowns", *_ARGUMENTS, "interval"), places, _interval_outputs(program), None,
+            ("unknowns", *arguments, "interval"), places, _interval_outputs(program), None,
             (*program.before, *program.after),
         ),
     )  # fmt: skip
@@ -125,7 +128,7 @@ def _equations_kernel(program: StepProgram) -> Kernel:
     outputs = [Output(f"residual[{i}]", value, name) for i, (name, value) in enumerate(program.equations)]
     return kernel(
         "step_equations", "The scheme's equations as they stand above; a step makes them vanish.",
-        ("state", "interval", "t", "h", "parameters", "residual"), places, outputs,
+        ("state", "interval", *_arguments(program)[1:], "residual"), places, outputs,
     )  # fmt: skip
 
 
@@ -138,6 +141,12 @@ def _constants(program: StepProgram) -> list[Line]:
     if program.unknowns:
         names = ", ".join(symbol.name for symbol in program.unknowns)
         lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {names}"))
+    if program.fractions:
+        rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
+        lines += [
+            Line("PARTS", str(len(program.fractions)), "steps of the base scheme that make up one step"),
+            Line("FRACTIONS", f"np.array([{', '.join(rows)}])", "the lengths of each, in parts of the whole step"),
+        ]
     return lines
 
 
@@ -147,15 +156,20 @@ def _solver(program: StepProgram, derivatives: StepDerivatives) -> str:
         return "explicit"
     if not program.linear:
         return "newton"
-    return "constant" if derivatives.constant else "linear"
+    return "constant" if derivatives.constant and not program.fractions else "linear"
 
 
 def _runtime(program: StepProgram, derivatives: StepDerivatives) -> tuple[str, ...]:
-    step = f"step_{_solver(program, derivatives)}"
-    if not program.unknowns:
-        return (step, "trajectory", "path")
-    algebra = ("scalar",) if len(program.unknowns) == 1 else ("lu", "dense")
-    return (*algebra, step, "trajectory", "path", "step_callbacks")
+    files = [
+        f"step_{_solver(program, derivatives)}",
+        *(["composition"] if program.fractions else []),
+        "trajectory",
+        "path",
+    ]
+    if program.unknowns:
+        files = [*(["scalar"] if len(program.unknowns) == 1 else ["lu", "dense"]), *files]
+        files += [] if program.fractions else ["step_callbacks"]
+    return tuple(files)
 
 
 def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:
@@ -188,18 +202,28 @@ def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:
 
 def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
     lines = ["One step from t_k to t_k1 = t_k + h (suffixes _k and _k1 mark its nodes):", ""]
+    if program.fractions:
+        lengths = ", ".join(symbol.name for symbol in program.lengths)
+        lines = [
+            f"One step is made up of {len(program.fractions)} steps of another scheme; FRACTIONS holds {lengths}.",
+            "Each leads from t_k to t_k1 (suffixes _k and _k1 mark its nodes):",
+            "",
+        ]
     lines += [f"    {name} = {sympy.sstr(value)}" for name, value in program.summary]
     if program.method == "variational":
         lines += ["", "where each p_k = -D1 Ld - f- and p_k1 = D2 Ld + f+ (position-momentum form)."]
     if program.unknowns:
         lines += ["", f"These are solved for {_listed(program.unknowns)}; the rest is explicit."]
     if program.method == "variational":
-        rates = zip(program.velocity_symbols, program.left_symbols, program.right_symbols, strict=False)
         lines += ["", "Velocities of the step are unknowns in place of positions, so that no digits cancel:", ""]
-        lines += [f"    {v} = ({right} - {left})/h" for v, left, right in rates]
+        lines += [f"    {v} = ({after} - {before})/{_divisor(time)}" for v, after, before, time in program.velocities]
     lines += ["", "Operations of one evaluation, before and after common subexpressions are shared:", ""]
     lines += [f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
     return lines
+
+
+def _divisor(time: Expr) -> str:
+    return sympy.sstr(time) if time.is_Symbol else f"({sympy.sstr(time)})"
 
 
 def _metadata(program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel]) -> list[tuple[str, str]]:
@@ -210,6 +234,7 @@ def _metadata(program: StepProgram, derivatives: StepDerivatives, kernels: Seque
         ("method", repr(program.method)),
         ("scheme", repr(program.scheme)),
         ("order", repr(program.order)),
+        ("parts", repr(len(program.fractions))),
         ("form", repr(model.form)),
         ("solver", repr(_solver(program, derivatives))),
         ("coordinates", repr(tuple(s.name for s in model.coordinates))),

@@ -43,17 +43,17 @@ def _solved(settings: Settings, kernel: str, dimension: int, count: int) -> Valu
         "residual": solution.residual,
         "iterations": solution.iterations,
         "seconds": least_time(lambda: module.solve_case(case), repeats),
-        "seconds of a trajectory": least_time(lambda: module.trajectory(case, momenta), 5),
+        "seconds of a trajectory": least_time(lambda: module.trajectory(case, momenta), 20),
         "operations": list(module.metadata["operations"]["hamiltonian_gradient"]),
     }
 
 
 def least_time(run: Callable[[], Any], repeats: int) -> float:
-    """The least time of several warm runs, in seconds."""
+    """The least processor time of several warm runs, in seconds; other work on the machine lengthens it little."""
     run()
     times = []
     for _ in range(repeats):
-        begin = time.perf_counter()
+        begin = time.process_time()
         run()
-        times.append(time.perf_counter() - begin)
+        times.append(time.process_time() - begin)
     return min(times)

@@ -17,7 +17,7 @@ class Extent:
     quick: bool = False
     simulation_doublings: int = 12
     control_doublings: int = 4
-    most_schemes: int = 99
+    most_schemes: int = 10
     most_simulated: int = 99
     limit: float = 2.0
     repeat: int = 3

@@ -53,8 +53,8 @@ def _midpoint(settings: Settings, store: Store) -> Section:
         "its time / ours",
     )
     table = Table(
-        "Seconds of midpoint stepping with N = 10: Newton's method with generated derivatives inside each step and for "
-        "the initial momenta, beside root finders with differences inside root finders.",
+        "Processor time of midpoint stepping, N = 10: Newton's method with generated derivatives inside each step and "
+        "for the initial momenta, beside root finders with differences inside root finders.",
         head,
         tuple(rows),
     )

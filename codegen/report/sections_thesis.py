@@ -88,15 +88,22 @@ def _route_texts(settings: Settings, store: Store, scheme: str) -> list[str]:
         order = -slope([n for n, _ in best], [abs(v["cost"] - exact) for _, v in best])
         texts.append(f"The error in cost falls like N to the power {number(-order, 2)} (nc = {settings.counts[-1]}).")
     failed = [
-        f"{route.label} (nc = {c}, N = {n}: {v['status']})"
+        (f"{route.label}, nc = {c}, N = {n}", values["residual"])
         for route in sweeps.ROUTES
         if scheme in route.schemes
         for c in settings.counts
-        for n, v in figures.of_route(settings, store, scheme, route.label, c)
-        if v["status"] != "solved"
+        for n, values in figures.of_route(settings, store, scheme, route.label, c)
+        if values["status"] != "solved"
     ]
-    texts.append(f"Solves that failed: {len(failed)}" + (f", first {listed(failed[:3])}." if failed else "."))
+    texts.append(f"Solves that failed: {len(failed)}" + ("." if not failed else _failures(failed)))
     return texts
+
+
+def _failures(failed: list[tuple[str, float | None]]) -> str:
+    """The first of them, and how far from solved they stopped."""
+    residuals = [residual for _, residual in failed if residual is not None]
+    reach = f"; they stopped with residuals from {number(min(residuals), 2)} to {number(max(residuals), 2)}"
+    return f", first {failed[0][0]}{reach if residuals else ''}."
 
 
 def _spread(settings: Settings, store: Store, scheme: str) -> float | None:

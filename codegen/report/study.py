@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 from collections.abc import Callable, Iterator
 from importlib import metadata
@@ -63,6 +64,7 @@ def machine() -> dict[str, Any]:
         "processor": _processor(),
         "processors": _processors(),
         "system": platform.system(),
+        "load of the machine when the page was made": _load(),
     }
 
 
@@ -89,6 +91,9 @@ def _processor() -> str:
 
 
 def _processors() -> int:
-    import os
-
     return os.cpu_count() or 1
+
+
+def _load() -> float | None:
+    """Processes that wanted a processor over the last quarter of an hour: other work makes measured times longer."""
+    return round(os.getloadavg()[2], 1) if hasattr(os, "getloadavg") else None

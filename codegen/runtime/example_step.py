@@ -7,7 +7,8 @@ imported and tested; never included anywhere.
 import numpy as np
 from numba import njit
 
-STATE, STAGES, UNKNOWNS = 2, 0, 1
+STATE, STAGES, UNKNOWNS, PARTS = 2, 0, 1, 0
+FRACTIONS = np.empty((0, 1))
 
 
 @njit(cache=True, error_model="numpy")

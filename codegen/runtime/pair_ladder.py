@@ -1,8 +1,8 @@
 """Which attempts are made to connect given points, in which order, and what is reported about them.
 
-Each attempt starts where the one before it failed: Newton's method from the momenta H_pp^-1 (target - start), from
-rest, by continuation in the target, on all states at once from a guessed path, and with more steps, of which then ever
-fewer are taken. Only an attempt whose residual is below the tolerance, or below what rounding makes of it, counts as a
+Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from rest,
+by continuation in the target, on all states at once from a guessed path, and with more steps, of which then ever fewer
+are taken. Only an attempt whose residual is below the tolerance, or below what rounding makes of it, counts as a
 solution.
 """
 

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.example_step import STAGES, STATE
+from codegen.runtime.composition import advance_parts, allocate_parts
+from codegen.runtime.example_step import PARTS, STAGES, STATE
 from codegen.runtime.step_newton import advance, allocate_work
 from codegen.runtime.trajectory import energies, follow, largest_residual
 
@@ -90,9 +91,13 @@ def describe(grid, steps, iterations, outcome):
 def step(grid, state, t=0.0, tolerance=1e-13, max_iterations=50):
     """State (q, p) one step of length grid.h after `state`; NaN when the equations cannot be solved."""
     interval = np.empty(STAGES + STATE)
-    work = allocate_work(grid.h, grid.parameters)
     state = np.array(state, dtype=float)
-    outcome = advance(state, t, grid.h, grid.parameters, work, interval, tolerance, max_iterations)
+    if PARTS:
+        work = allocate_parts(grid.h, grid.parameters)
+        outcome = advance_parts(state, t, grid.parameters, work, interval, tolerance, max_iterations)
+    else:
+        work = allocate_work(grid.h, grid.parameters)
+        outcome = advance(state, t, grid.h, grid.parameters, work, interval, tolerance, max_iterations)
     return interval[STAGES:] if outcome >= 0 else np.full(STATE, np.nan)
 
 

@@ -6,7 +6,8 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.example_step import STAGES, STATE, energy, step_equations
+from codegen.runtime.composition import advance_parts, allocate_parts, parts_residual
+from codegen.runtime.example_step import PARTS, STAGES, STATE, energy, step_equations
 from codegen.runtime.step_newton import advance, allocate_work
 
 
@@ -19,12 +20,18 @@ def follow(start, steps, h, parameters, every, tolerance, max_iterations, path, 
     the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
     """
     state, interval = start.copy(), np.empty(STAGES + STATE)
-    work = allocate_work(h, parameters)
+    if PARTS:  # noqa: SIM108  decided when a module is made
+        work = allocate_parts(h, parameters)
+    else:
+        work = allocate_work(h, parameters)
     rows, iterations, wait = 1, 0, every
     for i in range(STATE):
         path[0, i] = state[i]
     for k in range(steps):
-        outcome = advance(state, k * h, h, parameters, work, interval, tolerance, max_iterations)
+        if PARTS:
+            outcome = advance_parts(state, k * h, parameters, work, interval, tolerance, max_iterations)
+        else:
+            outcome = advance(state, k * h, h, parameters, work, interval, tolerance, max_iterations)
         total = 0.0
         for i in range(STATE):
             total += abs(interval[STAGES + i])
@@ -59,19 +66,28 @@ def largest_residual(before, path, rows, steps, h, parameters, every, tolerance,
     Inner stages, which are not stored, are computed again from the state before the step.
     """
     interval, residual = np.empty(STAGES + STATE), np.empty(STAGES + STATE)
-    work = allocate_work(h, parameters)
+    if PARTS:  # noqa: SIM108  decided when a module is made
+        work = allocate_parts(h, parameters)
+    else:
+        work = allocate_work(h, parameters)
     largest = 0.0
     for row in range(1, rows):
         t = (min(row * every, steps) - 1) * h
-        if STAGES > 0:
-            advance(before[row - 1], t, h, parameters, work, interval, tolerance, max_iterations)
-        for i in range(STATE):
-            interval[STAGES + i] = path[row, i]
-        step_equations(before[row - 1], interval, t, h, parameters, residual)
-        for i in range(STAGES + STATE):
-            if not abs(residual[i]) < np.inf:
-                return np.inf
-            largest = max(largest, abs(residual[i]))
+        if PARTS:
+            size = parts_residual(
+                before[row - 1], path[row], t, parameters, work, interval, residual, tolerance, max_iterations
+            )
+            largest = max(largest, size)
+        else:
+            if STAGES > 0:
+                advance(before[row - 1], t, h, parameters, work, interval, tolerance, max_iterations)
+            for i in range(STATE):
+                interval[STAGES + i] = path[row, i]
+            step_equations(before[row - 1], interval, t, h, parameters, residual)
+            for i in range(STAGES + STATE):
+                if not abs(residual[i]) < np.inf:
+                    return np.inf
+                largest = max(largest, abs(residual[i]))
     return largest
 
 

@@ -7,17 +7,32 @@ import difflib
 from sympy import Rational
 
 from codegen.errors import SchemeError
-from codegen.schemes.base import DiscreteLagrangian, OneStep, QuadraturePoint, Scheme, Substep
+from codegen.schemes import compositions
+from codegen.schemes.base import (
+    Composition,
+    DiscreteLagrangian,
+    OfSteps,
+    OneStep,
+    QuadraturePoint,
+    RungeKutta,
+    Scheme,
+    Substep,
+)
+from codegen.schemes.compositions import COMPOSITIONS, FIRST_ORDER_COMPOSITIONS
 from codegen.schemes.discrete_lagrangians import DISCRETE_LAGRANGIANS
 from codegen.schemes.one_step import FIRST_ORDER_SCHEMES, ONE_STEPS, alpha
+from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, RUNGE_KUTTA
 
 __all__ = [
     "ALIASES",
     "FIRST_ORDER",
     "METHODS",
+    "Composition",
     "DiscreteLagrangian",
+    "OfSteps",
     "OneStep",
     "QuadraturePoint",
+    "RungeKutta",
     "Scheme",
     "Substep",
     "find",
@@ -25,28 +40,40 @@ __all__ = [
 
 METHODS: dict[str, dict[str, Scheme]] = {
     "variational": {scheme.name: scheme for scheme in DISCRETE_LAGRANGIANS},
-    "hamiltonian": {scheme.name: scheme for scheme in ONE_STEPS},
+    "hamiltonian": {scheme.name: scheme for scheme in (*ONE_STEPS, *RUNGE_KUTTA, *COMPOSITIONS)},
 }
 """Every scheme for mechanical systems by method and name; tests run over this table."""
 
 FIRST_ORDER = "one-step"
 """The method for first-order systems x' = f(x, u, t)."""
 
-_ALL: dict[str, dict[str, Scheme]] = {**METHODS, FIRST_ORDER: {scheme.name: scheme for scheme in FIRST_ORDER_SCHEMES}}
+_FIRST_ORDER = (*FIRST_ORDER_SCHEMES, *FIRST_ORDER_RUNGE_KUTTA, *FIRST_ORDER_COMPOSITIONS)
+_ALL: dict[str, dict[str, Scheme]] = {**METHODS, FIRST_ORDER: {scheme.name: scheme for scheme in _FIRST_ORDER}}
 
-ALIASES = {("variational", "stormer-verlet"): "trapezoidal"}
+ALIASES = {
+    ("variational", "stormer-verlet"): "trapezoidal",
+    ("variational", "gauss-2"): "midpoint",
+    ("hamiltonian", "gauss-2"): "midpoint",
+    (FIRST_ORDER, "gauss-2"): "midpoint",
+    ("variational", "lobatto-2"): "trapezoidal",
+    ("hamiltonian", "lobatto-2"): "stormer-verlet",
+    ("hamiltonian", "forest-ruth"): "yoshida-4",
+}
 """Other names of the same scheme."""
 
 
 def find(name: str, method: str) -> Scheme:
     """The scheme of that name for that method; SchemeError tells which names there are.
 
-    `alpha-<a>`, with a a decimal or a fraction in [0, 1], names a member of the alpha family.
+    `alpha-<a>`, with a a decimal or a fraction in [0, 1], names a member of the alpha family, and
+    `<composition>-of-<base>`, as in yoshida-4-of-midpoint, a composition of a symmetric scheme of order 2.
     """
     table = _ALL[method]
     name = ALIASES.get((method, name), name)
     if name in table:
         return table[name]
+    if "-of-" in name:
+        return _composition(name, method)
     if method == "hamiltonian" and name.startswith("alpha-"):
         try:
             value = Rational(name.removeprefix("alpha-"))
@@ -72,3 +99,17 @@ def find(name: str, method: str) -> Scheme:
 def of_method(method: str) -> tuple[Scheme, ...]:
     """Every scheme of a method by itself, without families and aliases."""
     return tuple(_ALL[method].values())
+
+
+def _composition(name: str, method: str) -> Scheme:
+    """The scheme `<composition>-of-<base>`."""
+    outer, inner = name.split("-of-", 1)
+    bases = {n: s for n, s in _ALL[method].items() if s.symmetric and s.order == 2}
+    base = bases.get(ALIASES.get((method, inner), inner))
+    found = compositions.composed(outer, base) if isinstance(base, (OneStep, DiscreteLagrangian)) else None
+    if found is None:
+        raise SchemeError(
+            f"there is no scheme {name!r} for the {method} method",
+            f"give one of {', '.join(compositions.NAMES)}, then -of-, then one of {', '.join(bases)}",
+        )
+    return found

@@ -63,6 +63,15 @@ ONE_STEPS = (
         summary="half a step of symplectic-euler, then half a step of its adjoint",
         substeps=(Substep(_HALF, _ZERO, _ONE), Substep(_HALF, _ONE, _ZERO)),
     ),
+    OneStep(
+        name="position-verlet",
+        order=2,
+        symmetric=True,
+        symplectic=True,
+        source="Hairer, Lubich and Wanner (2006), (VI.3.4), second variant; Tuckerman, Berne and Martyna (1992)",
+        summary="half a step of symplectic-euler-adjoint, then half a step of symplectic-euler; one force a step",
+        substeps=(Substep(_HALF, _ONE, _ZERO), Substep(_HALF, _ZERO, _ONE)),
+    ),
 )
 
 TRAPEZOIDAL = OneStep(

@@ -5,16 +5,18 @@ from __future__ import annotations
 from typing import overload
 
 from codegen import schemes
-from codegen.errors import ArgumentError
+from codegen.errors import ArgumentError, SchemeError
 from codegen.model import Model
 from codegen.model.pairwise import PairwiseModel
-from codegen.schemes import DiscreteLagrangian, OneStep
+from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta
 from codegen.transcribe import connect, one_step, phases, simulate, variational
 from codegen.transcribe.assembly import in_scaled_time
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 DEFAULT_SCHEME = "midpoint"
+MOST_PARTS = 6
+"""Steps of a composition that a control problem has on an interval at most."""
 
 
 @overload
@@ -57,10 +59,27 @@ def transcribe(
 def _controlled(model: Model, scheme: schemes.Scheme, method: str, nodal_controls: bool) -> ControlProgram:
     if isinstance(scheme, DiscreteLagrangian):
         return variational.variational(model, scheme, nodal_controls)
-    assert isinstance(scheme, OneStep)
+    assert isinstance(scheme, OneStep | RungeKutta | Composition)
+    if isinstance(scheme, Composition):
+        _require_short(scheme)
     if method == schemes.FIRST_ORDER:
         return one_step.first_order(model, scheme, nodal_controls)
     return one_step.hamiltonian(model, scheme, nodal_controls)
+
+
+def _require_short(scheme: Composition) -> None:
+    """Refuse compositions that a control problem would have to write out over every interval."""
+    if isinstance(scheme.base, DiscreteLagrangian):
+        raise SchemeError(
+            f"scheme {scheme.name!r} composes discrete Lagrangians, which is possible in simulations only",
+            "use gauss-4 or gauss-6, or a composition with --method hamiltonian",
+        )
+    if len(scheme.fractions) > MOST_PARTS:
+        raise SchemeError(
+            f"scheme {scheme.name!r} has {len(scheme.fractions)} steps, each with unknowns on every interval of a "
+            "control problem",
+            f"use gauss-4 or gauss-6, or a composition of at most {MOST_PARTS} steps such as suzuki-4",
+        )
 
 
 def _require_method(model: Model, method: str) -> None:
@@ -82,7 +101,8 @@ def _default_method(model: Model, scheme: str | None) -> str:
         return schemes.FIRST_ORDER
     on_lagrangian_side = model.task == "control" or model.form == "lagrangian"
     preferred = "variational" if on_lagrangian_side else "hamiltonian"
-    if scheme is None or scheme in schemes.METHODS[preferred] or (preferred, scheme) in schemes.ALIASES:
+    base = (scheme or "").rpartition("-of-")[2]
+    if scheme is None or base in schemes.METHODS[preferred] or (preferred, base) in schemes.ALIASES:
         return preferred
-    others = [method for method, names in schemes.METHODS.items() if scheme in names]
+    others = [method for method, names in schemes.METHODS.items() if base in names or (method, base) in schemes.ALIASES]
     return others[0] if others and model.task == "simulate" else preferred

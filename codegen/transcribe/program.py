@@ -190,8 +190,13 @@ class StepProgram:
     the left node, of inner stages and of the right node; `summary` says in formulas where they come from. Solving
     them takes three parts: `before` are explicit assignments in order, `unknowns` with `residual` are what is left
     for Newton's method (none for an explicit scheme; `linear` when one linear solve will do), `after` are explicit
-    assignments that follow. `guess` starts Newton's method. `energy` is the Hamiltonian at the left node; `start`
-    holds the initial (q, p) in terms of the parameters and of the symbols of `start_values`.
+    assignments that follow. `velocities` are unknowns in place of positions, each with the two positions of which it
+    is the divided difference and the time between them. `guess` starts Newton's method. `energy` is the Hamiltonian
+    at the left node; `start` holds the initial (q, p) in terms of the parameters and of the symbols of `start_values`.
+
+    Of a composition all this is one step of its base, whose lengths are the symbols `lengths`; `fractions` has a row
+    for each step of the base with these lengths in parts of the whole step. Otherwise the only length is h, and there
+    are no fractions.
     """
 
     model: Model
@@ -200,7 +205,7 @@ class StepProgram:
     order: int
     state: tuple[Unknown, ...]
     left_symbols: tuple[Symbol, ...]
-    velocity_symbols: tuple[Symbol, ...]
+    velocities: tuple[tuple[Symbol, Symbol, Symbol, Expr], ...]
     stage_symbols: tuple[Symbol, ...]
     right_symbols: tuple[Symbol, ...]
     before: tuple[tuple[Symbol, Expr], ...]
@@ -214,3 +219,5 @@ class StepProgram:
     energy: Expr
     start_values: tuple[BoundaryValue, ...]
     start: tuple[Expr, ...]
+    lengths: tuple[Symbol, ...]
+    fractions: tuple[tuple[Expr, ...], ...] = ()

@@ -4,21 +4,35 @@ Variational method: the position-momentum form of the forced discrete Euler-Lagr
 p_k1 = D2 Ld + f+. They are solved for the velocity (q_k1 - q_k)/h instead of q_k1, because the difference of two nearby
 positions would lose digits. Source: Marsden and West (2001), section 1.5.3.
 
+Inner points of a Galerkin variational integrator are replaced by velocities in the same way.
+
 Hamiltonian method: the equations of a one-step method, inner stages included.
+
+A composition is one step of its base scheme, which the generated module repeats with other lengths: code does not grow
+with their number.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
+import sympy
 from sympy import Add, Expr, S, Symbol, diff, expand_mul
 
 from codegen import legendre
-from codegen.discretise import STEP, VariationalInterval, at_nodes, one_step_interval, variational_interval
+from codegen.discretise import (
+    STEP,
+    VariationalInterval,
+    at_nodes,
+    one_step_interval,
+    step_lengths,
+    variational_interval,
+)
 from codegen.errors import SchemeError
 from codegen.model import Model
-from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
 from codegen.transcribe.boundary import with_symbolic_boundaries
 from codegen.transcribe.elimination import Elimination, eliminate
 from codegen.transcribe.program import StepProgram, Unknown
@@ -32,7 +46,7 @@ class _Step:
 
     equations: tuple[Equation, ...]
     summary: tuple[Equation, ...]
-    velocities: tuple[Symbol, ...]
+    velocities: tuple[tuple[Symbol, Symbol, Symbol, Expr], ...]
     stages: tuple[Symbol, ...]
     solution: Elimination
     guesses: dict[Symbol, Expr]
@@ -47,10 +61,11 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     phase = legendre.hamiltonian_form(model)
     left = (*at_nodes(phase.coordinates, "_k"), *at_nodes(phase.rates, "_k"))
     right = (*at_nodes(phase.coordinates, "_k1"), *at_nodes(phase.rates, "_k1"))
-    if method == "variational" and isinstance(scheme, DiscreteLagrangian):
-        step = _variational_step(legendre.lagrangian_form(model), phase, scheme, left, right)
-    elif method == "hamiltonian" and isinstance(scheme, OneStep):
-        step = _one_step(phase, scheme, left, right)
+    lengths, part = _part(scheme)
+    if method == "variational" and isinstance(part, DiscreteLagrangian):
+        step = _variational_step(legendre.lagrangian_form(model), phase, part, left, right)
+    elif method == "hamiltonian" and isinstance(part, OneStep | RungeKutta):
+        step = _one_step(phase, part, left, right, lengths)
     else:
         raise SchemeError(f"scheme {scheme.name!r} does not belong to the {method} method", "choose another method")
     kinds = [*(("coordinate", q) for q in phase.coordinates), *(("momentum", p) for p in phase.rates)]
@@ -62,7 +77,7 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         order=scheme.order,
         state=tuple(Unknown(symbol.name, f"{kind} {symbol.name}") for kind, symbol in kinds),
         left_symbols=left,
-        velocity_symbols=step.velocities,
+        velocities=step.velocities,
         stage_symbols=step.stages,
         right_symbols=right,
         before=solution.before,
@@ -76,7 +91,16 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         energy=_at(phase, phase.function, left),
         start_values=start_values,
         start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
+        lengths=lengths,
+        fractions=scheme.fractions if isinstance(scheme, Composition) else (),
     )
+
+
+def _part(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
+    """The symbols of the lengths on which a step's equations depend, and what one step of a composition is."""
+    if not isinstance(scheme, Composition):
+        return (STEP,), scheme
+    return step_lengths(scheme), scheme.part(step_lengths(scheme), STEP)
 
 
 def _variational_step(
@@ -92,18 +116,39 @@ def _variational_step(
     summary = [("Ld", interval.lagrangian)]
     for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
         summary += [(f"{mark}_{name}", f) for name, f in zip(names, forces, strict=True) if f != 0]
+    inner = [(f"inner balance of {q}", value) for q, value in zip(interval.inner, interval.inner_balance, strict=True)]
     velocities = at_nodes(model.rates, "_k")
+    points = range(1, len(interval.inner) // dimension + 1)
+    velocities += tuple(v for i in points for v in at_nodes(model.rates, f"_stage{i}"))
     return _Step(
-        equations=tuple((p.name, p - momentum) for p, momentum in transforms),
-        summary=(*summary, *((p.name, momentum) for p, momentum in transforms)),
-        velocities=velocities,
-        stages=(),
+        equations=(*inner, *((p.name, p - momentum) for p, momentum in transforms)),
+        summary=(
+            *summary,
+            *((f"0 = {name}", value) for name, value in inner),
+            *((p.name, momentum) for p, momentum in transforms),
+        ),
+        velocities=tuple((v, *d) for v, d in zip(velocities, _differences(interval), strict=True)),
+        stages=interval.inner,
         solution=_solved_for_velocities(model, interval, velocities, left, right),
-        guesses=dict(zip(velocities, _mean_velocities(phase, left), strict=True)),
+        guesses=dict(zip(velocities, _mean_velocities(phase, left) * (1 + len(points)), strict=True)),
     )
 
 
-def _one_step(phase: Model, scheme: OneStep, left: Sequence[Symbol], right: Sequence[Symbol]) -> _Step:
+def _differences(interval: VariationalInterval) -> list[tuple[Symbol, Symbol, Expr]]:
+    """Right nodes and inner points, the left node, and the time between them."""
+    left = interval.q.left
+    outer = [(q1, q, STEP) for q1, q in zip(interval.q.right, left, strict=True)]
+    inside = enumerate(zip(interval.inner, interval.inner_places, strict=True))
+    return outer + [(q, left[i % len(left)], c * STEP) for i, (q, c) in inside]
+
+
+def _one_step(
+    phase: Model,
+    scheme: OneStep | RungeKutta,
+    left: Sequence[Symbol],
+    right: Sequence[Symbol],
+    lengths: Sequence[Symbol],
+) -> _Step:
     interval = one_step_interval(phase, scheme)
     unknowns = (*interval.stages, *right)
     equations = tuple((f"step of {y}", e) for y, e in zip(unknowns, interval.equations, strict=True))
@@ -112,7 +157,7 @@ def _one_step(phase: Model, scheme: OneStep, left: Sequence[Symbol], right: Sequ
         summary=tuple((f"0 = {name}", value) for name, value in equations),
         velocities=(),
         stages=interval.stages,
-        solution=eliminate(interval.equations, unknowns, phase.parameters),
+        solution=eliminate(interval.equations, unknowns, (*phase.parameters, *lengths)),
         guesses=_euler_guesses(phase, scheme, left, unknowns),
     )
 
@@ -124,9 +169,17 @@ def _solved_for_velocities(
     left: Sequence[Symbol],
     right: Sequence[Symbol],
 ) -> Elimination:
-    """Eliminate from the position-momentum form, with q_k1 = q_k + h v_k put in before anything is evaluated."""
-    dimension = len(velocities)
-    arrival = {q1: q + STEP * v for q1, q, v in zip(interval.q.right, interval.q.left, velocities, strict=True)}
+    """Eliminate from the position-momentum form, with q_k1 = q_k + h v_k put in before anything is evaluated.
+
+    Inner points become q_k + c h v, c being their place.
+    """
+    dimension = len(model.coordinates)
+    arrival: dict[Symbol, Expr] = {
+        q1: q + STEP * v for q1, q, v in zip(interval.q.right, interval.q.left, velocities, strict=False)
+    }
+    inside = zip(interval.inner, interval.inner_places, velocities[dimension:], strict=True)
+    for i, (q, c, v) in enumerate(inside):
+        arrival[q] = interval.q.left[i % dimension] + c * STEP * v
 
     def in_velocities(momentum: Expr) -> Expr:
         # (q_k1 - q_k)/h stands in one sum, so that sympy cancels q_k by itself and v_k remains.
@@ -135,22 +188,31 @@ def _solved_for_velocities(
 
     equations = [
         *(p - in_velocities(value) for p, value in zip(left[dimension:], interval.left_momentum, strict=True)),
+        *(in_velocities(value) for value in interval.inner_balance),
         *(q1 - value for q1, value in arrival.items()),
         *(p - in_velocities(value) for p, value in zip(right[dimension:], interval.right_momentum, strict=True)),
     ]
-    return eliminate(equations, (*velocities, *right), model.parameters)
+    unknowns = (*velocities, *arrival, *right[dimension:])
+    return eliminate(equations, unknowns, model.parameters)
 
 
 def _euler_guesses(
-    phase: Model, scheme: OneStep, left: Sequence[Symbol], unknowns: Sequence[Symbol]
+    phase: Model, scheme: OneStep | RungeKutta, left: Sequence[Symbol], unknowns: Sequence[Symbol]
 ) -> dict[Symbol, Expr]:
     """Start every stage and the right node from explicit Euler steps that begin at the left node."""
-    rates = _rates_of_change(phase, left)
-    elapsed, guesses = S.Zero, list[Expr]()
-    for substep in scheme.substeps:
-        elapsed += substep.fraction
-        guesses += [x + elapsed * STEP * rate for x, rate in zip(left, rates, strict=True)]
-    return dict(zip(unknowns, guesses, strict=True))
+    rates = dict(zip(left, _rates_of_change(phase, left), strict=True))
+    if isinstance(scheme, RungeKutta):
+        places, end = list(scheme.places), S.One
+    else:
+        places = list(accumulate(substep.fraction for substep in scheme.substeps))
+        end = places[-1]
+    guesses = dict[Symbol, Expr]()
+    for y in unknowns:
+        name, _, stage = y.name.rpartition("_stage")
+        c = places[int(stage) - 1] if name else end
+        x = next(x for x in left if x.name == f"{name or y.name.removesuffix('_k1')}_k")
+        guesses[y] = x + sympy.expand(c * STEP) * rates[x]
+    return guesses
 
 
 def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:

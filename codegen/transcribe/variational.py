@@ -1,7 +1,8 @@
 """Control task by the variational method -> ControlProgram.
 
-l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+). Summed over intervals the multipliers of a node meet both
-halves of its forced discrete Euler-Lagrange equation; the momentum boundary conditions arise at the two end nodes
+l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+), and lambda_i . (D_i Ld + f_i) for each inner point of a
+Galerkin variational integrator (Ober-Bloebaum and Saake 2015). Summed over intervals the multipliers of a node meet
+both halves of its forced discrete Euler-Lagrange equation; the momentum boundary conditions arise at the two end nodes
 (`momentum_ends`). Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 from sympy import Expr, S
 
 from codegen.discretise import VariationalInterval, variational_interval
+from codegen.errors import SchemeError
 from codegen.model import Model
 from codegen.schemes import DiscreteLagrangian
 from codegen.transcribe import path_conditions
@@ -87,11 +89,19 @@ def _end_conditions(model: Model, periodic: Periodic) -> tuple[EndConditions, En
 def _motion(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool, constraints: Constraints) -> Motion:
     """The forced discrete Euler-Lagrange equations, with the forces of the constraints, times their multipliers."""
     interval = variational_interval(path_conditions.with_inner_path(model), scheme, nodal_controls)
+    if interval.inner and model.holonomic:
+        raise SchemeError(
+            f"scheme {scheme.name!r} has inner points, where holonomic constraints are not imposed",
+            "use midpoint or trapezoidal",
+        )
     names = [q.name for q in model.coordinates]
     multipliers = [f"lambda_{name}" for name in names]
     pairs = list(zip(multipliers, names, strict=True))
-    displacements = (*symbols(multipliers, "_k"), *symbols(multipliers, "_k1"))
-    impulses = (*constraints.force("_k"), *constraints.force("_k1"))
+    inner_multipliers = [f"lambda_{q.name}" for q in interval.inner]
+    inner = symbols(inner_multipliers, "_k")
+    displacements = (*symbols(multipliers, "_k"), *symbols(multipliers, "_k1"), *inner)
+    impulses = (*constraints.force("_k"), *constraints.force("_k1"), *(S.Zero for _ in inner))
+    guess = coordinate_guess(model)
     return Motion(
         method="variational",
         scheme=scheme.name,
@@ -99,14 +109,21 @@ def _motion(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool, cons
             *(Unknown(name, f"coordinate {name}") for name in names),
             *(Unknown(m, f"multiplier of the equation of motion of {name}", True) for m, name in pairs),
         ),
-        interval=(),
-        interval_symbols=(),
+        interval=(
+            *(Unknown(q.name, f"inner value {q.name}") for q in interval.inner),
+            *(
+                Unknown(m, f"multiplier of the equation of motion of {q.name}", True)
+                for m, q in zip(inner_multipliers, interval.inner, strict=True)
+            ),
+        ),
+        interval_symbols=(*interval.inner, *inner),
         controls=interval.q,
         element=interval.cost + interval.virtual_work(displacements, impulses),
         cost=interval.cost,
         path=interval.path,
         equations=_equations(names, interval),
-        node_guess=coordinate_guess(model),
+        node_guess=guess,
+        stage_guess=guess * (len(interval.inner) // len(names)),
     )
 
 
@@ -115,5 +132,6 @@ def _equations(names: list[str], interval: VariationalInterval) -> tuple[tuple[s
         ("Ld", interval.lagrangian),
         *((f"f-_{n}", f) for n, f in zip(names, interval.force_minus, strict=True) if f != 0),
         *((f"f+_{n}", f) for n, f in zip(names, interval.force_plus, strict=True) if f != 0),
+        *((f"f_{q}", f) for q, f in zip(interval.inner, interval.force_inner, strict=True) if f != 0),
         ("Cd", interval.cost),
     )

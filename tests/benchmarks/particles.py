@@ -221,7 +221,7 @@ def pairs(repeat: int) -> None:
     for _ in range(200):
         first, second = generator.choice(len(everyone), 2, replace=False)
         points = aligned(everyone[first], everyone[second])
-        for steps in (10, 20, 40):
+        for steps in (10, 20, 40, 80):
             begin = perf_counter()
             solution = euler.solve(points.start, points.target, steps)
             times.append(perf_counter() - begin)

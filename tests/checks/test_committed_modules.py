@@ -64,6 +64,8 @@ def test_passes(prepared, problem, name):
         ("pendulum", {"form": "lagrangian"}, {"scheme": "trapezoidal"}),
         ("pendulum", {}, {"scheme": "explicit-euler"}),
         ("pendulum", {}, {"scheme": "stormer-verlet"}),
+        ("pendulum", {}, {"scheme": "blanes-moan-4"}),
+        ("linear_pendulum", {}, {"scheme": "lobatto-4"}),
         ("linear_pendulum", {}, {"method": "hamiltonian", "scheme": "stormer-verlet"}),
         ("linear_pendulum", {}, {"method": "hamiltonian", "scheme": "symplectic-euler"}),
         ("linear_pendulum", {}, {"scheme": "rectangle"}),

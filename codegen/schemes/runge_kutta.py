@@ -1,0 +1,91 @@
+"""Runge-Kutta methods of higher order: Gauss collocation, Lobatto IIIA-IIIB, Lobatto IIIA, the classical method.
+
+The tables are exact; `tests/test_orders.py` proves orders and symplecticity from them.
+"""
+
+from __future__ import annotations
+
+from sympy import Expr, Integer, Rational, sqrt
+
+from codegen.schemes.base import RungeKutta
+
+
+def _table(*rows: str) -> tuple[tuple[Expr, ...], ...]:
+    """Rows of fractions, separated by blanks."""
+    return tuple(tuple(Rational(entry) for entry in row.split()) for row in rows)
+
+
+_ROOT_3, _ROOT_15 = sqrt(Integer(3)), sqrt(Integer(15))
+_GAUSS_4 = (
+    (Rational(1, 4), Rational(1, 4) - _ROOT_3 / 6),
+    (Rational(1, 4) + _ROOT_3 / 6, Rational(1, 4)),
+)
+_GAUSS_6 = (
+    (Rational(5, 36), Rational(2, 9) - _ROOT_15 / 15, Rational(5, 36) - _ROOT_15 / 30),
+    (Rational(5, 36) + _ROOT_15 / 24, Rational(2, 9), Rational(5, 36) - _ROOT_15 / 24),
+    (Rational(5, 36) + _ROOT_15 / 30, Rational(2, 9) + _ROOT_15 / 15, Rational(5, 36)),
+)
+_LOBATTO_IIIA = _table("0 0 0", "5/24 1/3 -1/24", "1/6 2/3 1/6")
+_LOBATTO_IIIB = _table("1/6 -1/6 0", "1/6 1/3 0", "1/6 5/6 0")
+_CLASSICAL = _table("0 0 0 0", "1/2 0 0 0", "0 1/2 0 0", "0 0 1 0")
+
+GAUSS_4 = RungeKutta(
+    name="gauss-4",
+    order=4,
+    symmetric=True,
+    symplectic=True,
+    source="Hairer, Lubich and Wanner (2006), table II.1.1; Kuntzmann (1961), Butcher (1964)",
+    summary="collocation at the 2 Gauss points",
+    weights=_table("1/2 1/2")[0],
+    positions=_GAUSS_4,
+    momenta=_GAUSS_4,
+)
+GAUSS_6 = RungeKutta(
+    name="gauss-6",
+    order=6,
+    symmetric=True,
+    symplectic=True,
+    source="Hairer, Lubich and Wanner (2006), table II.1.1; Kuntzmann (1961), Butcher (1964)",
+    summary="collocation at the 3 Gauss points",
+    weights=_table("5/18 4/9 5/18")[0],
+    positions=_GAUSS_6,
+    momenta=_GAUSS_6,
+)
+LOBATTO_4 = RungeKutta(
+    name="lobatto-4",
+    order=4,
+    symmetric=True,
+    symplectic=True,
+    source="Hairer, Lubich and Wanner (2006), table II.2.2; Sun (1993), Jay (1996)",
+    summary="Lobatto IIIA for coordinates with Lobatto IIIB for momenta, 3 stages; with 2 it is Störmer-Verlet",
+    weights=_table("1/6 2/3 1/6")[0],
+    positions=_LOBATTO_IIIA,
+    momenta=_LOBATTO_IIIB,
+)
+RK4 = RungeKutta(
+    name="rk4",
+    order=4,
+    symmetric=False,
+    symplectic=False,
+    source="Kutta (1901); Hairer, Norsett and Wanner (1993), Solving ordinary differential equations I, table II.1.2",
+    summary="the classical explicit Runge-Kutta method",
+    weights=_table("1/6 1/3 1/3 1/6")[0],
+    positions=_CLASSICAL,
+    momenta=_CLASSICAL,
+)
+HERMITE_SIMPSON = RungeKutta(
+    name="hermite-simpson",
+    order=4,
+    symmetric=True,
+    symplectic=False,
+    source="Hairer, Norsett and Wanner (1993), table II.7.7 (Lobatto IIIA); Hargraves and Paris (1987)",
+    summary="collocation at both ends and the middle, Lobatto IIIA with 3 stages",
+    weights=_table("1/6 2/3 1/6")[0],
+    positions=_LOBATTO_IIIA,
+    momenta=_LOBATTO_IIIA,
+)
+
+RUNGE_KUTTA = (GAUSS_4, GAUSS_6, LOBATTO_4, RK4)
+"""Those for mechanical systems."""
+FIRST_ORDER_RUNGE_KUTTA = (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4)
+"""Those for x' = f(x, u, t)."""
