@@ -32,12 +32,12 @@ QUICK = Extent(
     quick=True,
     simulation_doublings=5,
     control_doublings=3,
-    most_schemes=3,
-    most_simulated=5,
+    most_schemes=2,
+    most_simulated=4,
     limit=0.5,
     repeat=1,
     driver_unknowns=0,
 )
 """What continuous integration can afford."""
-QUICK_PROBLEMS = ("pendulum", "linear_pendulum", "double_integrator")
+QUICK_PROBLEMS = ("pendulum", "linear_pendulum")
 """Of a folder, these are measured in the quick form."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator
 
 from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 
@@ -79,9 +79,9 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
             left.annotate("error of the reference", (0.01, floor), xycoords=("axes fraction", "data"),
                           fontsize=7.5, color=GREY, va="bottom")  # fmt: skip
         for place in (left, right):
-            place.xaxis.set_minor_formatter(NullFormatter())
             place.yaxis.set_major_locator(LogLocator(numticks=8))
             place.minorticks_off()
+            _plain_ticks(place)
     axes[-1][0].set_xlabel("steps $N$")
     axes[-1][1].set_xlabel("seconds of one solve")
     handles: dict[str, Any] = {}
@@ -90,6 +90,14 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
         handles |= dict(zip(found[1], found[0], strict=True))
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
     return figure
+
+
+def _plain_ticks(axes: Any) -> None:
+    """Ticks at 1, 2 and 5 times powers of ten where an axis spans little more than a decade."""
+    low, high = axes.get_xlim()
+    if high / low < 60.0:
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def times_of_drivers(rows: Sequence[tuple[str, float, bool]]) -> Figure:
@@ -102,6 +110,7 @@ def times_of_drivers(rows: Sequence[tuple[str, float, bool]]) -> Figure:
         text = f"{1e3 * seconds:.3g} ms" + ("" if solved else ", not solved")
         axes.annotate(text, (seconds, place), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
     axes.set(xscale="log", yticks=range(len(names)), yticklabels=names, xlabel="seconds of one solve")
+    axes.minorticks_off()
     axes.margins(x=0.25)
     axes.grid(visible=False, axis="y")
     return figure

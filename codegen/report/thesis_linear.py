@@ -40,7 +40,7 @@ def cases(problem: Path, workshop: Workshop, extent: Extent) -> Iterator[Case]:
             yield Case(
                 SECTION,
                 f"{label}; N {steps}",
-                lambda v=variant, n=steps: _solved(workshop, v, n, extent.repeat + 2),  # type: ignore[misc]
+                lambda v=variant, n=steps: _solved(workshop, v, n, extent.repeat),  # type: ignore[misc]
             )
 
 

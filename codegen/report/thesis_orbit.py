@@ -62,7 +62,7 @@ def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int
     module = workshop.module(variant)
     assert is_control(module)
     best = math.inf
-    for _ in range(repeat + 1):
+    for _ in range(3 * repeat + 1):
         begin = time.perf_counter()
         solution = module.solve(steps, revolutions=float(revolutions))
         best = min(best, time.perf_counter() - begin)
