@@ -38,13 +38,14 @@ def _solved(workshop: Workshop, variant: Variant, repeat: int) -> Values:
     module = workshop.module(variant)
     assert is_control(module)
     grid = module.make_grid(STEPS)
-    guess, optimum = module.unpack(grid, module.initial_guess(grid)), module.solve(STEPS)
+    _, guess, *_ = module.unpack(grid, module.initial_guess(grid))
+    optimum = module.solve(STEPS).q
     bodies = module.metadata["bodies"]
     values = solved(module, STEPS, repeat)
     return {
         **values,
-        "guess": guess.q.reshape(STEPS + 1, bodies, 3),
-        "optimum": optimum.q.reshape(STEPS + 1, bodies, 3),
+        "guess": guess.reshape(STEPS + 1, bodies, 3),
+        "optimum": optimum.reshape(STEPS + 1, bodies, 3),
     }
 
 
