@@ -52,5 +52,6 @@ def _rows(model: Any) -> list[tuple[str, schemes.Scheme]]:
         rows = [(schemes.FIRST_ORDER, scheme) for scheme in schemes.of_method(schemes.FIRST_ORDER)]
     else:
         rows = [(method, scheme) for method in schemes.METHODS for scheme in schemes.of_method(method)]
-    preferred = "hamiltonian" if model.task == "simulate" and model.form != "lagrangian" else "variational"
+    on_lagrangian_side = model.task == "control" or (isinstance(model, Model) and model.form == "lagrangian")
+    preferred = "variational" if on_lagrangian_side else "hamiltonian"
     return sorted(rows, key=lambda row: (row[0] != preferred, row[1].name != "midpoint"))

@@ -7,6 +7,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from interpreted import without_compilation
 from codegen import drivers
 from codegen.cli import main
 from codegen.errors import ArgumentError
-from codegen.report import building, gallery, records, sections_control, sections_simulation
+from codegen.report import building, gallery, records, sections_control, sections_simulation, thesis_orbit
 from codegen.report.building import Variant, Workshop
 from codegen.report.compare import regressions
 from codegen.report.extent import Extent
@@ -261,3 +262,21 @@ def test_the_command_refuses_in_one_line(tmp_path, capsys, words):
     assert ended.value.code == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_reports_of_different_problems_are_not_compared():
+    one, other = (records.Record({}, ({"problem": name, "case": "c"},)) for name in "ab")
+    with pytest.raises(ArgumentError, match="no case in common"):
+        records.compared(one, other)
+
+
+def test_a_satellite_without_thrust_comes_back():
+    """The equations of R-K, written by hand, on a circular orbit whose period is Kepler's; with thrust it goes astray."""
+    gravity, radius = 0.4, 5.0
+    module = SimpleNamespace(metadata={"parameters": {"m": 100.0, "GM": gravity, "r0": radius, "r1": radius}})
+    times = np.linspace(0.0, 4.0 * np.pi * np.sqrt(radius**3 / gravity), 21)
+    idle = SimpleNamespace(t=times, u=np.zeros((20, 1)))
+    found = thesis_orbit._reintegrated(module, idle, 2)
+    assert found["miss"] < 1e-7
+    assert found["velocity miss"] < 1e-8
+    assert thesis_orbit._reintegrated(module, SimpleNamespace(t=times, u=np.full((20, 1), 0.01)), 2)["miss"] > 0.1

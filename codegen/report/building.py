@@ -66,8 +66,11 @@ class Workshop:
 @contextmanager
 def workers() -> Iterator[ProcessPoolExecutor]:
     """Processes of their own, so that neither sympy nor a compilation disturbs what is measured."""
-    with ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn"), _get_ready) as pool:
+    pool = ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn"), _get_ready)
+    try:
         yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)  # whoever interrupts a report does not wait for what is still to be built
 
 
 def surveyed(pool: ProcessPoolExecutor, store: Store, problems: Iterable[Path], told: Callable[[str], None]) -> None:

@@ -72,12 +72,10 @@ def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
         return Chosen(problem, task, (), ())
     rows = [Variant(problem, method, scheme, order) for method, scheme, order, _ in survey["schemes"]]
     cap = extent.most_simulated if task == "simulate" else extent.most_schemes
-    first = [
-        rows[0],
-        max(rows, key=lambda v: v.order),
-        min(rows, key=lambda v: (v.order, v.scheme != "explicit-euler")),
-    ]
-    kept = list(dict.fromkeys([*first, *rows]))[:cap]
+    usable = [v for v in rows if task == "simulate" or v.order <= extent.most_order]
+    lowest = min(usable, key=lambda v: (v.order, v.scheme != "explicit-euler"))
+    first = [rows[0], max(usable, key=lambda v: (v.order, v.method == rows[0].method)), lowest]
+    kept = list(dict.fromkeys([*first, *usable]))[:cap]
     left = tuple(v.label for v in rows if v not in kept)
     return Chosen(problem, task, tuple(v for v in rows if v in kept), left)
 
@@ -99,7 +97,7 @@ def _written(
     """Page, CSV and JSON."""
     record = records.record(selection, store, {**machine(), "quick": extent.quick})
     worse = () if before is None else records.compared(before, record)
-    sections = [] if before is None else [overview.comparison(worse)]
+    sections = [] if before is None else [overview.comparison(worse, before, record)]
     if len(selection) > 1:
         sections.append(overview.summary(selection, store))
     for chosen in selection:

@@ -9,11 +9,15 @@ from codegen.report import compare
 from codegen.report.building import MODULES, SURVEYS
 from codegen.report.compare import Regression
 from codegen.report.kinds import KINDS
+from codegen.report.records import Record, shared
 from codegen.report.section import Section, Table, number, seconds
 from codegen.report.store import Store
 
 if TYPE_CHECKING:
     from codegen.report.gallery import Chosen
+
+
+_LOAD = "load of the machine when the page was made"
 
 
 def summary(selection: Sequence[Chosen], store: Store) -> Section:
@@ -69,19 +73,21 @@ def _next_to(own: int | None, steps: Sequence[int]) -> int:
     return min(range(len(steps)), key=lambda i: abs(steps[i] - (own or 0)), default=0)
 
 
-def comparison(worse: Sequence[Regression]) -> Section:
+def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Section:
     """Regressions, or that there are none."""
     text = (
         f"A case is worse if its error grew by more than a factor {compare.ERROR_FACTOR:g} (and exceeds "
         f"{compare.LEAST_ERROR:g}), its time by more than {compare.TIME_FACTOR:g} (and exceeds "
         f"{1e3 * compare.LEAST_SECONDS:g} ms), its order fell by more than {compare.ORDER_LOSS:g}, or it is no longer "
-        "solved."
+        f"solved. {shared(before, after)} cases are in both reports."
     )
+    machines = [f"{r.environment.get('processor')}, load {r.environment.get(_LOAD)}" for r in (before, after)]
+    machine = f"Times were measured on {machines[0]} then, on {machines[1]} now; times of a busy machine prove little."
     rows = tuple((r.problem, r.case, r.what, _value(r.before), _value(r.after)) for r in worse)
     head = ("problem", "case", "what is worse", "before", "now")
     tables = (Table(f"{len(rows)} regressions.", head, rows),) if rows else ()
     return Section(
-        "Compared with the earlier report: " + ("regressions" if rows else "nothing is worse"), (text,), tables
+        "Compared with the earlier report: " + ("regressions" if rows else "nothing is worse"), (text, machine), tables
     )
 
 

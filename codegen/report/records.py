@@ -67,5 +67,13 @@ def read(path: Path) -> Record:
 
 
 def compared(before: Record, after: Record) -> list[Regression]:
-    """What became worse."""
+    """What became worse; ArgumentError if the reports have no case in common."""
+    if not shared(before, after):
+        raise ArgumentError("the two reports have no case in common", "compare reports of the same problems")
     return regressions(before.cases, after.cases)
+
+
+def shared(before: Record, after: Record) -> int:
+    """The number of cases that both reports have."""
+    keys = [{(row["problem"], row["case"]) for row in record.cases} for record in (before, after)]
+    return len(keys[0] & keys[1])

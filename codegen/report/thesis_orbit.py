@@ -111,8 +111,8 @@ def sections(store: Store, problem: Path) -> list[Section]:
     text = (
         "R-K interpolates the optimal force of Mid. by a cubic spline (controls of an interval stand at its middle) "
         "and integrates the forced equations of section 3.3, written out here by hand, by DOP853 at tolerance "
-        f"{TOLERANCE:g}: where it ends should be the target. The miss must fall as N^-2. The thesis's forces "
-        "alternate from step to step; with controls on intervals they do not."
+        f"{TOLERANCE:g}: where it ends should be the target, the more so the larger N. The thesis's forces "
+        "alternate from step to step, since its controls stand on nodes; here they stand on intervals."
     )
     pictures = (
         Picture("Costs, times and miss of R-K (Figures 3.3 and 3.4; the miss is not in the thesis).",
@@ -185,7 +185,9 @@ def orbits(store: Store) -> Figure:
             for radius in (values["r"][0], values["r"][-1]):
                 axes.plot(angles, np.full(200, radius), color=GREY, linewidth=0.6)
             if "R-K r" in values:
-                axes.plot(values["R-K phi"], values["R-K r"], color=DARK, linestyle=":", label="R-K", linewidth=1.1)
+                axes.plot(
+                    values["R-K phi"], values["R-K r"], color=DARK, linestyle=":", label="R-K", zorder=3, linewidth=1.3
+                )
         axes.set(title=f"{revolutions} revolution{'s' if revolutions > 1 else ''}, N = {steps}", rlabel_position=135)
         axes.set_rlim(0.0, 7.0)
         axes.set_rticks([5.0, 6.0])
