@@ -271,7 +271,7 @@ def test_reports_of_different_problems_are_not_compared():
 
 
 def test_a_satellite_without_thrust_comes_back():
-    """The equations of R-K, written by hand, on a circular orbit whose period is Kepler's; with thrust it goes astray."""
+    """The equations of R-K, written by hand, on a circular orbit with Kepler's period; thrust leads astray."""
     gravity, radius = 0.4, 5.0
     module = SimpleNamespace(metadata={"parameters": {"m": 100.0, "GM": gravity, "r0": radius, "r1": radius}})
     times = np.linspace(0.0, 4.0 * np.pi * np.sqrt(radius**3 / gravity), 21)
