@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +25,20 @@ _INTRODUCTION = (
 def render(settings: Settings, store: Store, environment: Mapping[str, Any]) -> str:
     """The text of the page."""
     sections: list[Section] = of_thesis(settings, store) + ([] if settings.quick else of_questions(settings, store))
-    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
-    template = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("page.html.j2")
     introduction = _INTRODUCTION
     if settings.quick:
         introduction += (
             " This is the quick form: one set of landmarks, three numbers of steps, the fast routes, no open questions."
         )
+    return page(_TITLE, introduction, sections, environment)
+
+
+def page(title: str, introduction: str, sections: Sequence[Section], environment: Mapping[str, Any]) -> str:
+    """One HTML file that needs no other, from any sections."""
+    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
+    template = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).get_template("page.html.j2")
     return template.render(
-        title=_TITLE, introduction=introduction, sections=sections, environment=[*environment.items()]
+        title=title, introduction=introduction, sections=sections, environment=[*environment.items()]
     )

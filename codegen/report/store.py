@@ -70,6 +70,10 @@ class Store:
 
 
 def _entries(quantity: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict):
+        for name, entry in value.items():
+            yield from _entries(f"{quantity}.{name}", entry)
+        return
     if not isinstance(value, list):
         yield quantity, "" if value is None else value
         return

@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 import os
 import platform
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from codegen import __version__, output
 from codegen.report import accuracy, ansatz, dimension, effort, jumps, paths, smoothness, sweeps
+from codegen.report.progress import bar
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store
 
@@ -34,27 +33,28 @@ def run(settings: Settings, folder: Path) -> Path:
     """Measure every case that `folder` does not hold yet; return the page, beside which are the CSV and the JSON."""
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder / ("quick.jsonl" if settings.quick else "measurements.jsonl"))
-    with _progress() as told:
+    with bar(len(PARTS)) as told:
         for number, (name, cases) in enumerate(PARTS):
             for case in cases(settings, store):
                 told(number, f"{name}: {case.name}")
                 store.measured(case)
     from codegen.report.page import render
 
-    _write(folder / "measurements.csv", store.table())
-    _write(folder / "environment.json", json.dumps(environment(settings), indent=2) + "\n")
+    written(folder / "measurements.csv", store.table())
+    written(folder / "environment.json", json.dumps(environment(settings), indent=2) + "\n")
     page = folder / "index.html"
-    _write(page, render(settings, store, environment(settings)))
+    written(page, render(settings, store, environment(settings)))
     return page
 
 
-def _write(path: Path, text: str) -> None:
+def written(path: Path, text: str) -> None:
+    """Replace a file as a whole."""
     with output.replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def environment(settings: Settings) -> dict[str, Any]:
-    """Where the study ran and what it drew at random."""
+def machine() -> dict[str, Any]:
+    """Versions and processor."""
     packages = ("numpy", "scipy", "numba", "sympy", "matplotlib")
     return {
         "codegen": __version__,
@@ -65,6 +65,13 @@ def environment(settings: Settings) -> dict[str, Any]:
         "processors": _processors(),
         "system": platform.system(),
         "load of the machine when the page was made": _load(),
+    }
+
+
+def environment(settings: Settings) -> dict[str, Any]:
+    """Where the study ran and what it drew at random."""
+    return {
+        **machine(),
         "problem": settings.problem.name,
         "quick": settings.quick,
         "seconds allowed for one solve before a route goes no further": settings.limit,
@@ -90,23 +97,3 @@ def _processors() -> int:
 def _load() -> float | None:
     """Processes that wanted a processor over the last quarter of an hour: other work makes measured times longer."""
     return round(os.getloadavg()[2], 1) if hasattr(os, "getloadavg") else None
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, str], None]]:
-    """A bar over the parts on a terminal, nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda number, text: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("", total=len(PARTS))
-        yield lambda number, text: progress.update(task, completed=number, description=text)

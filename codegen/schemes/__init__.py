@@ -96,6 +96,11 @@ def find(name: str, method: str) -> Scheme:
     raise SchemeError(f"there is no scheme {name!r}", hint)
 
 
+def of_method(method: str) -> tuple[Scheme, ...]:
+    """Every scheme of a method by itself, without families and aliases."""
+    return tuple(_ALL[method].values())
+
+
 def _composition(name: str, method: str) -> Scheme:
     """The scheme `<composition>-of-<base>`."""
     outer, inner = name.split("-of-", 1)

@@ -1,0 +1,48 @@
+"""How much a report measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Limits: doublings of the number of steps, schemes per control problem, seconds of a solve, repetitions.
+
+    A ladder of steps is taken no further once a solve takes more than `limit` seconds; drivers of scipy are only asked
+    where there are at most `driver_unknowns` unknowns. At most `most_schemes` schemes of a control problem count,
+    and `most_simulated` of a simulation; those of a control problem have at most the order `most_order`, since modules
+    of schemes with many stages take long to make.
+    """
+
+    quick: bool = False
+    simulation_doublings: int = 12
+    control_doublings: int = 4
+    most_schemes: int = 10
+    most_simulated: int = 99
+    most_order: int = 99
+    limit: float = 2.0
+    repeat: int = 3
+    driver_unknowns: int = 300
+
+
+FULL = Extent()
+"""One problem with all schemes."""
+GALLERY = Extent(
+    control_doublings=3, most_schemes=2, most_order=4, most_simulated=8, limit=1.0, repeat=2, driver_unknowns=150
+)
+"""A folder of problems in less than 20 minutes on two processors."""
+QUICK = Extent(
+    quick=True,
+    simulation_doublings=5,
+    control_doublings=3,
+    most_schemes=2,
+    most_order=4,
+    most_simulated=4,
+    limit=0.5,
+    repeat=1,
+    driver_unknowns=0,
+)
+"""What continuous integration can afford."""
+QUICK_PROBLEMS = ("pendulum", "linear_pendulum")
+"""Of a folder, these are measured in the quick form."""

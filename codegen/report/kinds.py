@@ -1,0 +1,65 @@
+"""The registry of reports: what is measured of a task, and what the thesis adds to some problems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from codegen.report import (
+    optima,
+    sections_control,
+    sections_simulation,
+    simulations,
+    thesis_craft,
+    thesis_linear,
+    thesis_orbit,
+    thesis_pendulum,
+)
+from codegen.report.building import Variant, Workshop
+from codegen.report.extent import Extent
+from codegen.report.section import Section
+from codegen.report.store import Case, Store, Values
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A task: its cases, its sections, rows of a scheme by growing N, their errors, and its measured order."""
+
+    cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
+    sections: Callable[[Store, Path, Sequence[Variant], str], list[Section]]
+    rows: Callable[[Store, Path, Variant], list[Values]]
+    errors: Callable[[Store, Path, Variant], list[float | None]]
+    order: Callable[[Store, Path, Variant], float | None]
+    error: str
+
+
+KINDS = {
+    "simulate": Kind(
+        simulations.cases, sections_simulation.sections, sections_simulation.rows_of, sections_simulation.errors,
+        sections_simulation.order_of, "trajectory",
+    ),
+    "control": Kind(
+        optima.cases, sections_control.sections, sections_control.rows_of, sections_control.errors,
+        sections_control.order_of, "cost",
+    ),
+}  # fmt: skip
+"""Kinds of problems by task; landmark registration has a study of its own."""
+
+
+@dataclass(frozen=True)
+class Extra:
+    """An experiment of the thesis: further modules, further cases, further sections."""
+
+    variants: Callable[[Path], list[Variant]]
+    cases: Callable[[Path, Workshop, Extent], Iterator[Case]]
+    sections: Callable[[Store, Path], list[Section]]
+
+
+EXTRAS = {
+    "pendulum": Extra(thesis_pendulum.variants, thesis_pendulum.cases, thesis_pendulum.sections),
+    "linear_pendulum": Extra(thesis_linear.variants, thesis_linear.cases, thesis_linear.sections),
+    "orbital_transfer": Extra(thesis_orbit.variants, thesis_orbit.cases, thesis_orbit.sections),
+    "hovercraft": Extra(thesis_craft.variants, thesis_craft.cases, thesis_craft.sections),
+}
+"""Experiments by the names of problem files."""

@@ -1,0 +1,121 @@
+"""Sections about an optimal-control problem."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from codegen.report import optima
+from codegen.report.building import Variant
+from codegen.report.figures import svg
+from codegen.report.figures_problems import Line, times_of_drivers, work_precision
+from codegen.report.optima import case_name, drivers_of, errors_of, references_of
+from codegen.report.orders import measured_order
+from codegen.report.section import Picture, Section, Table, number, seconds
+from codegen.report.store import Store, Values
+
+OTHER_OPTIMUM = 0.02
+"""Where the finest cost is off by more than this part and errors do not shrink, another local optimum is suspected."""
+
+
+def rows_of(store: Store, problem: Path, variant: Variant) -> list[Values]:
+    """What was measured of a scheme, by growing number of steps."""
+    rows = [v for name, v in store.rows(errors_of(problem)) if name.startswith(case_name(variant, 0)[:-1])]
+    return sorted(rows, key=lambda values: values["steps"])
+
+
+def errors(store: Store, problem: Path, variant: Variant) -> list[float | None]:
+    """Relative errors in cost, None where a solve failed or there is no reference."""
+    exact = (store.get(references_of(problem), "cost") or {}).get("cost")
+    return [relative_error(values, exact) for values in rows_of(store, problem, variant)]
+
+
+def relative_error(values: Values, exact: float | None) -> float | None:
+    """|J - J*|/|J*|, absolute for J* = 0."""
+    if exact is None or values["status"] != "solved" or values["cost"] is None:
+        return None
+    return float(abs(values["cost"] - exact) / (abs(exact) or 1.0))
+
+
+def order_of(store: Store, problem: Path, variant: Variant) -> float | None:
+    """The measured order of a scheme, from errors of the cost."""
+    reference = store.get(references_of(problem), "cost") or {}
+    floor = (reference.get("error") or 0.0) / (abs(reference.get("cost") or 0.0) or 1.0)
+    steps = [values["steps"] for values in rows_of(store, problem, variant)]
+    return measured_order(steps, errors(store, problem, variant), floor)
+
+
+def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
+    """Cost errors against steps and time, drivers beside each other."""
+    reference = store.get(references_of(problem), "cost") or {}
+    measured = [v for v in variants if rows_of(store, problem, v)]
+    texts, pictures = [_reference_text(reference)], []
+    lines = [_line(store, problem, v) for v in measured]
+    if any(error for line in lines for error in line.errors):
+        floor = reference["error"] / (abs(reference["cost"]) or 1.0)
+        caption = "Relative error of the cost against number of intervals and against solve time; dashed: variational."
+        drawn = svg(lambda: work_precision([("relative error of cost", lines)], floor if floor > 1e-14 else None))
+        pictures.append(Picture(caption, drawn))
+    tables = [_table(store, problem, measured)]
+    found = dict(store.rows(drivers_of(problem)))
+    if found:
+        tables.append(_drivers_table(found, reference.get("cost")))
+        bars = [(name, v["seconds"], v["status"] == "solved") for name, v in found.items() if v["seconds"]]
+        steps = next(iter(found.values()))["steps"]
+        pictures.append(Picture(f"Drivers on {steps} intervals.", svg(lambda: times_of_drivers(bars))))
+    return [Section(title, tuple(texts), tuple(tables), tuple(pictures))]
+
+
+def _reference_text(reference: Values) -> str:
+    if reference.get("cost") is None:
+        return f"There is no reference cost: {reference.get('how', 'no scheme was built')}."
+    accuracy = f"; its last correction was {number(reference['error'], 2)}" if reference["error"] > 1e-14 else ""
+    return f"Reference cost {reference['cost']:.12g}: {reference['how']}{accuracy}."
+
+
+def _line(store: Store, problem: Path, variant: Variant) -> Line:
+    rows = rows_of(store, problem, variant)
+    return Line(variant.scheme, variant.method, variant.order, [v["steps"] for v in rows],
+                [v["seconds"] for v in rows], errors(store, problem, variant))  # fmt: skip
+
+
+def _table(store: Store, problem: Path, variants: Sequence[Variant]) -> Table:
+    rows = []
+    for variant in variants:
+        values, wrong = rows_of(store, problem, variant), errors(store, problem, variant)
+        last = values[-1]
+        failed = [f"{v['steps']}: {v['status']}" for v in values if v["status"] != "solved"]
+        order = order_of(store, problem, variant)
+        elsewhere = wrong[-1] is not None and wrong[-1] > OTHER_OPTIMUM and (order is None or order < 0.5)
+        rows.append((
+            variant.label, str(variant.order), number(order), f"{last['steps']}",
+            "–" if last["cost"] is None else f"{last['cost']:.9g}", number(wrong[-1], 2), seconds(last["seconds"]),
+            str(last["iterations"]), number(last["residual"], 2), number(last["stationarity"], 2),
+            "; ".join([*failed, *(["another local optimum?"] if elsewhere else [])]),
+        ))  # fmt: skip
+    head = ("scheme", "stated order", "measured", "finest N", "cost", "relative error", "solve time", "iterations",
+            "residual", "stationarity", "remarks")  # fmt: skip
+    return Table("Every scheme on its finest grid, and the order that the ladder of grids shows.", head, tuple(rows))
+
+
+def _drivers_table(found: dict[str, Values], exact: float | None) -> Table:
+    newton = (found.get("newton") or {}).get("seconds") or math.nan
+    rows = []
+    for name, values in found.items():
+        if values["seconds"] is None:
+            rows.append((name, values["status"], *["–"] * 6))
+            continue
+        rows.append((
+            name, values["status"], seconds(values["seconds"]), number(values["seconds"] / newton),
+            str(values["iterations"]), number(values["residual"], 2), number(values["stationarity"], 2),
+            number(relative_error(values, exact), 2),
+        ))  # fmt: skip
+    head = ("driver", "status", "solve time", "× newton", "iterations", "residual", "stationarity",
+            "relative error of cost")  # fmt: skip
+    steps = next(iter(found.values()))["steps"]
+    return Table(f"Drivers on {steps} intervals of the default scheme, each from the problem's own guess.", head,
+                 tuple(rows))  # fmt: skip
+
+
+__all__ = ["errors", "optima", "order_of", "relative_error", "rows_of", "sections"]

@@ -1,0 +1,51 @@
+"""Sections about the modules themselves: sizes, times of making them, and what was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from codegen.report.building import MODULES, Variant
+from codegen.report.section import Section, Table, listed, number
+from codegen.report.store import Store
+
+
+def modules(store: Store, variants: Sequence[Variant], title: str, left: Sequence[str] = ()) -> Section:
+    """Times and sizes of every module, operations of its kernels, refusals, and what the first one omits."""
+    rows, refused = [], []
+    for variant in variants:
+        values = store.get(MODULES, variant.case)
+        if values is None:
+            continue
+        if values["status"] != "built":
+            refused.append(f"{variant.label} ({values['message']})")
+            continue
+        before, after = (sum(pair[i] for pair in values["operations"].values()) for i in (0, 1))
+        rows.append((
+            variant.label, number(values["derivation seconds"]), number(values["compile seconds"]),
+            number(values["load seconds"]), str(values["lines"]), str(values["kernel lines"]),
+            f"{values['bytes'] / 1024:.1f}", f"{before} → {after}", str(len(values["left out"])),
+        ))  # fmt: skip
+    head = ("module", "derive [s]", "compile [s]", "load [s]", "lines", "of these kernels", "KiB",
+            "operations, before → after sharing", "parts left out")  # fmt: skip
+    texts = [_omissions(store, variants)]
+    if refused:
+        texts.append("Schemes that do not apply: " + "; ".join(refused) + ".")
+    if left:
+        texts.append(f"Not measured, to keep the report short: {listed(left)}.")
+    table = Table(
+        "Modules. Operations are those of one evaluation of every kernel; two modules were made at a time on two "
+        "processes, so that times of making them are upper bounds.", head, tuple(rows),
+    )  # fmt: skip
+    return Section(title, tuple(text for text in texts if text), (table,) if rows else ())
+
+
+def _omissions(store: Store, variants: Sequence[Variant]) -> str:
+    for variant in variants:
+        values = store.get(MODULES, variant.case) or {}
+        if values.get("left out"):
+            return (
+                f"Left out of {variant.label}, because the problem does not need it: "
+                + "; ".join(values["left out"])
+                + "."
+            )
+    return ""

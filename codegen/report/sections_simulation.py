@@ -1,0 +1,105 @@
+"""Sections about a problem that is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from codegen.report.building import Variant
+from codegen.report.figures import svg
+from codegen.report.figures_problems import Line, work_precision
+from codegen.report.orders import measured_order
+from codegen.report.section import Picture, Section, Table, listed, number, seconds
+from codegen.report.simulations import case_name, errors_of, references_of
+from codegen.report.store import Store, Values
+
+_QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))
+
+
+def rows_of(store: Store, problem: Path, variant: Variant) -> list[Values]:
+    """What was measured of a scheme, by growing number of steps."""
+    rows = [v for name, v in store.rows(errors_of(problem)) if name.startswith(case_name(variant, 0)[:-1])]
+    return sorted(rows, key=lambda values: values["steps"])
+
+
+def errors(store: Store, problem: Path, variant: Variant) -> list[float | None]:
+    """Errors of the trajectory, None where a run failed."""
+    return [values.get("trajectory") for values in rows_of(store, problem, variant)]
+
+
+def order_of(store: Store, problem: Path, variant: Variant) -> float | None:
+    """The measured order of a scheme, from errors of the trajectory."""
+    rows = rows_of(store, problem, variant)
+    floor = (store.get(references_of(problem), "motion") or {}).get("error") or 0.0
+    return measured_order([v["steps"] for v in rows], [v.get("trajectory") for v in rows], floor)
+
+
+def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
+    """Errors against steps and time, and a table of schemes."""
+    reference = store.get(references_of(problem), "motion")
+    measured = [v for v in variants if rows_of(store, problem, v)]
+    if reference is None or not measured:
+        return [Section(title, ("No scheme of this problem could be compared with a reference.",))]
+    groups = []
+    for key, name in _QUANTITIES:
+        lines = [_line(store, problem, v, key) for v in measured]
+        if any(error for line in lines for error in line.errors):
+            groups.append((name, lines))
+    texts = [
+        f"Errors are the largest at {len(reference['times']) - 1} equidistant times, relative to the largest place or "
+        f"momentum, those of energy to the largest sum of |p q̇|. "
+        f"Reference: {reference['how']}; a looser tolerance differs from it by "
+        f"{number(reference['error'], 2)}. Order: least squares over up to four of the finest points above the "
+        "plateau, at least three.",
+        _conserved(reference["conserved"]),
+    ]
+    picture = Picture(
+        "Error against number of steps and against run time; dashed: variational. Lines that lie upon each other are "
+        "the same map.",
+        svg(lambda: work_precision(groups, reference["error"])),
+    )
+    table = _table(store, problem, measured)
+    return [Section(title, tuple(t for t in texts if t), (table,), (picture,))]
+
+
+def _conserved(names: Sequence[str]) -> str:
+    return f"Conserved by Noether's theorem, and compared: {listed(names)}." if names else ""
+
+
+def _line(store: Store, problem: Path, variant: Variant, key: str) -> Line:
+    rows = rows_of(store, problem, variant)
+    return Line(
+        variant.scheme, variant.method, variant.order, [v["steps"] for v in rows], [v["seconds"] for v in rows],
+        [v.get(key) for v in rows],
+    )  # fmt: skip
+
+
+def _table(store: Store, problem: Path, variants: Sequence[Variant]) -> Table:
+    """Orders, best errors, and the time that a trajectory error of 1e-3 and 1e-6 takes."""
+    rows = []
+    for variant in variants:
+        values = rows_of(store, problem, variant)
+        solved = [v for v in values if v.get("trajectory") is not None]
+        last = solved[-1] if solved else None
+        rows.append((
+            variant.label,
+            str(variant.order),
+            number(order_of(store, problem, variant)),
+            number(min((v["trajectory"] for v in solved), default=None), 2),
+            number(min((v["energy"] for v in solved), default=None), 2),
+            seconds(time_to(values, 1e-3)),
+            seconds(time_to(values, 1e-6)),
+            number(1e9 * last["seconds"] / last["steps"]) if last else "–",
+            str(len(values) - len(solved)) if len(values) > len(solved) else "",
+        ))  # fmt: skip
+    head = (
+        "scheme", "stated order", "measured", "least error of trajectory", "of energy", "time to 1e-3", "time to 1e-6",
+        "ns per step", "failed runs",
+    )  # fmt: skip
+    return Table("Measured orders, least errors, and the time of the cheapest run with at most that error.", head,
+                 tuple(rows))  # fmt: skip
+
+
+def time_to(values: Sequence[Values], error: float) -> float | None:
+    """Seconds of the cheapest run whose trajectory is that accurate."""
+    return min((v["seconds"] for v in values if (v.get("trajectory") or 1e300) <= error), default=None)

@@ -1,0 +1,282 @@
+"""Reports of problems: orders, comparisons, resumption, the page; small problems run by the interpreter."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import Future
+from contextlib import contextmanager
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from interpreted import without_compilation
+
+from codegen import drivers
+from codegen.cli import main
+from codegen.errors import ArgumentError
+from codegen.report import building, gallery, records, sections_control, sections_simulation, thesis_orbit
+from codegen.report.building import Variant, Workshop
+from codegen.report.compare import regressions
+from codegen.report.extent import Extent
+from codegen.report.orders import is_exhausted, measured_order
+from codegen.report.reference_motion import conserved, reference_motion
+from codegen.report.store import Case, Store
+
+OSCILLATOR = '''"""Let a unit mass swing on a spring."""
+
+from codegen import Simulate, canonical_pair
+
+
+def problem() -> Simulate:
+    q, p = canonical_pair("q", "p")
+    return Simulate(hamiltonian=p**2 / 2 + q**2 / 2, duration=2, start={q: 1, p: 0}, steps=40)
+'''
+EFFORT = '''"""Move a unit mass by one unit of length in one unit of time, with least effort."""
+
+from codegen import Control, control, coordinate
+
+
+def problem() -> Control:
+    x, v = coordinate("x")
+    u = control("u")
+    return Control(
+        lagrangian=v**2 / 2, force={x: u}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1, v: 0}, steps=20
+    )
+'''
+KEPLER = '''"""Let a planet orbit in polar coordinates."""
+
+from codegen import Simulate, coordinates
+
+
+def problem() -> Simulate:
+    (r, phi), (dr, dphi) = coordinates("r phi")
+    return Simulate(
+        lagrangian=(dr**2 + r**2 * dphi**2) / 2 + 1 / r, duration=1, start={r: 1, phi: 0, dr: 0.1, dphi: 1.1}, steps=10
+    )
+'''
+TINY = Extent(
+    quick=True, simulation_doublings=4, control_doublings=3, most_schemes=2, most_simulated=3, limit=9.0, repeat=1,
+    driver_unknowns=200,
+)  # fmt: skip
+
+
+class Inline:
+    """An executor without processes."""
+
+    def submit(self, function, *arguments):
+        future = Future()
+        future.set_result(function(*arguments))
+        return future
+
+
+@pytest.fixture
+def inline(monkeypatch):
+    """Builds without worker processes, and modules that are not compiled."""
+    loaded = {}
+
+    def load(path):
+        if path not in loaded:
+            loaded[path] = without_compilation(path.read_text(), path.stem)
+        return loaded[path]
+
+    @contextmanager
+    def workers():
+        yield Inline()
+
+    monkeypatch.setattr(building, "load", load)
+    monkeypatch.setattr(gallery, "workers", workers)
+
+
+def written(folder: Path, **texts: str) -> list[Path]:
+    paths = []
+    for name, text in texts.items():
+        paths.append(folder / f"{name}.py")
+        paths[-1].write_text(text)
+    return paths
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 6, 8])
+def test_orders_are_measured_above_the_plateau(order):
+    """Errors 3 N^-a that end in rounding of 1e-13 with signs that vary, as they do."""
+    steps = [20 * 2**k for k in range(10)]
+    rounding = [1e-13 * (1.0 + 0.5 * np.sin(7.0 * n)) for n in steps]
+    errors = [3.0 * (n / 10) ** -order + r for n, r in zip(steps, rounding, strict=True)]
+    found = measured_order(steps, errors)
+    assert found == pytest.approx(order, abs=0.05)
+    assert is_exhausted(steps, errors) == (order > 4)
+
+
+def test_an_order_wants_three_points():
+    assert measured_order([10, 20], [1e-2, 1e-3]) is None
+    assert measured_order([10, 20, 40], [1e-2, None, 1e-3]) is None
+    assert measured_order([10, 20, 40, 80], [1e-2, 1e-4, 1e-6, 1e-8], floor=1e-7) is None  # the reference ends it
+    assert measured_order([10, 20, 40], [1e-2, 2.5e-3, 6.25e-4]) == pytest.approx(2.0)
+
+
+GOOD = {"problem": "p", "case": "c", "status": "solved", "error": 1e-4, "seconds": 0.01, "order": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({}, None),
+        ({"error": 1.9e-4, "seconds": 0.019, "order": 1.8}, None),
+        ({"error": 2.1e-4}, "error"),
+        ({"seconds": 0.021}, "seconds"),
+        ({"order": 1.6}, "order"),
+        ({"order": None}, "order"),
+        ({"status": "stalled", "error": None}, "status"),
+        ({"case": "new", "status": "stalled"}, None),
+        ({"error": 1e-9, "seconds": 1e-4}, None),
+    ],
+)
+def test_comparison_marks_what_is_worse(change, what):
+    found = regressions([GOOD], [GOOD | change])
+    assert [r.what for r in found] == ([] if what is None else [what])
+
+
+def test_rounding_and_clocks_are_no_regressions():
+    small = GOOD | {"error": 1e-15, "seconds": 1e-5}
+    assert regressions([small], [small | {"error": 9e-12, "seconds": 1.9e-3}]) == []
+
+
+def test_the_reference_motion_is_the_closed_form(tmp_path, inline):
+    (oscillator,) = written(tmp_path, oscillator=OSCILLATOR)
+    workshop = Workshop(tmp_path / "modules", Store(tmp_path / "store.jsonl"))
+    module = workshop.module(Variant(oscillator, "hamiltonian", "explicit-euler", 1))
+    motion = reference_motion(module, 4)
+    exact = np.column_stack([np.cos(motion.times), -np.sin(motion.times)])
+    np.testing.assert_allclose(motion.states, exact, atol=1e-12)
+    assert conserved(module) == {}
+
+
+def test_cyclic_coordinates_are_found(tmp_path, inline):
+    """Noether's theorem: the angle of a planet is cyclic, its distance is not."""
+    (kepler,) = written(tmp_path, kepler=KEPLER)
+    workshop = Workshop(tmp_path / "modules", Store(tmp_path / "store.jsonl"))
+    found = conserved(workshop.module(Variant(kepler, "hamiltonian", "explicit-euler", 1)))
+    assert len(found) == 1
+    (momentum,) = found.values()
+    np.testing.assert_array_equal(momentum(np.array([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]])), [4.0, 8.0])
+
+
+class Balance(HTMLParser):
+    """Elements that are open, and references to anything outside of the page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.opened: list[str] = []
+        self.outside: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in ("meta", "br"):
+            self.opened.append(tag)
+        self.handle_startendtag(tag, attrs)
+
+    def handle_startendtag(self, tag, attrs):
+        self.outside += [v for k, v in attrs if k in ("src", "href", "xlink:href") and not v.startswith("#")]
+
+    def handle_endtag(self, tag):
+        assert self.opened.pop() == tag
+
+
+def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
+    """A page, orders as stated, a cost error against 12, nothing measured twice, and a comparison."""
+    problems = written(tmp_path, effort=EFFORT, oscillator=OSCILLATOR)
+    out = tmp_path / "out"
+    made = gallery.run(problems, out, TINY)
+    text = made.page.read_text()
+    balance = Balance()
+    balance.feed(text)
+    assert balance.opened == []
+    assert balance.outside == []
+    assert "<script" not in text
+    assert len(text.encode()) < 15e6
+    assert "All problems at a glance" in text
+    store = Store(out / "quick.jsonl")
+    orders = {
+        ("oscillator", v.scheme): (v.order, sections_simulation.order_of(store, problems[1], v))
+        for v in gallery.choose(problems[1], store, TINY).variants
+    }
+    assert len(orders) == 3
+    for stated, order in orders.values():  # that of the highest order reaches rounding at once on so short a motion
+        assert order is not None or stated > 2
+        assert order is None or abs(order - stated) < (0.1 if stated < 6 else 0.3)
+    control = gallery.choose(problems[0], store, TINY)
+    assert control.left
+    assert store.get(building.SURVEYS, "effort")["exact cost"] == pytest.approx(12.0, rel=1e-15)
+    rows = sections_control.rows_of(store, problems[0], control.variants[0])
+    for values, error in zip(rows, sections_control.errors(store, problems[0], control.variants[0]), strict=True):
+        assert error == pytest.approx(
+            1.0 / (values["steps"] ** 2 - 1), rel=1e-6
+        )  # 12 N^2/(N^2 - 1) is the discrete cost
+    assert {name for name, _ in store.rows("effort: drivers")} == {"newton", "slsqp", "trust-constr", "fsolve"}
+
+    def refuse(*_arguments, **_options):
+        raise AssertionError("measured twice")
+
+    before = (out / "quick.jsonl").read_bytes()
+    monkeypatch.setattr(drivers, "solve", refuse)
+    again = gallery.run(problems, out, TINY, earlier=out)
+    assert again.regressions == ()
+    assert "nothing is worse" in again.page.read_text()
+    assert (out / "quick.jsonl").read_bytes() == before
+
+    better = json.loads((out / records.NAME).read_text())
+    for case in better["cases"]:
+        if case.get("error"):
+            case["error"] /= 3.0
+    (tmp_path / "better.json").write_text(json.dumps(better))
+    worse = gallery.run(problems, out, TINY, earlier=tmp_path / "better.json")
+    assert {r.what for r in worse.regressions} == {"error"}
+    assert "regressions" in worse.page.read_text()
+
+
+def test_what_is_killed_while_writing_is_measured_again(tmp_path):
+    path, calls = tmp_path / "store.jsonl", []
+    case = Case("s", "a", lambda: {"n": len(calls), **(calls.append(1) or {})})
+    assert Store(path).measured(case)
+    assert not Store(path).measured(case)
+    path.write_text(path.read_text()[:-5])
+    assert Store(path).measured(case)
+    assert len(calls) == 2
+
+
+def test_a_problem_that_cannot_be_read_is_said_on_the_page(tmp_path, inline):
+    problems = written(tmp_path, broken="'''Nothing.'''\n", other="'''Nothing either.'''\n")
+    text = gallery.run(problems, tmp_path / "out", TINY).page.read_text()
+    assert text.count("not measured here") >= 2
+
+
+def test_comparison_wants_a_report(tmp_path):
+    with pytest.raises(ArgumentError, match="no report is there"):
+        records.read(tmp_path)
+
+
+@pytest.mark.parametrize("words", [[], ["absent.py"], ["absent", "--all"]])
+def test_the_command_refuses_in_one_line(tmp_path, capsys, words):
+    with pytest.raises(SystemExit) as ended:
+        main(["report", *words, "--out", str(tmp_path / "out")])
+    assert ended.value.code == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_reports_of_different_problems_are_not_compared():
+    one, other = (records.Record({}, ({"problem": name, "case": "c"},)) for name in "ab")
+    with pytest.raises(ArgumentError, match="no case in common"):
+        records.compared(one, other)
+
+
+def test_a_satellite_without_thrust_comes_back():
+    """The equations of R-K, written by hand, on a circular orbit with Kepler's period; thrust leads astray."""
+    gravity, radius = 0.4, 5.0
+    module = SimpleNamespace(metadata={"parameters": {"m": 100.0, "GM": gravity, "r0": radius, "r1": radius}})
+    times = np.linspace(0.0, 4.0 * np.pi * np.sqrt(radius**3 / gravity), 21)
+    idle = SimpleNamespace(t=times, u=np.zeros((20, 1)))
+    found = thesis_orbit._reintegrated(module, idle, 2)
+    assert found["miss"] < 1e-7
+    assert found["velocity miss"] < 1e-8
+    assert thesis_orbit._reintegrated(module, SimpleNamespace(t=times, u=np.full((20, 1), 0.01)), 2)["miss"] > 0.1
