@@ -85,7 +85,7 @@ class Case:
 class Measurement:
     """What a worker saw; NaN stands for what was not measured or does not exist.
 
-    `error` is that against the reference, `announced` the error that the result itself estimates, `residual` that of
+    `error` is that against the reference, `announced` the relative error that a doubled grid shows, `residual` that of
     all equations outside the solver and `tolerance` what it must not exceed, `textbook` the same in extended precision,
     relative to rounding of double precision. `drift` is the largest relative change of energy, `stable_below` the
     largest stable step times frequency, found by bisection.

@@ -25,7 +25,7 @@ def classify(case: Case, seen: Measurement) -> Row:
 
 def _outcome(case: Case, seen: Measurement) -> tuple[str, str]:
     if seen.hung:
-        return "hang", f"no answer within {case.seconds:g} s"
+        return "hang", seen.message or f"no answer within {case.seconds:g} s"
     if seen.exception:
         return "untyped error", seen.exception
     if seen.refusal:
@@ -62,8 +62,9 @@ def _outcome_of_solved(case: Case, seen: Measurement) -> tuple[str, str]:
 def _outcome_by_error(case: Case, seen: Measurement) -> tuple[str, str]:
     if seen.error <= case.bound:
         return "accurate", f"error {seen.error:.1e}, promised {case.bound:.1e}"
-    if seen.drift > SIGN or (seen.announced > 0.1 * seen.error):
-        estimate = seen.announced if seen.announced > 0.1 * seen.error else seen.drift
+    doubled = seen.announced > 0.1 * min(seen.error, 1.0)
+    if seen.drift > SIGN or doubled:
+        estimate = seen.announced if doubled else seen.drift
         return "unsuitable", f"error {seen.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
     return "false solved", f"error {seen.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
 

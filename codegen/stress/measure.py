@@ -30,7 +30,7 @@ def measure(module: Any, case: Case) -> Measurement:
         message=result.message,
         finite=_is_finite(result),
         error=error,
-        announced=result.summary.get("cost_error_estimate", float("nan")),
+        announced=_announced(result),
         residual=result.residual if result.stationarity is None else max(result.residual, result.stationarity),
         tolerance=_tolerance(varied, case, result),
         textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else float("nan"),
@@ -52,8 +52,7 @@ def with_values(module: Any, case: Case) -> Any:
         if original is not None:
             setattr(varied, name, lambda *given, _call=original, **more: _call(*given, **{**values, **more}))
     if case.noise and module.metadata["task"] == "control":
-        guess = module.initial_guess
-        setattr(varied, "initial_guess", lambda grid: _perturbed(varied, grid, guess(grid), case.noise))  # noqa: B010
+        vars(varied).update(_with_poor_guess(varied, case.noise))
     return varied
 
 
@@ -69,13 +68,21 @@ def as_keywords(values: Values) -> dict[str, Any]:
     return {name: plain(value) for name, value in values}
 
 
-def _perturbed(module: Any, grid: Any, guess: Any, noise: float) -> Any:
-    """A guess with reproducible noise on every free primal unknown, relative to its size or to one."""
-    free = module.primal_unknowns(grid)
-    changed = guess.copy()
-    random = np.random.default_rng(1)
-    changed[free] += noise * np.maximum(1.0, np.abs(guess[free])) * random.standard_normal(free.size)
-    return changed
+def _with_poor_guess(module: Any, noise: float) -> dict[str, Any]:
+    """Functions that guess, with reproducible noise on every free primal unknown, relative to its size or to one."""
+    guessed, solved = module.initial_guess, module.solve
+
+    def initial_guess(grid: Any) -> Any:
+        free, guess = module.primal_unknowns(grid), guessed(grid)
+        size = np.maximum(1.0, np.abs(guess[free]))
+        guess[free] += noise * size * np.random.default_rng(1).standard_normal(free.size)
+        return guess
+
+    def solve(steps: int, guess: Any = None, **more: Any) -> Any:
+        start = initial_guess(module.make_grid(steps)) if guess is None else guess
+        return solved(steps=steps, guess=start, **more)
+
+    return {"initial_guess": initial_guess, "solve": solve}
 
 
 def _options(module: Any, case: Case) -> dict[str, Any]:
@@ -85,9 +92,6 @@ def _options(module: Any, case: Case) -> dict[str, Any]:
         options["every"] = case.every
     if task == "control":
         options["doublings"] = case.doublings
-        if case.noise:
-            varied = with_values(module, case)
-            options["warm"] = varied.initial_guess(varied.make_grid(case.steps))
     return options
 
 
@@ -126,6 +130,12 @@ def _tolerance(module: Any, case: Case, result: Result) -> float:
 
 def _largest(*arrays: Any) -> float:
     return max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
+
+
+def _announced(result: Result) -> float:
+    """The error of the cost that a doubled grid shows, relative to the cost."""
+    estimate = result.summary.get("cost_error_estimate", float("nan"))
+    return estimate / abs(result.cost) if result.cost else estimate
 
 
 def _drift(case: Case, result: Result) -> float:

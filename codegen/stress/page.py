@@ -25,9 +25,13 @@ STYLES = {"accurate": "green", "bounded": "cyan", "unsuitable": "yellow", "refus
 
 @dataclass(frozen=True)
 class Line:
-    """A row as text: the cells under COLUMNS, what was found and why it was expected, whether it passed."""
+    """A row as text: the cells under COLUMNS, what was found and why it was expected, whether it passed.
+
+    `figure` is the number that an overview shows: the error, or the change of energy where there is no reference.
+    """
 
     cells: tuple[str, ...]
+    figure: str
     text: str
     reason: str
     outcome: str
@@ -36,10 +40,12 @@ class Line:
 
 @dataclass(frozen=True)
 class Section:
-    """The lines of one family."""
+    """The lines of one family, and an overview: cases against schemes, a line or None in each place."""
 
     family: str
     lines: tuple[Line, ...]
+    schemes: tuple[str, ...]
+    overview: tuple[tuple[str, tuple[Line | None, ...]], ...]
 
 
 def number(value: float) -> str:
@@ -66,7 +72,8 @@ def line(row: Row) -> Line:
         case.name, scheme, number(case.h_omega), number(seen.error), number(case.bound), number(seen.drift),
         stable(seen.stable_below), str(seen.failures or ""), row.outcome,
     )  # fmt: skip
-    return Line(cells, row.text, case.reason, row.outcome, row.passed)
+    figure = number(seen.error) or number(seen.drift) or "–"
+    return Line(cells, figure, row.text, case.reason, row.outcome, row.passed)
 
 
 def sections(rows: Iterable[Row]) -> tuple[Section, ...]:
@@ -74,7 +81,15 @@ def sections(rows: Iterable[Row]) -> tuple[Section, ...]:
     families: dict[str, list[Line]] = {}
     for row in rows:
         families.setdefault(row.case.family, []).append(line(row))
-    return tuple(Section(family, tuple(lines)) for family, lines in families.items())
+    return tuple(_section(family, lines) for family, lines in families.items())
+
+
+def _section(family: str, lines: Sequence[Line]) -> Section:
+    schemes = tuple(dict.fromkeys(entry.cells[1] for entry in lines))
+    placed = {entry.cells[:2]: entry for entry in lines}
+    names = dict.fromkeys(entry.cells[0] for entry in lines)
+    overview = tuple((name, tuple(placed.get((name, scheme)) for scheme in schemes)) for name in names)
+    return Section(family, tuple(lines), schemes, overview)
 
 
 def counts(rows: Sequence[Row]) -> str:

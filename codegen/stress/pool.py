@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import queue
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
@@ -76,7 +76,7 @@ def run(
                 numbers = jobs.get_nowait()
             except queue.Empty:
                 break
-            worker = _do(worker, [(n, cases[n]) for n in numbers], keep, serve)
+            worker = _do(worker, iter([(n, cases[n]) for n in numbers]), keep, serve)
         if worker is not None:
             worker.end()
 
@@ -90,7 +90,7 @@ def run(
 
 def _do(
     worker: Worker | None,
-    numbered: Iterable[tuple[int, Case]],
+    numbered: Iterator[tuple[int, Case]],
     keep: Callable[[int, Measurement], None],
     serve: Callable[[Connection], None],
 ) -> Worker | None:
@@ -106,7 +106,8 @@ def _do(
                 built = True
             measurement = worker.ask(case, case.seconds)
         except TimeoutError:
-            measurement = Measurement(hung=True)
+            text = "" if built else f"not derived and compiled within {BUILD_SECONDS:g} s"
+            measurement = Measurement(hung=True, message=text)
         except (EOFError, OSError) as error:
             measurement = Measurement(exception=f"the process died ({type(error).__name__})")
         if measurement.hung or measurement.exception.startswith("the process died"):
@@ -114,4 +115,7 @@ def _do(
             worker.end()
             worker = None
         keep(number, measurement)
+        if measurement.hung and not built:
+            for other, _ in numbered:  # those that are left, which would wait for the same module
+                keep(other, measurement)
     return worker

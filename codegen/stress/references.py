@@ -25,8 +25,9 @@ def drift_scale(case: Case, result: Result) -> float:
     assert result.energy is not None
     first = abs(float(result.energy[0]))
     if case.setup.file.stem == "pendulum_chain":
-        return max(first, *(of_case(case)[name] for name in ("heavy", "light")))
-    return max(first, 1.0) if case.setup.file.stem == "spring_pendulum" else first
+        values = of_case(case)
+        return max(first, float(values["heavy"]), float(values["light"]))
+    return max(first, 1.0) if case.setup.file.stem in ("spring_pendulum", "rod_chain") else first
 
 
 def of_case(case: Case) -> dict[str, Any]:

@@ -45,6 +45,18 @@ def fput_force(values: Mapping[str, Any], q: Array) -> Array:
     return force
 
 
+def rod_force(values: Mapping[str, Any], q: Array) -> Array:
+    """Elastic rods from the origin to each mass in turn, and gravity downwards; q holds x1, y1, x2, ..."""
+    places = np.concatenate([np.zeros_like(q[:2])[None], q.reshape(-1, 2)])
+    along = places[1:] - places[:-1]
+    length = np.sqrt((along**2).sum(axis=1))[:, None]
+    pull = values["k"] * (length - 1) * along / length
+    force = -pull
+    force[:-1] += pull[1:]
+    force[:, 1] -= 1
+    return force.reshape(q.shape)
+
+
 def kepler_force(values: Mapping[str, Any], q: Array) -> Array:
     """-mu q/|q|^3."""
     distance = np.sqrt(q[0] * q[0] + q[1] * q[1])
@@ -55,6 +67,7 @@ FORCES: dict[str, Force] = {
     "oscillator": oscillator_force,
     "spring_pendulum": spring_force,
     "fput": fput_force,
+    "rod_chain": rod_force,
     "kepler": kepler_force,
 }
 """Forces of problems with unit masses, H = |p|^2/2 + V(q)."""
@@ -63,6 +76,7 @@ DEFAULTS: dict[str, dict[str, float]] = {
     "oscillator": {"omega": 1.0},
     "spring_pendulum": {"k": 1e4},
     "fput": {"omega": 50.0},
+    "rod_chain": {"k": 1e4},
     "kepler": {"mu": 1.0},
     "pendulum_chain": {"heavy": 1.0, "light": 1.0, "g": 1.0},
 }
