@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import threading
 import warnings
 from contextlib import suppress
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from codegen.errors import CodegenError
@@ -14,6 +17,7 @@ from codegen.stress.cases import Case, Measurement, Setup
 def serve(connection: Connection) -> None:
     """Answer each Setup by None once its module is ready, each Case by its Measurement, until the pipe is closed."""
     warnings.simplefilter("ignore")
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     module: Any = None
     refusal, exception = "", ""
     with suppress(EOFError, KeyboardInterrupt):
@@ -27,6 +31,14 @@ def serve(connection: Connection) -> None:
                     refusal=refusal, exception=exception
                 )  # fmt: skip
             connection.send(answer)
+
+
+def _end_with_parent() -> None:
+    """End this process, whatever it is doing, when the process that started it has ended, by whatever means."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
 
 
 def _made(setup: Setup) -> tuple[Any, str, str]:
