@@ -12,7 +12,7 @@ Values = tuple[tuple[str, Any], ...]
 
 OUTCOMES = {
     "accurate": "solved, and the error is below what the order of the scheme promises at this step",
-    "bounded": "solved; no error is promised (chaos, or a step too long for the fast motion), and energy stays bounded",
+    "bounded": "solved; no error is promised (chaos, or steps too long for the fast motion), the energy is bounded",
     "unsuitable": "the steps' equations hold, but the energy has run away, which the summary of `solve` reports",
     "refused": "a named failure, or a typed error, that says what is wrong and what to try",
 }

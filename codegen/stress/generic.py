@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from codegen.errors import SchemeError
+from codegen.errors import CodegenError
 from codegen.load import load
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
 
@@ -34,7 +34,7 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
         setup = Setup(problem.absolute(), scheme, method, plain)
         try:
             module = load(compiler.build(setup.file, arguments, scheme=scheme, method=method).path)
-        except SchemeError:  # the scheme does not apply to this problem
+        except CodegenError:  # the scheme does not apply to this problem, or not in this form
             continue
         found += _cases(setup, module.metadata, points)
     return found

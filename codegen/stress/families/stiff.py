@@ -24,6 +24,7 @@ def cases() -> Iterator[Case]:
         yield from _oscillator(scheme)
     for scheme in STIFF_SCHEMES:
         yield from _spring_pendulum(scheme)
+        yield from _swing(scheme)
     for scheme in STIFF_SCHEMES[2:]:
         yield from _chain(scheme)
 
@@ -86,10 +87,25 @@ def _spring_pendulum(scheme: SchemeOf) -> Iterator[Case]:
             )  # fmt: skip
 
 
+def _swing(scheme: SchemeOf) -> Iterator[Case]:
+    """The swing alone, without vibration, with steps a hundred times too long for the spring."""
+    h, steps = 0.01, 300
+    implicit = scheme[1] in ("midpoint", "implicit-euler")
+    yield Case(
+        "spring pendulum, k = 1e+08, swing alone", "stiff", setup("spring_pendulum", scheme),
+        "accurate" if implicit else "unsuitable",
+        "an implicit scheme may step over a vibration that is not there; the limit is a rigid rod" if implicit else
+        "stable only for steps that resolve a vibration, though it is not there",
+        steps, (("k", 1e8), ("duration", h * steps)), reference="rigid_pendulum",
+        bound=promised(scheme, h, h * steps) if implicit else math.nan, drift=1.0, h_omega=h * 1e4, limit=True,
+        allowed=astray(scheme, h * 1e4),
+    )  # fmt: skip
+
+
 def _chain(scheme: SchemeOf) -> Iterator[Case]:
     made = setup("fput", scheme)
     for omega in (50.0, 1e4, 1e6):
-        for h_omega, steps in ((0.01, 2000), (1.5, 20000), (3.0, 20000), (1e2, 5000)):
+        for h_omega, steps in ((0.01, 2000), (1.5, 20000), (3.0, 20000), (1e2, 5000), (1e4, 500)):
             bound = promised(scheme, h_omega, h_omega * steps)
             expect, reason = expectation(scheme, h_omega, bound)
             start = tuple((f"{name}{i}", 0.0) for name in "qp" for i in range(1, 7))
