@@ -19,7 +19,7 @@ from codegen.stress.cases import DEFECTS, OUTCOMES, Row
 if TYPE_CHECKING:
     from rich.table import Table
 
-COLUMNS = ("case", "scheme", "h omega", "error", "promised", "energy drift", "stable below", "failures", "outcome")
+COLUMNS = ("case", "scheme", "h ω", "error", "promised", "energy drift", "stable h ω <", "failed", "outcome")
 STYLES = {"accurate": "green", "bounded": "cyan", "unsuitable": "yellow", "refused": "blue"}
 
 
@@ -105,9 +105,10 @@ def table(rows: Sequence[Row]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    shown = Table(box=box.SIMPLE_HEAD, caption=counts(rows), caption_justify="left")
+    shown = Table(box=box.SIMPLE_HEAD, caption=counts(rows), caption_justify="left", padding=(0, 1, 0, 0))
     for heading in COLUMNS:
         is_number = heading not in ("case", "scheme", "outcome")
+        heading = heading.replace("energy drift", "drift").replace("stable h ω", "stable")
         shown.add_column(heading, justify="right" if is_number else "left", no_wrap=is_number, overflow="fold")
     for section in sections(rows):
         for entry in section.lines:

@@ -59,7 +59,6 @@ def _layers() -> Iterator[Case]:
         yield _regulator(
             f"boundary layers of width {eps:g}, 100 steps",
             "layers inside one step: the doubled grid must show it, unless the cost is right at any step as above",
-
             100, 1.0 / eps, a=0.0, eps=eps, T=1.0,
         )  # fmt: skip
 
