@@ -7,6 +7,9 @@ import numpy as np
 from codegen.drivers.result import Request, Result, SimulateAttempt, component_names, max_norm
 from codegen.load import Matrix, SimulateModule
 
+UNITS = 1e4
+"""How many times larger than rounding errors the changes are by which their effect is measured."""
+
 
 def simulate_result(
     module: SimulateModule, driver: str, request: Request, attempt: SimulateAttempt, seconds: float
@@ -65,12 +68,14 @@ def _expected_rounding(attempt: SimulateAttempt) -> float:
 
 
 def rounding_level(module: SimulateModule, steps: int, q: Matrix, p: Matrix) -> float:
-    """The residual of consecutive states, shapes (M, n), when each is off by two units in the last place.
+    """By how much the residual of consecutive states, shapes (M, n), changes with two units in their last place.
 
-    Stiff forces make much of it: a place that is rounded is pulled back by the stiffness. Zero if nothing is finite.
+    Stiff forces make much of it: a place that is rounded is pulled back by the stiffness. Measured with changes that
+    are larger by UNITS, less what the residual was before, so that no wrong state raises the level. Zero if nothing is
+    finite.
     """
-    path = np.hstack([q, p])
+    path, grid = np.hstack([q, p]), module.make_grid(steps)
     signs = np.where(np.add.outer(np.arange(path.shape[0]), np.arange(path.shape[1])) % 2, 1.0, -1.0)
-    moved = path + 2.0 * signs * np.spacing(np.abs(path).max(axis=0))
-    level = float(module.path_residual(module.make_grid(steps), moved))
-    return level if np.isfinite(level) else 0.0
+    moved = path + 2.0 * UNITS * signs * np.spacing(np.abs(path).max(axis=0))
+    level = (float(module.path_residual(grid, moved)) - float(module.path_residual(grid, path))) / UNITS
+    return max(0.0, level) if np.isfinite(level) else 0.0
