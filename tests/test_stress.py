@@ -9,7 +9,7 @@ import pytest
 from conftest import PROBLEMS
 from idle_worker import SOLVED as GOOD
 from idle_worker import serve
-from interpreted import as_machine_code
+from interpreted import as_machine_code, without_compilation
 from typer.testing import CliRunner
 
 from codegen.cli import main
@@ -193,6 +193,17 @@ def test_numbers_that_are_none_are_refused_by_name(verlet):
 
     with pytest.raises(NumericsError, match="finite"):
         measure(module, replace(case, values=(("omega", math.nan),)))
+
+
+def test_a_prescribed_value_beyond_its_bound_is_refused():
+    module = without_compilation(generate(OWN_PROBLEMS / "walled_cart.py", {}, Choices()))
+    cases = [replace(case, steps=6) for case in CASES if case.setup.file.stem == "walled_cart"]
+    behind = next(case for case in cases if case.name == "cart, wall behind the start")
+    seen = measure(module, behind)
+    assert seen.status == "infeasible"
+    assert "x is prescribed as 0 at the start, beyond its bounds -inf to -0.1" in seen.message
+    open_way = replace(behind, values=(("wall", 1.0),))
+    assert measure(module, open_way).status == "solved"
 
 
 # ---- References ----
