@@ -61,7 +61,8 @@ def _outcome_of_solved(case: Case, seen: Measurement) -> tuple[str, str]:
 
 def _outcome_by_error(case: Case, seen: Measurement) -> tuple[str, str]:
     if seen.error <= case.bound:
-        return "accurate", f"error {seen.error:.1e}, promised {case.bound:.1e}"
+        limit = f"; {_stable(case, seen)}" if math.isnan(case.h_omega) and not math.isnan(seen.stable_below) else ""
+        return "accurate", f"error {seen.error:.1e}, promised {case.bound:.1e}{limit}"
     doubled = seen.announced > 0.1 * min(seen.error, 1.0)
     if seen.drift > SIGN or doubled:
         estimate = seen.announced if doubled else seen.drift
@@ -88,7 +89,7 @@ def _stable(case: Case, seen: Measurement) -> str:
     if seen.stable_below == 0.0:
         return "stable at no step (measured)"
     if math.isinf(seen.stable_below):
-        return "though stable at every step (measured)"
+        return "stable at every step (measured)"
     if case.h_omega < seen.stable_below:
         return f"though small motions are stable below h omega = {seen.stable_below:.3f} (measured)"
     return f"stable below h omega = {seen.stable_below:.3f} (measured)"

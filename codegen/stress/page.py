@@ -27,7 +27,8 @@ STYLES = {"accurate": "green", "bounded": "cyan", "unsuitable": "yellow", "refus
 class Line:
     """A row as text: the cells under COLUMNS, what was found and why it was expected, whether it passed.
 
-    `figure` is the number that an overview shows: the error, or the change of energy where there is no reference.
+    `figure` is the number that an overview shows: the error, or the change of energy where there is no reference, or
+    the limit where that is what is measured.
     """
 
     cells: tuple[str, ...]
@@ -72,8 +73,9 @@ def line(row: Row) -> Line:
         case.name, scheme, number(case.h_omega), number(seen.error), number(case.bound), number(seen.drift),
         stable(seen.stable_below), str(seen.failures or ""), row.outcome,
     )  # fmt: skip
-    figure = number(seen.error) or number(seen.drift) or "–"
-    return Line(cells, figure, row.text, case.reason, row.outcome, row.passed)
+    figure = stable(seen.stable_below) if case.reference == "stable_step" else number(seen.error) or number(seen.drift)
+    text = row.text if row.text.startswith(row.outcome) else f"{row.outcome}: {row.text}"
+    return Line(cells, figure or "–", text, case.reason, row.outcome, row.passed)
 
 
 def sections(rows: Iterable[Row]) -> tuple[Section, ...]:
