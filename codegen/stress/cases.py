@@ -39,8 +39,9 @@ class Setup:
 
     @property
     def label(self) -> str:
-        """Method and scheme as the table shows them."""
-        return f"{self.method} {self.scheme or 'midpoint'}" if self.method else self.scheme or "midpoint"
+        """Scheme as the table shows it, with its method where that is not the Hamiltonian one."""
+        name = self.scheme or "midpoint"
+        return f"{name}, variational" if self.method == "variational" else name
 
 
 @dataclass(frozen=True)

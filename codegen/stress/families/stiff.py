@@ -62,6 +62,8 @@ def _oscillator(scheme: SchemeOf) -> Iterator[Case]:
         steps = math.ceil(10.0 / h_omega) if h_omega < 0.5 else 300
         bound = promised(scheme, h_omega, h_omega * steps)
         expect, reason = expectation(scheme, h_omega, bound)
+        if h_omega >= 1e4 and expect == "bounded":
+            reason += "; or refused, where places rounded at the size of h p are pulled back beyond the tolerance"
         yield Case(
             f"oscillator, h omega = {h_omega:g}", "stiff", made, expect, reason, steps,
             (("omega", 100.0), ("duration", steps * h_omega / 100.0)), reference="oscillator", bound=bound,
