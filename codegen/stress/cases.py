@@ -51,7 +51,9 @@ class Case:
     `reference` names what the answer is compared with (see `references`), `bound` is the largest error that the order
     of the scheme promises, NaN where nothing is promised. `drift` is the largest relative change of energy that counts
     as bounded. `h_omega` is the step times the largest frequency. `textbook` asks for the equations of the steps to be
-    evaluated again in extended precision, from the scheme's textbook form. `reason` says why the outcome is expected.
+    evaluated again in extended precision, from the scheme's textbook form, `limit` for the largest stable step. `noise`
+    perturbs an optimisation's guess, `allowed` holds outcomes that pass beside the expected one, `seconds` is the time
+    limit. `reason` says why the outcome is expected, and why others are allowed.
     """
 
     name: str
