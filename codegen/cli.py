@@ -10,8 +10,8 @@ import sys
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -329,6 +329,40 @@ def report(
         raise typer.Exit(1)
 
 
+@main.command()
+def stress(
+    problem: Annotated[Path | None, typer.Argument(metavar="[PROBLEM.py]", help="Stress this problem alone.")] = None,
+    set_: Set = [],  # noqa: B006
+    all_: Annotated[bool, typer.Option("--all", help="All stiff and extreme cases of every kind of problem.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Only the cases of a few modules.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for stress.csv and stress.html.", show_default=False)] = ...,  # type: ignore[assignment]
+) -> None:
+    """Solve stiff and extreme cases; exit status 1 if one ends in a wrong answer, a NaN, a hang or an untyped error."""
+    from codegen import output
+    from codegen import stress as stressing
+    from codegen.stress import families, generic, page
+
+    if (problem is None) != (all_ or quick):
+        raise ArgumentError("stress takes a problem file, or --all, or --quick", "give one of them")
+    output.require_folder(out, "--out", may_be_made=True)
+    if problem is not None:
+        from codegen.problem_file import parse_arguments
+
+        with _working("Deriving"):
+            cases = generic.cases_of(problem, parse_arguments(set_))
+    else:
+        cases = families.quick_cases() if quick else families.all_cases()
+    with _progress("Stressing", len(cases)) as advance:
+        rows = stressing.run(cases, out, advance)
+    _console().print(page.table(rows))
+    failed = [row for row in rows if not row.passed]
+    for row in failed:
+        typer.echo(f"{row.outcome}: {row.case.name}, {row.case.setup.label}: {_one_line(row.text, 300)}", err=True)
+    if failed:
+        typer.echo(f"codegen: {len(failed)} of {len(rows)} rows failed; see {out / 'stress.html'}", err=True)
+        raise typer.Exit(1)
+
+
 def _build(
     problem: Path, set_: list[str], scheme: str | None, method: str | None, controls: Controls, out: Path | None
 ) -> Build:
@@ -394,6 +428,19 @@ def _console(stderr: bool = False) -> Any:
     from rich.console import Console
 
     return Console(stderr=stderr, highlight=False)
+
+
+@contextmanager
+def _progress(what: str, count: int) -> Iterator[Callable[[], None]]:
+    """What advances a progress bar on a terminal, and does nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.progress import Progress
+
+    with Progress(console=_console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=count)
+        yield lambda: bar.advance(task)
 
 
 def _working(what: str) -> AbstractContextManager[Any]:

@@ -161,11 +161,20 @@ def _choice_texts(choices: Choices) -> tuple[str, ...]:
     return (choices.scheme or "", choices.method or "", choices.controls)
 
 
+_USERS = ("drivers", "plots", "report", "stress", "cli.py", "output.py")
+"""Parts of this package on which no generated text depends."""
+
+
 @cache
 def _own_digest() -> str:
-    """Hash of this package's sources, so that a changed generator never serves what an older one made."""
+    """Hash of this package's sources, so that a changed generator never serves what an older one made.
+
+    What only uses generated modules is left out.
+    """
     digest = hashlib.sha256()
     folder = Path(__file__).parent
     for file in sorted([*folder.rglob("*.py"), *folder.rglob("*.j2")]):
+        if file.relative_to(folder).parts[0] in _USERS:
+            continue
         digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()

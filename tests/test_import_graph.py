@@ -57,6 +57,12 @@ def test_numeric_parts_never_import_sympy_or_symbolic_parts(part):
         assert not any(name == f or name.startswith(f + ".") for name in names for f in forbidden), (path, names)
 
 
+def test_stress_cases_import_no_sympy():
+    for path in files("stress"):
+        if path.parent.name != "problems":
+            assert not any(name.split(".")[0] == "sympy" for name in imported(path)), path
+
+
 def test_after_lowering_there_is_no_sympy():
     names = imported(PACKAGE / "emit.py") | imported(PACKAGE / "lower" / "module.py")
     assert not any(name.split(".")[0] == "sympy" for name in names)

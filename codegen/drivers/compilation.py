@@ -87,6 +87,8 @@ def compile_all_but_the_longest(module: Any) -> None:
         case = small_case(module)
         module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters))
         return
+    if is_simulation_of_particles(module):
+        return
     grid = module.make_grid(2)
     if module.metadata["task"] == "simulate":
         path = np.vstack([grid.start, grid.start])
@@ -126,6 +128,9 @@ def compile_the_longest(module: Any) -> None:
         points[:, 0] = case.start
         module.Linearised(case, points, None).matrix()
         return
+    if is_simulation_of_particles(module):
+        module.solve(2)
+        return
     grid = module.make_grid(2)
     if module.metadata["task"] == "simulate":
         path = np.empty((3, grid.start.size))
@@ -133,6 +138,11 @@ def compile_the_longest(module: Any) -> None:
         return
     unknowns = module.initial_guess(grid)
     module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), module.allocate_system(grid))
+
+
+def is_simulation_of_particles(module: Any) -> bool:
+    """Whether a module follows particles, whose functions for pairs are called from Python as well."""
+    return bool(module.metadata["task"] == "simulate" and "separable" in module.metadata)
 
 
 def small_case(module: Any, steps: int = 2) -> Any:
@@ -192,7 +202,7 @@ def main(share: str) -> None:
     path = os.fsdecode(sys.stdin.buffer.read())
     if path:
         module = load(Path(path))
-        if module.metadata["task"] != "connect":  # whose functions for pairs are called from Python, too
+        if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
             leave_out_entries(module)
             share_long_functions(module)
         compile_share.get(share, compile_all)(module)

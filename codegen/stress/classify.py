@@ -1,0 +1,95 @@
+"""The verdict on a case from what was measured: nothing but a documented outcome that is expected passes."""
+
+from __future__ import annotations
+
+import math
+
+from codegen.drivers.result import STATUSES
+from codegen.stress.cases import Case, Measurement, Row
+
+TEXTBOOK = 100.0
+"""Textbook equations in extended precision may be off by so many rounding errors of double precision."""
+SIGN = 0.01
+"""A relative change of energy from which on the summary of a simulation says that a step is too long."""
+
+
+def classify(case: Case, seen: Measurement) -> Row:
+    """The row of a case."""
+    outcome, text = _outcome(case, seen)
+    passed = outcome in case.expected
+    if not passed and outcome in ("accurate", "bounded", "unsuitable", "refused"):
+        text = f"{outcome}, expected {' or '.join(case.expected)}: {text}"
+        outcome = "unexpected"
+    return Row(case, seen, outcome, passed, text)
+
+
+def _outcome(case: Case, seen: Measurement) -> tuple[str, str]:
+    if seen.hung:
+        return "hang", seen.message or f"no answer within {case.seconds:g} s"
+    if seen.exception:
+        return "untyped error", seen.exception
+    if seen.refusal:
+        return "refused", seen.refusal
+    if seen.status not in STATUSES:
+        return "untyped error", f"the status {seen.status!r} is not documented"
+    if seen.status != "solved":
+        if not seen.message:
+            return "untyped error", f"the status {seen.status!r} comes without a message"
+        if case.h_omega > seen.stable_below:
+            return "unsuitable", f"unsuitable, {_stable(case, seen)}: {seen.message}"
+        return "refused", seen.message
+    return _outcome_of_solved(case, seen)
+
+
+def _outcome_of_solved(case: Case, seen: Measurement) -> tuple[str, str]:
+    """What a claim of success is worth."""
+    if not seen.finite:
+        return "not a number", "solved, with results that are infinite or no numbers"
+    if not seen.residual <= seen.tolerance:
+        return "false solved", f"the equations have residual {seen.residual:.1e}, beyond {seen.tolerance:.1e}"
+    if seen.textbook > TEXTBOOK:
+        return "false solved", f"the textbook's equations are off by {seen.textbook:.1e} rounding errors"
+    if math.isfinite(case.bound):
+        return _outcome_by_error(case, seen)
+    # No comparison with NaN holds, so a drift that was not measured (first-order systems) is no bounded energy.
+    if seen.drift <= case.drift:
+        return "bounded", f"energy within {seen.drift:.1e}{_limit(case, seen)}"
+    if math.isnan(seen.drift) and math.isnan(case.drift):
+        return "bounded", f"the equations hold to {seen.residual:.1e}"
+    return "unsuitable", _unsuitable(case, seen)
+
+
+def _outcome_by_error(case: Case, seen: Measurement) -> tuple[str, str]:
+    if seen.error <= case.bound:
+        limit = f"; {_stable(case, seen)}" if math.isnan(case.h_omega) and not math.isnan(seen.stable_below) else ""
+        return "accurate", f"error {seen.error:.1e}, promised {case.bound:.1e}{limit}"
+    doubled = seen.announced > 0.1 * min(seen.error, 1.0)
+    if seen.drift > SIGN or doubled:
+        estimate = seen.announced if doubled else seen.drift
+        return "unsuitable", f"error {seen.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
+    return "false solved", f"error {seen.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
+
+
+def _limit(case: Case, seen: Measurement) -> str:
+    resolved = not case.h_omega > 0.5
+    coarse = "" if resolved else f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})"
+    return coarse + (f", stable below {seen.stable_below:.3f}" if math.isfinite(seen.stable_below) else "")
+
+
+def _unsuitable(case: Case, seen: Measurement) -> str:
+    grown = f"energy changes by {seen.drift:.1e} of itself"
+    return (
+        f"unsuitable at this step: {grown}"
+        if math.isnan(seen.stable_below)
+        else f"unsuitable, {_stable(case, seen)}: {grown}"
+    )
+
+
+def _stable(case: Case, seen: Measurement) -> str:
+    if seen.stable_below == 0.0:
+        return "stable at no step (measured)"
+    if math.isinf(seen.stable_below):
+        return "stable at every step (measured)"
+    if case.h_omega < seen.stable_below:
+        return f"though small motions are stable below h omega = {seen.stable_below:.3f} (measured)"
+    return f"stable below h omega = {seen.stable_below:.3f} (measured)"

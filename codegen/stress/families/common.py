@@ -1,0 +1,72 @@
+"""What all families share: setups of the package's own problems, promised errors, energies that oscillate."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from codegen.stress.cases import Setup
+
+PROBLEMS = Path(__file__).parents[1] / "problems"
+
+SchemeOf: TypeAlias = tuple[str | None, str]
+"""A method, None for particles, and a scheme."""
+
+ORDERS = {"midpoint": 2, "stormer-verlet": 2, "trapezoidal": 2}
+"""Orders of the schemes that have more than one; a scheme of higher order is added here, and below to the schemes."""
+
+SYMPLECTIC = ("symplectic-euler", "symplectic-euler-adjoint", "stormer-verlet", "midpoint", "rectangle", "trapezoidal")
+
+EVERY_SCHEME: tuple[SchemeOf, ...] = (
+    ("hamiltonian", "explicit-euler"),
+    ("hamiltonian", "implicit-euler"),
+    ("hamiltonian", "symplectic-euler"),
+    ("hamiltonian", "symplectic-euler-adjoint"),
+    ("hamiltonian", "midpoint"),
+    ("hamiltonian", "stormer-verlet"),
+    ("variational", "rectangle"),
+    ("variational", "midpoint"),
+    ("variational", "trapezoidal"),
+)
+"""What is tried on the oscillator, where it is cheap and everything is known; a new scheme takes one line here."""
+
+STIFF_SCHEMES = EVERY_SCHEME[:3] + EVERY_SCHEME[4:6]
+"""Those tried on the larger problems: one of each kind, since each costs seconds of compilation."""
+
+
+def setup(problem: str, scheme: SchemeOf | None = None, **arguments: Any) -> Setup:
+    """A problem of this package by method and scheme (default: the problem's own)."""
+    method, name = scheme or (None, None)
+    return Setup(PROBLEMS / f"{problem}.py", name, method, tuple(arguments.items()))
+
+
+def order_of(scheme: SchemeOf) -> int:
+    """The order of a scheme."""
+    return ORDERS.get(scheme[1], 1)
+
+
+def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
+    """The error that a scheme of order p promises after a phase omega t, where h omega < 1/2; NaN where it is useless.
+
+    Over the phase omega t the Eulers change amplitudes by exp(+-h omega omega t/2) or shift them by h omega/2, and the
+    schemes of order 2 shift phases by (h omega)^2/12 omega t at most (Hairer, Lubich and Wanner 2006, IX.1): twice and
+    three times these are allowed, for the nonlinear terms.
+    """
+    order = order_of(scheme)
+    error = h_omega**order * (1.0 + phase) / (1.0 if order == 1 else 4.0)
+    return error if h_omega < 0.5 and error < 0.5 else math.nan
+
+
+def oscillation(scheme: SchemeOf, h_omega: float) -> float:
+    """By how much of itself a symplectic scheme lets the energy of an oscillator swing below its stable limit.
+
+    Symplectic Euler keeps p^2 + w^2 q^2 - h w^2 q p, Störmer-Verlet p^2 + w^2 q^2 (1 - (h w)^2/4), and the midpoint
+    rule the energy itself.
+    """
+    half = h_omega / 2.0
+    if scheme[1] == "midpoint":
+        return 1e-6
+    if half >= 1.0 or scheme[1] not in SYMPLECTIC:
+        return 0.1
+    return 1.1 * (half**2 / (1.0 - half**2) if order_of(scheme) == 2 else 2.0 * half / (1.0 - half))

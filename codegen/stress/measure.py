@@ -1,0 +1,156 @@
+"""One case on a loaded module: solve by the driver, evaluate the equations again, compare, find the stable limit."""
+
+from __future__ import annotations
+
+import time
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from codegen import drivers
+from codegen.drivers.result import Result
+from codegen.drivers.simulate_result import rounding_level
+from codegen.points import PointSet
+from codegen.stress.cases import Case, Measurement, Values
+from codegen.stress.limits import stable_limit
+from codegen.stress.references import REFERENCES, drift_scale
+from codegen.stress.textbook import textbook_errors
+
+
+def measure(module: Any, case: Case) -> Measurement:
+    """What happens when a case is solved; typed errors are passed on."""
+    varied = with_values(module, case)
+    begin = time.perf_counter()
+    result = drivers.solve(varied, case.driver, points=_points(case), **_options(module, case))
+    seconds = time.perf_counter() - begin
+    error = REFERENCES[case.reference](varied, case, result) if case.reference and result.solved else float("nan")
+    return Measurement(
+        status=result.status,
+        message=result.message,
+        finite=_is_finite(result),
+        error=error,
+        announced=_announced(result),
+        residual=result.residual if result.stationarity is None else max(result.residual, result.stationarity),
+        tolerance=_tolerance(varied, case, result),
+        textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else float("nan"),
+        drift=_drift(case, result),
+        stable_below=stable_limit(module, case) if case.limit else float("nan"),
+        failures=_failures(result),
+        iterations=result.iterations,
+        seconds=seconds,
+    )
+
+
+def with_values(module: Any, case: Case) -> Any:
+    """The same module, whose functions that make a grid or a case take the case's run-time values by default."""
+    values = as_keywords(case.values)
+    varied = ModuleType(module.__name__)
+    vars(varied).update(vars(module))
+    for name in ("make_grid", "solve", "make_case"):
+        original = getattr(module, name, None)
+        if original is not None:
+            setattr(varied, name, lambda *given, _call=original, **more: _call(*given, **{**values, **more}))
+    if case.noise and module.metadata["task"] == "control":
+        vars(varied).update(_with_poor_guess(varied, case.noise))
+    return varied
+
+
+def as_keywords(values: Values) -> dict[str, Any]:
+    """Keyword arguments; what is a table of names and values becomes a dict, what is a table of numbers an array."""
+
+    def plain(value: Any) -> Any:
+        if not isinstance(value, tuple):
+            return value
+        is_table = bool(value) and all(isinstance(v, tuple) and len(v) == 2 and isinstance(v[0], str) for v in value)
+        return as_keywords(value) if is_table else np.array(value, dtype=float)
+
+    return {name: plain(value) for name, value in values}
+
+
+def _with_poor_guess(module: Any, noise: float) -> dict[str, Any]:
+    """Functions that guess, with reproducible noise on every free primal unknown, relative to its size or to one."""
+    guessed, solved = module.initial_guess, module.solve
+
+    def initial_guess(grid: Any) -> Any:
+        free, guess = module.primal_unknowns(grid), guessed(grid)
+        size = np.maximum(1.0, np.abs(guess[free]))
+        guess[free] += noise * size * np.random.default_rng(1).standard_normal(free.size)
+        return guess
+
+    def solve(steps: int, guess: Any = None, **more: Any) -> Any:
+        start = initial_guess(module.make_grid(steps)) if guess is None else guess
+        return solved(steps=steps, guess=start, **more)
+
+    return {"initial_guess": initial_guess, "solve": solve}
+
+
+def _options(module: Any, case: Case) -> dict[str, Any]:
+    task = module.metadata["task"]
+    options: dict[str, Any] = {"steps": case.steps}
+    if task == "simulate":
+        options["every"] = case.every
+    if task == "control":
+        options["doublings"] = case.doublings
+    return options
+
+
+def _points(case: Case) -> PointSet | None:
+    """Starts and targets, from rows (start, target) of either dimension."""
+    if not case.points:
+        return None
+    table = np.array(case.points, dtype=float)
+    half = table.shape[1] // 2
+    return PointSet(table[:, :half], table[:, half:], np.zeros(len(table)))
+
+
+def _is_finite(result: Result) -> bool:
+    arrays = (result.q, result.p, result.u, result.unknowns)
+    return all(a is None or bool(np.isfinite(a).all()) for a in arrays) and (
+        result.cost is None or bool(np.isfinite(result.cost))
+    )
+
+
+def _tolerance(module: Any, case: Case, result: Result) -> float:
+    """What residuals may be: the drivers' tolerances of 1e-8, or rounding where numbers are large.
+
+    Equations of a variational step divide differences of positions by h, and stiff springs pull rounded places back.
+    """
+    eps = float(np.finfo(float).eps)
+    if result.task == "control":
+        scale = max(1.0, float(np.abs(module.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
+        return max(1e-7 * scale, 1e3 * eps * _largest(result.unknowns, result.multipliers) * result.steps)
+    if result.task == "connect":
+        return 1e-5 if case.driver != "newton" else max(1e-9, 1e3 * eps * _largest(result.q, result.p))
+    h = result.t[-1] / max(result.steps, 1)
+    size = _largest(result.q, result.p)
+    stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
+    return max(1e-10, 1e3 * eps * size * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
+
+
+def _largest(*arrays: Any) -> float:
+    return max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
+
+
+def _announced(result: Result) -> float:
+    """The error of the cost that a doubled grid shows, relative to the cost."""
+    estimate = result.summary.get("cost_error_estimate", float("nan"))
+    return estimate / abs(result.cost) if result.cost else estimate
+
+
+def _drift(case: Case, result: Result) -> float:
+    """Largest change of energy, relative to its scale; NaN where there is no energy."""
+    if result.energy is None:
+        return float("nan")
+    energy = np.asarray(result.energy, dtype=float)
+    scale = drift_scale(case, result)
+    if result.task == "simulate" and not np.isfinite(energy[1:]).all():
+        return float("inf")
+    return float(np.abs(energy - energy[0]).max() / scale) if scale > 0.0 else float("nan")
+
+
+def _failures(result: Result) -> int:
+    """How often Newton's method failed: a simulation ends at its first failure, a connection reports its attempts."""
+    if result.task == "connect":
+        return int(result.summary["attempts"]) - int(result.solved)
+    return int(not result.solved)
