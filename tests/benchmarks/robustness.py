@@ -52,14 +52,14 @@ class Row:
     failures: str
 
 
-def attempts(case: Case, size: float, seeds: int) -> dict[str, list[dict[str, Any]]]:
+def attempts(case: Case, size: float, seeds: range) -> dict[str, list[dict[str, Any]]]:
     """The reports of both solvers from `seeds` perturbed guesses."""
     name, arguments, steps = case
     options = {"ipopt.tol": TOLERANCE, "ipopt.max_iter": 1000}
     peer = PreparedGallery(GALLERY[name, tuple(arguments.items())](), steps, options=options)
     own = GeneratedGallery(name, arguments, steps, TOLERANCE, peer)
     reports: dict[str, list[dict[str, Any]]] = {"generated": [], "CasADi": []}
-    for seed in range(seeds):
+    for seed in seeds:
         guess = own.perturbed_guess(size, seed)
         own.run(guess)
         reports["generated"].append(own.report())
@@ -68,7 +68,7 @@ def attempts(case: Case, size: float, seeds: int) -> dict[str, list[dict[str, An
     return reports
 
 
-def rows_of(case: Case, size: float, seeds: int) -> list[Row]:
+def rows_of(case: Case, size: float, seeds: range) -> list[Row]:
     """Both solvers' shares."""
     reports = attempts(case, size, seeds)
     honest = [
@@ -83,8 +83,8 @@ def rows_of(case: Case, size: float, seeds: int) -> list[Row]:
         words = [r["status"] for r in results if r["status"] != "solved"]
         counted = ", ".join(f"{words.count(word)} {word}" for word in sorted(set(words)))
         effort = median(r["iterations"] for r in solved) if solved else float("nan")
-        shares = (len(solved) / seeds, len(best) / seeds)
-        rows.append(Row(title(*case[:2]), case[2], size, solver, seeds, *shares, len(false), effort, counted))
+        shares = (len(solved) / len(seeds), len(best) / len(seeds))
+        rows.append(Row(title(*case[:2]), case[2], size, solver, len(seeds), *shares, len(false), effort, counted))
     return rows
 
 
@@ -115,6 +115,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("problems", nargs="*", help="names of problems, all by default")
     parser.add_argument("--seeds", type=int, default=50, help="guesses for each case")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first guess")
     parser.add_argument("--size", type=float, nargs="+", default=[0.1], help="sizes of the noise")
     parser.add_argument("--csv", type=Path, help="write the rows to this file")
     arguments = parser.parse_args()
@@ -124,7 +125,7 @@ def main() -> None:
             continue
         for size in arguments.size:
             try:
-                rows += rows_of(case, size, arguments.seeds)
+                rows += rows_of(case, size, range(arguments.first, arguments.first + arguments.seeds))
             except Exception as error:  # a problem that cannot be built must not end the others' run
                 console.print(f"{title(*case[:2])}: {type(error).__name__}: {error}")
         console.print(f"{title(*case[:2])}, N = {case[2]}: done", style="dim")
