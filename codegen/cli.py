@@ -331,7 +331,7 @@ def report(
 
 @main.command()
 def stress(
-    problem: Annotated[Path | None, typer.Argument(metavar="[PROBLEM.py]", help="Stress this problem alone.")] = None,
+    problem: Annotated[Path | None, typer.Argument(metavar="PROBLEM.py", help="Stress this problem alone.")] = None,
     set_: Set = [],  # noqa: B006
     all_: Annotated[bool, typer.Option("--all", help="All stiff and extreme cases of every kind of problem.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Only the cases of a few modules.")] = False,

@@ -14,6 +14,7 @@ from typing import Any
 from codegen.errors import CodegenError
 from codegen.load import load
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
+from codegen.stress.families.common import EVERY_SCHEME
 
 FACTORS = (1e-12, 1e-6, 1e6, 1e12)
 STEPS = (1, 2, 10)
@@ -41,7 +42,7 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
 
 
 def _schemes(metadata: Mapping[str, Any]) -> Sequence[tuple[str | None, str]]:
-    """Methods and schemes that may apply, from the registries."""
+    """Methods and schemes that may apply, from the registries; those of which most is known come first."""
     from codegen.schemes import METHODS
 
     if metadata["task"] == "connect" or "separable" in metadata:
@@ -51,7 +52,8 @@ def _schemes(metadata: Mapping[str, Any]) -> Sequence[tuple[str | None, str]]:
         return [(None, name) for name in PARTICLE_SCHEMES if name not in adaptive]
     if metadata.get("form") == "first-order":
         return [(None, name) for name in ("explicit-euler", "implicit-euler", "midpoint", "trapezoidal")]
-    return [(method, name) for method, schemes in METHODS.items() for name in schemes]
+    every = [(method, name) for method, schemes in METHODS.items() for name in schemes]
+    return sorted(every, key=lambda scheme: scheme not in EVERY_SCHEME)
 
 
 def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[tuple[float, ...], ...]:

@@ -27,7 +27,9 @@ def drift_scale(case: Case, result: Result) -> float:
     if case.setup.file.stem == "pendulum_chain":
         values = of_case(case)
         return max(first, float(values["heavy"]), float(values["light"]))
-    return max(first, 1.0) if case.setup.file.stem in ("spring_pendulum", "rod_chain") else first
+    if case.setup.file.stem == "rod_chain":
+        return max(first, 21.0)  # unit weights that can fall by 1, 2, ... 6
+    return max(first, 1.0) if case.setup.file.stem == "spring_pendulum" else first
 
 
 def of_case(case: Case) -> dict[str, Any]:

@@ -45,8 +45,12 @@ def recorded(name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...
 
 
 @pytest.mark.parametrize(
-    "name", ["hovercraft", "linear_pendulum", "bryson_denham", "double_integrator", "pendulum", "two_stage_rocket"]
-)
+    "name",
+    [
+        "hovercraft", "linear_pendulum", "bryson_denham", "double_integrator", "pendulum", "two_stage_rocket",
+        "outer_solar_system_stormer_verlet",
+    ],
+)  # fmt: skip
 def test_all_that_solve_calls_is_compiled_beforehand(name):
     module, calls = recorded(name)
     compile_all(module)

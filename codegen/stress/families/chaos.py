@@ -6,10 +6,11 @@ import math
 from collections.abc import Iterator
 
 from codegen.stress.cases import Case, Setup
-from codegen.stress.families.common import SchemeOf, setup
+from codegen.stress.families.common import SchemeOf, promised, setup
 
 CHAIN_SCHEMES = (("variational", "midpoint"), ("variational", "trapezoidal"))
-ROD_SCHEMES = (("hamiltonian", "midpoint"), ("hamiltonian", "stormer-verlet"))
+ROD_SCHEMES = (("hamiltonian", "symplectic-euler"), ("hamiltonian", "stormer-verlet"))
+"""Explicit ones: the Newton matrix of an implicit step of six pendulums takes minutes to compile."""
 RATE = 3.0
 """About the largest angular velocity of a chain that falls from the horizontal."""
 
@@ -48,10 +49,11 @@ def _six(scheme: SchemeOf) -> Iterator[Case]:
     made = setup("rod_chain", scheme)
     for k, duration, steps in ((1e2, 1.0, 2000), (1e6, 0.1, 5000)):
         h_omega = 2.0 * math.sqrt(k) * duration / steps
+        bound = promised(scheme, h_omega, h_omega * steps)
         yield Case(
-            f"six pendulums, stiffness {k:g}, t = {duration:g}", "chaos", made, "accurate", "order 2, before chaos",
-            steps, (("k", k), ("duration", duration)), reference="by_integration",
-            bound=h_omega**2 * (1.0 + 2.0 * math.sqrt(k) * duration) / 4.0, h_omega=h_omega, textbook=True,
+            f"six pendulums, stiffness {k:g}, t = {duration:g}", "chaos", made,
+            "accurate" if math.isfinite(bound) else "bounded", "order of the scheme, before chaos", steps,
+            (("k", k), ("duration", duration)), reference="by_integration", bound=bound, h_omega=h_omega, textbook=True,
         )  # fmt: skip
     for k, duration, steps in ((1e4, 100.0, 200_000), (1e8, 1.0, 200_000)):
         yield Case(
@@ -61,8 +63,7 @@ def _six(scheme: SchemeOf) -> Iterator[Case]:
         )  # fmt: skip
     yield Case(
         "six pendulums, stiffness 1e+08, 1000 steps of t = 10", "chaos", made, "unsuitable",
-        "steps two hundred times too long for the rods", 1000, (("k", 1e8), ("duration", 10.0)), h_omega=200.0,
-        allowed=("bounded",) if scheme[1] == "midpoint" else (),
+        "steps a hundred times too long for the rods", 1000, (("k", 1e8), ("duration", 10.0)), h_omega=200.0,
     )  # fmt: skip
 
 
