@@ -5,66 +5,22 @@ Exit status 0: it worked; 1: the numerics or a check failed; 2: the input was wr
 
 from __future__ import annotations
 
-import os
-import sys
 import time
-import traceback
-import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
-from codegen.errors import ArgumentError, CodegenError
+from codegen.errors import ArgumentError
+from codegen.terminal import OneLineErrors, console, one_line, progress, working
 
 if TYPE_CHECKING:
     from codegen.compiler import Build
     from codegen.points import PointSet
 
 # Everything that is slow to import is imported by the command that needs it: `codegen --help` must be instant.
-
-
-class OneLineErrors(TyperGroup):
-    """A group of commands whose errors are one line on stderr and an exit status."""
-
-    def main(self, *positional: Any, **options: Any) -> Any:
-        """Run and exit."""
-        try:
-            with warnings.catch_warnings():
-                if not sys.warnoptions:
-                    # No warning answers what was asked; what matters shows in the status and the residuals.
-                    warnings.simplefilter("ignore")
-                status = super().main(*positional, **{**options, "standalone_mode": False})
-        except Exception as error:
-            status, text = _described(error)
-            typer.echo(f"codegen: error: {text}", err=True)
-        sys.exit(status if isinstance(status, int) else 0)
-
-
-def _described(error: Exception) -> tuple[int, str]:
-    """Exit status and one line for whatever was raised."""
-    if isinstance(error, CodegenError):
-        return 2, _one_line(str(error))
-    if hasattr(error, "format_message"):  # a usage error of typer, whose class moved between versions
-        command = getattr(getattr(error, "ctx", None), "command_path", "codegen")
-        return 2, _one_line(f"{error.format_message().rstrip('.')}; see {command} --help")
-    if isinstance(error, MemoryError):
-        return 2, "there is not enough memory; take fewer --steps, or a larger --every"
-    if type(error).__name__ == "Abort":
-        return 1, "aborted"
-    if os.environ.get("CODEGEN_TRACEBACK"):
-        traceback.print_exception(error)
-    text = f"unexpected {type(error).__name__}: {error}"
-    return 1, _one_line(text, 200) + "; this is a defect of codegen, please report what CODEGEN_TRACEBACK=1 shows"
-
-
-def _one_line(text: str, limit: int = 1000) -> str:
-    line = " ".join(text.split())
-    return line if len(line) <= limit else line[:limit] + " ..."
 
 
 main = typer.Typer(
@@ -141,16 +97,16 @@ def build(
     output.require_folder(out, "--out", may_be_made=True)
     begin = time.perf_counter()
     if no_compile:
-        with _working("Deriving"):
+        with working("Deriving"):
             made = _build(problem, set_, scheme, method, controls, out)
     else:
         from codegen import drivers
         from codegen.drivers.compilation import compilers
 
         with compilers() as processes:
-            with _working("Deriving"):
+            with working("Deriving"):
                 made = _build(problem, set_, scheme, method, controls, out)
-            with _working("Compiling"):
+            with working("Compiling"):
                 drivers.prepare(made.path, processes)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
@@ -193,9 +149,9 @@ def solve(
     wanted = pictures.requested(problem, set_, plot, animate)
     points = _points_of(problem, set_)
     start = output.saved_unknowns(warm) if warm is not None else None
-    with _working("Deriving"):
+    with working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
-    with _working("Solving"):
+    with working("Solving"):
         from codegen.load import load
 
         begin = time.perf_counter()
@@ -212,20 +168,20 @@ def solve(
         output.save(result, record, save)
     wanted.save(module, result)
     if log:
-        _console(stderr=json).print(output.log_table(result))
+        console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
     if json:
         typer.echo(output.as_json(record))
     else:
-        _console().print(result.title, style="bold", markup=False)
-        _console().print(output.as_table(record))
+        console().print(result.title, style="bold", markup=False)
+        console().print(output.as_table(record))
     if not result.solved:
         may_help = (
             guesses == 1 and result.task == "control" and result.status in ("infeasible", "saddle point", "stalled")
         )
         hint = "; --guesses 10 tries ten first guesses" if may_help else ""
-        typer.echo(_one_line(f"codegen: {result.message}{hint}"), err=True)
+        typer.echo(one_line(f"codegen: {result.message}{hint}"), err=True)
         raise typer.Exit(1)
 
 
@@ -245,7 +201,7 @@ def check(
     if out is not None:
         output.require_folder(out, "--out")
     arguments = parse_arguments(set_)
-    with _working("Checking"):
+    with working("Checking"):
         from codegen import checks, compiler
 
         # A module that someone keeps is checked as it stands, never rebuilt: it may have been changed by hand.
@@ -254,11 +210,11 @@ def check(
         kept = (out or compiler.GENERATED) / f"{compiler.module_name(problem, arguments, choices)}.py"
         made = kept if kept.is_file() else _build(problem, set_, scheme, method, controls, None).path
         findings = checks.run(problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made)
-    _console().print(output.findings_table(findings))
+    console().print(output.findings_table(findings))
     failed = [finding for finding in findings if not finding.passed]
     if failed:
         text = f"codegen: {len(failed)} of {len(findings)} checks failed, first {failed[0].check}"
-        typer.echo(_one_line(text), err=True)
+        typer.echo(one_line(text), err=True)
         raise typer.Exit(1)
 
 
@@ -276,7 +232,7 @@ def show(
     from codegen.show import equations
 
     arguments = parse_arguments(set_)
-    with _working("Deriving"):
+    with working("Deriving"):
         text = equations(problem, arguments, scheme=scheme, method=method, controls=controls.value, latex=latex)
     typer.echo(text)
 
@@ -295,7 +251,7 @@ def analyse(
     from codegen.problem_file import parse_arguments
 
     arguments = parse_arguments(set_)
-    with _working("Expanding"):
+    with working("Expanding"):
         text = analysis(problem, arguments, scheme=scheme, method=method, order=order, latex=latex)
     typer.echo(text)
 
@@ -325,7 +281,7 @@ def report(
     if made.regressions:
         first = made.regressions[0]
         text = f"{len(made.regressions)} regressions, first {first.what} of {first.problem}: {first.case}"
-        typer.echo(_one_line(f"codegen: {text}"), err=True)
+        typer.echo(one_line(f"codegen: {text}"), err=True)
         raise typer.Exit(1)
 
 
@@ -348,16 +304,16 @@ def stress(
     if problem is not None:
         from codegen.problem_file import parse_arguments
 
-        with _working("Deriving"):
+        with working("Deriving"):
             cases = generic.cases_of(problem, parse_arguments(set_))
     else:
         cases = families.quick_cases() if quick else families.all_cases()
-    with _progress("Stressing", len(cases)) as advance:
+    with progress("Stressing", len(cases)) as advance:
         rows = stressing.run(cases, out, advance)
-    _console().print(page.table(rows))
+    console().print(page.table(rows))
     failed = [row for row in rows if not row.passed]
     for row in failed:
-        typer.echo(f"{row.outcome}: {row.case.name}, {row.case.setup.label}: {_one_line(row.text, 300)}", err=True)
+        typer.echo(f"{row.outcome}: {row.case.name}, {row.case.setup.label}: {one_line(row.text, 300)}", err=True)
     if failed:
         typer.echo(f"codegen: {len(failed)} of {len(rows)} rows failed; see {out / 'stress.html'}", err=True)
         raise typer.Exit(1)
@@ -422,29 +378,3 @@ def _require_fitting(task: str, driver: str, every: int, log: bool) -> None:
         raise ArgumentError(f"--every {every} thins simulations, and this is a {task} problem", "leave it out")
     if log and task != "control":
         raise ArgumentError(f"--log shows iterates of an optimisation, and this is a {task} problem", "leave it out")
-
-
-def _console(stderr: bool = False) -> Any:
-    from rich.console import Console
-
-    return Console(stderr=stderr, highlight=False)
-
-
-@contextmanager
-def _progress(what: str, count: int) -> Iterator[Callable[[], None]]:
-    """What advances a progress bar on a terminal, and does nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda: None
-        return
-    from rich.progress import Progress
-
-    with Progress(console=_console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=count)
-        yield lambda: bar.advance(task)
-
-
-def _working(what: str) -> AbstractContextManager[Any]:
-    """A sign of life on a terminal, nothing elsewhere."""
-    if not sys.stderr.isatty():
-        return nullcontext()
-    return _console(stderr=True).status(f"{what} ...")  # type: ignore[no-any-return]

@@ -1,0 +1,83 @@
+"""What every command shares: errors as one line with an exit status, the console, signs of life on a terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from codegen.errors import CodegenError
+
+
+class OneLineErrors(TyperGroup):
+    """A group of commands whose errors are one line on stderr and an exit status."""
+
+    def main(self, *positional: Any, **options: Any) -> Any:
+        """Run and exit."""
+        try:
+            with warnings.catch_warnings():
+                if not sys.warnoptions:
+                    # No warning answers what was asked; what matters shows in the status and the residuals.
+                    warnings.simplefilter("ignore")
+                status = super().main(*positional, **{**options, "standalone_mode": False})
+        except Exception as error:
+            status, text = _described(error)
+            typer.echo(f"codegen: error: {text}", err=True)
+        sys.exit(status if isinstance(status, int) else 0)
+
+
+def _described(error: Exception) -> tuple[int, str]:
+    """Exit status and one line for whatever was raised."""
+    if isinstance(error, CodegenError):
+        return 2, one_line(str(error))
+    if hasattr(error, "format_message"):  # a usage error of typer, whose class moved between versions
+        command = getattr(getattr(error, "ctx", None), "command_path", "codegen")
+        return 2, one_line(f"{error.format_message().rstrip('.')}; see {command} --help")
+    if isinstance(error, MemoryError):
+        return 2, "there is not enough memory; take fewer --steps, or a larger --every"
+    if type(error).__name__ == "Abort":
+        return 1, "aborted"
+    if os.environ.get("CODEGEN_TRACEBACK"):
+        traceback.print_exception(error)
+    text = f"unexpected {type(error).__name__}: {error}"
+    return 1, one_line(text, 200) + "; this is a defect of codegen, please report what CODEGEN_TRACEBACK=1 shows"
+
+
+def one_line(text: str, limit: int = 1000) -> str:
+    """The text without line breaks, cut where it is very long."""
+    line = " ".join(text.split())
+    return line if len(line) <= limit else line[:limit] + " ..."
+
+
+def console(stderr: bool = False) -> Any:
+    """A console of rich, which takes long to import."""
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False)
+
+
+@contextmanager
+def progress(what: str, count: int) -> Iterator[Callable[[], None]]:
+    """What advances a progress bar on a terminal, and does nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.progress import Progress
+
+    with Progress(console=console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=count)
+        yield lambda: bar.advance(task)
+
+
+def working(what: str) -> AbstractContextManager[Any]:
+    """A sign of life on a terminal, nothing elsewhere."""
+    if not sys.stderr.isatty():
+        return nullcontext()
+    return console(stderr=True).status(f"{what} ...")  # type: ignore[no-any-return]
