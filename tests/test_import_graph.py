@@ -74,7 +74,7 @@ def test_after_lowering_there_is_no_sympy():
         ("import codegen", ("sympy", "numba", "scipy", "matplotlib")),
         ("import codegen.cli", ("sympy", "numba", "scipy", "matplotlib")),
         ("import codegen.load, codegen.drivers", ("sympy",)),
-        ("import codegen.report.study, codegen.report.page", ("sympy",)),
+        ("import codegen.report.study, codegen.report.page, codegen.report.gallery", ("sympy",)),
         ("from generated import orbital_transfer", ("sympy", "codegen", "matplotlib")),  # numba itself imports scipy
     ],
 )

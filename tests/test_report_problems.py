@@ -113,6 +113,7 @@ def test_an_order_wants_three_points():
     assert measured_order([10, 20, 40], [1e-2, None, 1e-3]) is None
     assert measured_order([10, 20, 40, 80], [1e-2, 1e-4, 1e-6, 1e-8], floor=1e-7) is None  # the reference ends it
     assert measured_order([10, 20, 40], [1e-2, 2.5e-3, 6.25e-4]) == pytest.approx(2.0)
+    assert measured_order([10, 20, 40, 80, 160], [1.4, 1.2, 0.9, 0.7, 0.6]) is None  # nothing like the exact motion
 
 
 GOOD = {"problem": "p", "case": "c", "status": "solved", "error": 1e-4, "seconds": 0.01, "order": 2.0}

@@ -12,7 +12,7 @@ class Extent:
     A ladder of steps is taken no further once a solve takes more than `limit` seconds; drivers of scipy are only asked
     where there are at most `driver_unknowns` unknowns. At most `most_schemes` schemes of a control problem count,
     and `most_simulated` of a simulation; those of a control problem have at most the order `most_order`, since modules
-    of schemes with many stages take long to make.
+    of schemes with many stages take long to make, and with `only_default_of_phases` several phases have one scheme.
     """
 
     quick: bool = False
@@ -20,7 +20,8 @@ class Extent:
     control_doublings: int = 4
     most_schemes: int = 10
     most_simulated: int = 99
-    most_order: int = 99
+    most_order: int = 6
+    only_default_of_phases: bool = False
     limit: float = 2.0
     repeat: int = 3
     driver_unknowns: int = 300
@@ -29,7 +30,14 @@ class Extent:
 FULL = Extent()
 """One problem with all schemes."""
 GALLERY = Extent(
-    control_doublings=3, most_schemes=2, most_order=4, most_simulated=8, limit=1.0, repeat=2, driver_unknowns=150
+    control_doublings=3,
+    most_schemes=2,
+    most_order=2,
+    only_default_of_phases=True,
+    most_simulated=8,
+    limit=1.0,
+    repeat=2,
+    driver_unknowns=150,
 )
 """A folder of problems in less than 20 minutes on two processors."""
 QUICK = Extent(
@@ -37,7 +45,7 @@ QUICK = Extent(
     simulation_doublings=5,
     control_doublings=3,
     most_schemes=2,
-    most_order=4,
+    most_order=2,
     most_simulated=4,
     limit=0.5,
     repeat=1,

@@ -24,6 +24,10 @@ _SPARE = ("#393B79", "#D6616B", "#31A354", "#756BB1", "#636363", "#E6550D")
 _MARKERS = {1: "", 2: "", 4: "o", 6: "s", 8: "^"}
 
 
+LEAST_SPAN = 10.0
+"""Of an axis of steps or seconds: a narrower one would magnify nothing but the clock's noise."""
+
+
 @dataclass(frozen=True)
 class Line:
     """Points of a scheme, by growing number of steps; what is None or zero is left out of logarithmic axes."""
@@ -93,8 +97,12 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
 
 
 def _plain_ticks(axes: Any) -> None:
-    """Ticks at 1, 2 and 5 times powers of ten where an axis spans little more than a decade."""
+    """Ticks at 1, 2 and 5 times powers of ten where an axis spans little more than a decade, which is the least."""
     low, high = axes.get_xlim()
+    if high / low < LEAST_SPAN:
+        middle = math.sqrt(low * high)
+        low, high = middle / math.sqrt(LEAST_SPAN), middle * math.sqrt(LEAST_SPAN)
+        axes.set_xlim(low, high)
     if high / low < 60.0:
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

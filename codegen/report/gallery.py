@@ -72,6 +72,8 @@ def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
         return Chosen(problem, task, (), ())
     rows = [Variant(problem, method, scheme, order) for method, scheme, order, _ in survey["schemes"]]
     cap = extent.most_simulated if task == "simulate" else extent.most_schemes
+    if survey["phases"] and extent.only_default_of_phases:
+        cap = 1
     usable = [v for v in rows if task == "simulate" or v.order <= extent.most_order]
     lowest = min(usable, key=lambda v: (v.order, v.scheme != "explicit-euler"))
     first = [rows[0], max(usable, key=lambda v: (v.order, v.method == rows[0].method)), lowest]

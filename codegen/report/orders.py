@@ -13,6 +13,8 @@ ABOVE = 10.0
 """A point counts if its error exceeds the plateau by this factor."""
 SHRINKING = 0.75
 """Where an error is more than this part of that with half as many steps, rounding is taken to have begun."""
+LARGE = 0.5
+"""Relative errors from here on belong to motions that have little to do with the exact one, and show no order."""
 SMALL = 1e-6
 """... provided that it is smaller than this part of the largest error."""
 
@@ -23,7 +25,7 @@ def measured_order(steps: Sequence[int], errors: Sequence[float | None], floor: 
     `floor` is the error of the reference with which `errors` were computed. The plateau of rounding is found from the
     errors themselves: where they are small and no longer shrink.
     """
-    points = above_plateau(steps, errors, floor)[-MOST_POINTS:]
+    points = [(n, error) for n, error in above_plateau(steps, errors, floor) if error < LARGE][-MOST_POINTS:]
     if len(points) < LEAST_POINTS:
         return None
     return -slope([n for n, _ in points], [e for _, e in points])

@@ -70,7 +70,8 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
 def _reference_text(reference: Values) -> str:
     if reference.get("cost") is None:
         return f"There is no reference cost: {reference.get('how', 'no scheme was built')}."
-    accuracy = f"; its last correction was {number(reference['error'], 2)}" if reference["error"] > 1e-14 else ""
+    relative = reference["error"] / (abs(reference["cost"]) or 1.0)
+    accuracy = f"; its last correction, relative: {number(relative, 2)}" if relative > 1e-14 else ""
     return f"Reference cost {reference['cost']:.12g}: {reference['how']}{accuracy}."
 
 
@@ -104,7 +105,7 @@ def _drivers_table(found: dict[str, Values], exact: float | None) -> Table:
     rows = []
     for name, values in found.items():
         if values["seconds"] is None:
-            rows.append((name, values["status"], *["–"] * 6))
+            rows.append((name, f"{values['status']}: {values['message']}", *["–"] * 6))
             continue
         rows.append((
             name, values["status"], seconds(values["seconds"]), number(values["seconds"] / newton),

@@ -31,12 +31,21 @@ def modules(store: Store, variants: Sequence[Variant], title: str, left: Sequenc
     if refused:
         texts.append("Schemes that do not apply: " + "; ".join(refused) + ".")
     if left:
-        texts.append(f"Not measured, to keep the report short: {listed(left)}.")
+        texts.append(f"Not measured, to keep the report short: {_by_method(left)}.")
     table = Table(
         "Modules. Operations are those of one evaluation of every kernel; two modules were made at a time on two "
         "processes, so that times of making them are upper bounds.", head, tuple(rows),
     )  # fmt: skip
     return Section(title, tuple(text for text in texts if text), (table,) if rows else ())
+
+
+def _by_method(labels: Sequence[str]) -> str:
+    """Schemes after the name of their method."""
+    groups: dict[str, list[str]] = {}
+    for label in labels:
+        method, scheme = label.split(" ", 1)
+        groups.setdefault(method, []).append(scheme)
+    return "; ".join(f"{method} {listed(schemes)}" for method, schemes in groups.items())
 
 
 def _omissions(store: Store, variants: Sequence[Variant]) -> str:

@@ -50,7 +50,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         f"momentum, those of energy to the largest sum of |p q̇|. "
         f"Reference: {reference['how']}; a looser tolerance differs from it by "
         f"{number(reference['error'], 2)}. Order: least squares over up to four of the finest points above the "
-        "plateau, at least three.",
+        "plateau and below a relative error of one half, at least three.",
         _conserved(reference["conserved"]),
     ]
     picture = Picture(
