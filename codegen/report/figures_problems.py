@@ -80,7 +80,7 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
         if floor and (name, lines) == tuple(groups[0]):
             for place in (left, right):
                 place.axhline(floor, color=GREY, linewidth=0.8, linestyle=":")
-            left.annotate("error of the reference", (0.01, floor), xycoords=("axes fraction", "data"),
+            left.annotate("bound of the reference's error", (0.01, floor), xycoords=("axes fraction", "data"),
                           fontsize=7.5, color=GREY, va="bottom")  # fmt: skip
         for place in (left, right):
             place.yaxis.set_major_locator(LogLocator(numticks=8))

@@ -16,7 +16,7 @@ SHRINKING = 0.75
 LARGE = 0.5
 """Relative errors from here on belong to motions that have little to do with the exact one, and show no order."""
 SMALL = 1e-6
-"""... provided that it is smaller than this part of the largest error."""
+"""... provided that it is smaller than this."""
 
 
 def measured_order(steps: Sequence[int], errors: Sequence[float | None], floor: float = 0.0) -> float | None:
@@ -40,12 +40,11 @@ def is_exhausted(steps: Sequence[int], errors: Sequence[float | None]) -> bool:
 def above_plateau(steps: Sequence[int], errors: Sequence[float | None], floor: float = 0.0) -> list[tuple[int, float]]:
     """Numbers of steps and errors, by growing N, up to where rounding or the reference ends convergence."""
     rows = sorted((n, e) for n, e in zip(steps, errors, strict=True) if e is not None and math.isfinite(e))
-    largest = max((e for _, e in rows), default=0.0)
     kept: list[tuple[int, float]] = []
     for n, error in rows:
         if error <= max(ABOVE * floor, 1e-300):
             break
-        if kept and error > SHRINKING * kept[-1][1] and error < SMALL * largest:
+        if kept and error > SHRINKING * kept[-1][1] and error < SMALL:
             plateau = min(e for _, e in rows)
             return [(k, e) for k, e in kept if e > ABOVE * plateau]
         kept.append((n, error))

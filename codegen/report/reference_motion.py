@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from codegen.load import SimulateModule, Vector
 
-TIGHT, LOOSE = 3e-14, 1e-12
+TIGHT, LOOSE = 3e-14, 1e-13
 """Relative tolerances of the reference, and of the run that tells how far it can be trusted."""
 _STATES = 3
 
