@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import mpmath  # type: ignore[import-untyped]
 import sympy
-from sympy import Expr, Symbol
+from sympy import Expr, S, Symbol
 
 from codegen import legendre
 from codegen.checks.base import Context, Finding
@@ -108,13 +108,17 @@ def constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -
 
 
 def weight_of_node(scheme: DiscreteLagrangian) -> Expr:
-    """The part of the equation of motion, in units of h, that a node's equation holds; inner points hold the rest."""
-    rest = [c for c in scheme.nodes if c != 0]
+    """The part of the equation of motion, in units of h, that a node's equation holds; inner points hold the rest.
 
-    def first_basis(c: Expr) -> Expr:
-        return sympy.prod([(c - node) / (-node) for node in rest])
+    It comes from the interval after the node, of which this is the first point, and the one before, of which it is the
+    last.
+    """
 
-    return 2 * sympy.expand(sum(point.weight * first_basis(point.place) for point in scheme.points))
+    def basis(own: Expr, c: Expr) -> Expr:
+        return sympy.prod([(c - node) / (own - node) for node in scheme.nodes if node != own])
+
+    shares = (basis(own, point.place) * point.weight for point in scheme.points for own in (S.Zero, S.One))
+    return sympy.expand(sympy.Add(*shares))
 
 
 def inner_motion(model: Model, scheme: DiscreteLagrangian, before: bool) -> dict[Symbol, Expr]:
