@@ -1077,12 +1077,6 @@ def slope_of(unknowns, gradient, step, is_multiplier):
 # Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
 # equation numbers are quoted. Here `cost` is whatever the line search lowers: the cost, or a barrier function.
 
-"""The filter of a line search: pairs (violation, cost) that a trial point must improve on in one or the other.
-
-Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
-equation numbers are quoted. Here `cost` is whatever the line search lowers: the cost, or a barrier function.
-"""
-
 
 def acceptable(violation, cost, filtered):
     """Whether no pair of the filter is better both in violation and in cost (18)."""
@@ -2264,7 +2258,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_goddard_rocket_60e86c74a1283ddb"
+_IDENTITY = "codegen_goddard_rocket_4b8257fd52aa5c03"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
