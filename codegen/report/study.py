@@ -9,7 +9,7 @@ from typing import Any
 
 from codegen.machine import machine
 from codegen.output import write_text
-from codegen.report import accuracy, ansatz, dimension, effort, jumps, paths, smoothness, sweeps
+from codegen.report import accuracy, ansatz, dimension, effort, fastest, jumps, paths, smoothness, sweeps
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store
 from codegen.terminal import progress
@@ -17,6 +17,7 @@ from codegen.terminal import progress
 PARTS: tuple[tuple[str, Callable[[Settings, Store], Iterator[Case]]], ...] = (
     ("accuracy", accuracy.cases),
     ("routes", sweeps.cases),
+    ("fastest", fastest.cases),
     ("initial paths", paths.cases),
     ("midpoint", effort.cases),
     ("dimension", dimension.cases),

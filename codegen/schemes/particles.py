@@ -10,7 +10,7 @@ from codegen.errors import SchemeError
 from codegen.schemes.base import Composition, OneStep, RungeKutta, Scheme
 from codegen.schemes.compositions import NAMES, PARTITIONED
 from codegen.schemes.one_step import ONE_STEPS
-from codegen.schemes.runge_kutta import RK4
+from codegen.schemes.runge_kutta import OF_PARTICLES
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ _ADAPTIVE = (
     ),
 )
 
-PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (*ONE_STEPS, RK4, *_ADAPTIVE)}
+PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (*ONE_STEPS, *OF_PARTICLES, *_ADAPTIVE)}
 """Schemes for pairwise systems by name, over which tests run; `find` knows the compositions of higher order as well."""
 
 
