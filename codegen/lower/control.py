@@ -208,7 +208,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(("slacks",) if layout.slack_places(program) else ()),
         *(("phases",) if program.phases else ()),
         "callbacks",
-        "limits" if program.has_inequalities else "limits_none",
+        *(("limits",) if program.has_inequalities else ()),
         "curvature",
         "verdict",
         "messages",
