@@ -25,7 +25,7 @@ PROBLEM = "image_registration.py"
 
 
 def problem_file() -> Path:
-    """The problem whose module registers images: beside this file where the package is installed, or in its checkout."""
+    """The problem whose module registers images: beside this file where it is installed, or in a checkout."""
     folder = Path(__file__).parent
     for candidate in (folder / "problem" / PROBLEM, folder.parents[1] / "problems" / PROBLEM):
         if candidate.is_file():
@@ -61,7 +61,8 @@ class Flow:
 
     def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
         """Where points of the disc, shape (n, 2), that are there at time `start` are at time `stop`."""
-        return self._carried(points, start, stop, False)[0]
+        ends: PointArray = self._carried(points, start, stop, False)[0]
+        return ends
 
     def carry_with_jacobian(
         self, points: PointArray, start: float = 0.0, stop: float = 1.0
@@ -69,7 +70,9 @@ class Flow:
         """The same, and the derivative of each place by where it came from, shape (n, 2, 2)."""
         return self._carried(points, start, stop, True)
 
-    def _carried(self, points: PointArray, start: float, stop: float, derive: bool) -> Any:
+    def _carried(
+        self, points: PointArray, start: float, stop: float, derive: bool
+    ) -> tuple[PointArray, NDArray[np.float64]]:
         ends = np.array(points)
         jacobians = np.tile(np.eye(2), (len(ends) if derive else 0, 1, 1))
         fractions = _fractions(self.steps, start, stop)
@@ -89,7 +92,7 @@ def _fractions(steps: int, start: float, stop: float) -> NDArray[np.float64]:
     low, high = min(start, stop), max(start, stop)
     nodes = np.arange(steps + 1)
     share = np.minimum(high * steps, nodes[1:]) - np.maximum(low * steps, nodes[:-1])
-    return np.clip(share, 0.0, 1.0) * (1.0 if stop >= start else -1.0)
+    return np.asarray(np.clip(share, 0.0, 1.0) * (1.0 if stop >= start else -1.0))
 
 
 @njit(cache=True, parallel=True)

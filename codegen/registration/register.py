@@ -1,4 +1,4 @@
-"""Registration: from pairs of landmarks to a map of the plane that carries each where it belongs, and to its inverse."""
+"""Registration: from pairs of landmarks to a map that carries each where it belongs, and to the map's inverse."""
 
 from __future__ import annotations
 
@@ -106,21 +106,21 @@ def register(
     steps: int | None = None,
     tolerance: float = TOLERANCE,
     margin: float = MARGIN,
-    previous: Registration | None = None,
+    start: Registration | None = None,
 ) -> Registration:
     """Find the map that carries the moving landmarks to the fixed ones.
 
     `shape` is (height, width, ...) of the moving image, `fixed_shape` that of the fixed one where it differs. `sigma`,
     in pixels, is how far landmarks may miss: zero means that they are met exactly. Without `steps` as many are taken
-    as leave an error of the map below `tolerance` pixels. From a `previous` registration of as many landmarks the
-    solver starts, as when a landmark is dragged.
+    as leave an error of the map below `tolerance` pixels. The solver starts from an earlier registration, `start`, of as
+    many landmarks, as when a landmark is dragged.
 
     Raises LandmarkError when the landmarks cannot be used, RegistrationError when no solution is found.
     """
     problem = _problem(pairs, shape, fixed_shape, align, sigma, scheme, margin)
     if steps is not None:
-        return _solved(problem, steps, _momenta(previous, pairs))
-    return _refined(problem, tolerance, _momenta(previous, pairs))
+        return _solved(problem, steps, _momenta(start, pairs))
+    return _refined(problem, tolerance, _momenta(start, pairs))
 
 
 @dataclass(frozen=True, eq=False)
