@@ -41,6 +41,7 @@ class FlowModule(Protocol):
     stages_of: Callable[[Any, Any], NDArray[np.float64]]
     carry: Callable[..., tuple[PointArray, Any]]
     POINTS: int
+    BLOCK: int
 
 
 def problem_file() -> Path:
@@ -57,7 +58,14 @@ def registration_module(scheme: str = "midpoint") -> FlowModule:
     """The generated module of a scheme, derived when it is needed for the first time."""
     from codegen.compiler import build
 
-    return cast(FlowModule, load(build(problem_file(), {"passive": "True"}, scheme=scheme).path))
+    return require_passive(load(build(problem_file(), {"passive": "True"}, scheme=scheme).path))
+
+
+def require_passive(module: Any) -> FlowModule:
+    """The same module, if it carries passive points; ModuleError tells if it does not."""
+    if not module.metadata.get("passive"):
+        raise ModuleError("the module carries no points", "build it with --set passive=True")
+    return cast(FlowModule, module)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +114,14 @@ class Flow:
                 return part(points)
             part(points[:1])  # compiled, or read from disk, before several threads ask for it
             with ThreadPoolExecutor(self.threads) as pool:
-                parts = list(pool.map(part, np.array_split(points, self.threads)))
+                parts = list(pool.map(part, self._shares(points)))
         except ValueError as error:
             raise NumericsError(str(error), "give points, one a row, and times between 0 and 1") from error
         places = np.concatenate([places for places, _ in parts])
         return places, np.concatenate([jacobians for _, jacobians in parts]) if derive else None
+
+    def _shares(self, points: PointArray) -> list[PointArray]:
+        """The points for each thread: whole blocks, so that results do not depend on how many threads there are."""
+        blocks = -(-len(points) // self.module.BLOCK)
+        ends = [self.module.BLOCK * (blocks * k // self.threads) for k in range(1, self.threads)]
+        return np.split(points, ends)
