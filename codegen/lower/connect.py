@@ -8,11 +8,13 @@ import sympy
 from sympy import Symbol
 
 from codegen.differentiate.pairwise import PairDerivatives
+from codegen.lower.gathered import GROUP, GatheredLoop, gathered_loops
 from codegen.lower.kernels import Line
 from codegen.lower.module import Argument, Module
 from codegen.lower.pair_writer import PairLoop
 from codegen.lower.pairwise import pair_loops, separable_loops
 from codegen.lower.particle_loops import ParticleLoop, particle_loops
+from codegen.lower.passive import BLOCK, PassiveLoop, passive_loops
 from codegen.lower.printer import scalar_code
 from codegen.transcribe.connect import PairwiseProgram
 
@@ -21,11 +23,13 @@ from codegen.transcribe.connect import PairwiseProgram
 class ConnectModule(Module):
     """A module that connects given points by the motion of particles.
 
-    `own` are a particle's own parameters, `method` is the module's.
+    `own` are a particle's own parameters, `method` is the module's; there are `passive_loops` where points are carried.
     """
 
     particle_loops: tuple[ParticleLoop, ...]
     loops: tuple[PairLoop, ...]
+    gathered_loops: tuple[GatheredLoop, ...]
+    passive_loops: tuple[PassiveLoop, ...]
     own: tuple[Argument, ...]
     method: str
     duration: str
@@ -37,16 +41,22 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
     model = program.model
     singles, loops = pair_loops(model, derivatives)
     around = particle_loops(model, singles)
+    gathered, carried = gathered_loops(model, derivatives), passive_loops(model, derivatives)
+    loops = tuple(visit for visit in loops if visit.name not in {other.name for other in gathered})
+    blocks: tuple[GatheredLoop | PassiveLoop, ...] = (*gathered, *carried)
     return ConnectModule(
         template="connect.py.j2",
         name=model.name,
         title=model.title,
-        description=tuple(_description(program, derivatives, loops)),
-        left_out=tuple(_left_out(program, derivatives, singles)),
-        metadata=tuple(_metadata(program, derivatives, loops)),
-        constants=tuple(_constants(program, derivatives)),
+        description=tuple(_description(program, derivatives, (*loops, *blocks))),
+        left_out=tuple(_left_out_of_connection(program, derivatives, singles)),
+        metadata=tuple(_metadata(program, derivatives, (*loops, *blocks))),
+        constants=(
+            *_constants(program, derivatives),
+            *([Line("GROUP", str(GROUP), "particles whose derivatives are gathered together")] if gathered else []),
+        ),
         kernels=(),
-        runtime=_runtime(program, loops, around),
+        runtime=(*_packed(blocks), *_runtime(program, loops, around), *_passive_runtime(program, carried)),
         sizes=(("IMPLICIT", int(_implicit(program))),),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
@@ -54,6 +64,8 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         steps=model.steps,
         particle_loops=around,
         loops=loops,
+        gathered_loops=gathered,
+        passive_loops=carried,
         own=tuple(Argument(name, "1.0") for name in model.own),
         method=program.method,
         duration=scalar_code(model.duration),
@@ -126,7 +138,7 @@ def _left_out_of_motion(
 
 
 def _metadata_of_motion(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
 ) -> list[tuple[str, str]]:
     """The metadata of a simulation, which names the coordinates of every particle."""
     model = program.model
@@ -153,7 +165,7 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
         Line("DIMENSION", str(size), f"coordinates of a particle: {', '.join(model.coordinates)}"),
         Line("BLOCKS", "1" if derivatives.isotropic else str(size), "rows of H_pp for each particle"),
     ]
-    if model.smooth and derivatives.pair.distances:
+    if (model.smooth or model.passive) and derivatives.pair.distances:
         lines.append(Line("CLOSEST", "1e-300", "squared distances below this count as zero"))
     if program.substeps:
         table = ", ".join(f"({', '.join(repr(float(v)) for v in row)})" for row in program.substeps)
@@ -168,6 +180,8 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
         lines.append(Line("WEIGHTS", _floats(program.weights), "weights of the stages"))
         weights = list(program.weights)
     lines.append(Line("COST_WEIGHTS", _floats(weights), "weights of the points in the discrete cost"))
+    if model.passive:
+        lines.append(Line("BLOCK", str(BLOCK), "passive points that are carried together"))
     if program.method == "action":
         lines.append(Line("PLACE", repr(float(program.place)), "where on an interval the action takes H"))
     return lines
@@ -195,6 +209,18 @@ def _runtime(
     return tuple(files)
 
 
+def _packed(blocks: tuple[GatheredLoop | PassiveLoop, ...]) -> tuple[str, ...]:
+    """The file of logarithms without branches, if blocks of points call them."""
+    lines = [line for visit in blocks for line in (*visit.body, *visit.outputs)]
+    return ("packed_logarithms",) if any("packed_" in line.code for line in lines) else ()
+
+
+def _passive_runtime(program: PairwiseProgram, carried: tuple[PassiveLoop, ...]) -> tuple[str, ...]:
+    """The files that carry passive points, if there are kernels for them."""
+    step = "passive_substeps" if program.substeps else "passive_runge_kutta"
+    return ("passive_newton", step, "passive_flow") if carried else ()
+
+
 def _implicit(program: PairwiseProgram) -> bool:
     """Whether equations are solved inside a step."""
     return any(a != 0 or b != 0 for _, a, b in program.substeps)
@@ -218,7 +244,18 @@ def _left_out(program: PairwiseProgram, derivatives: PairDerivatives, singles: t
     return out
 
 
-def _description(program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop, ...]) -> list[str]:
+def _left_out_of_connection(
+    program: PairwiseProgram, derivatives: PairDerivatives, singles: tuple[str, ...]
+) -> list[str]:
+    lines = _left_out(program, derivatives, singles)
+    if not program.model.passive:
+        lines.append("points without momenta that the motion carries along: passive=True has them")
+    return lines
+
+
+def _description(
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
+) -> list[str]:
     model = program.model
     lines = [
         "Particles i = 1 ... n with places q_i and momenta p_i move by the Hamiltonian",
@@ -272,7 +309,7 @@ def _between(a: sympy.Rational, b: sympy.Rational) -> str:
 
 
 def _metadata(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
 ) -> list[tuple[str, str]]:
     model = program.model
     return [
@@ -288,5 +325,6 @@ def _metadata(
         ("points", repr(model.points)),
         ("separable", repr(derivatives.separable)),
         ("quadratic", repr(derivatives.quadratic)),
+        *([("passive", "True")] if model.passive else []),
         ("operations", repr({v.name: (v.operations_before, v.operations_after) for v in loops})),
     ]

@@ -1,0 +1,127 @@
+"""The flow: the generated solver that moves landmarks, and its kernels that carry any other point along.
+
+A point x without momentum moves by x' = sum_j G(x, q_j) p_j and disturbs no landmark, so the motion of the landmarks,
+once solved for, carries any number of points, forwards and backwards. They make the steps that the landmarks make, and
+on the way back the exact inverses of these steps.
+
+Many points are divided among threads. Generated kernels hold no lock while they run; and threads that live for one call
+alone are safe in a server with several sessions, and in a process that forks, as a pool that numba keeps would not be.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.errors import ModuleError, NumericsError
+from codegen.load import load
+from codegen.registration.pairs import PointArray
+
+PROBLEM = "image_registration.py"
+THREADED = 400_000
+"""Velocities that one landmark gives to one point, from which on a second thread is worth its start."""
+
+
+class FlowModule(Protocol):
+    """What is used of a generated module that carries passive points; a case is what `make_case` returns."""
+
+    metadata: Mapping[str, Any]
+
+    solve_case: Callable[..., Any]
+    make_case: Callable[..., Any]
+    trajectory: Callable[[Any, Any], tuple[int, Any, Any]]
+    stages_of: Callable[[Any, Any], NDArray[np.float64]]
+    carry: Callable[..., tuple[PointArray, Any]]
+    POINTS: int
+    BLOCK: int
+
+
+def problem_file() -> Path:
+    """The problem whose module registers images: beside this file where it is installed, or in a checkout."""
+    folder = Path(__file__).parent
+    for candidate in (folder / "problem" / PROBLEM, folder.parents[1] / "problems" / PROBLEM):
+        if candidate.is_file():
+            return candidate
+    raise ModuleError(f"{PROBLEM} is missing from the installation", "install the package again")
+
+
+@cache
+def registration_module(scheme: str = "midpoint") -> FlowModule:
+    """The generated module of a scheme, derived when it is needed for the first time."""
+    from codegen.compiler import build
+
+    return require_passive(load(build(problem_file(), {"passive": "True"}, scheme=scheme).path))
+
+
+def require_passive(module: Any) -> FlowModule:
+    """The same module, if it carries passive points; ModuleError tells if it does not."""
+    if not module.metadata.get("passive"):
+        raise ModuleError("the module carries no points", "build it with --set passive=True")
+    return cast(FlowModule, module)
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """The solved motion of landmarks in the disc, from t = 0 to 1 in equal steps.
+
+    `path`, shape (N + 1, 2, n, 2), are the landmarks' places and momenta at the nodes; `points` the states at which the
+    scheme evaluates the field. `threads` is the most of them that work at once.
+    """
+
+    module: FlowModule
+    case: Any
+    path: NDArray[np.float64]
+    points: NDArray[np.float64]
+    threads: int = os.cpu_count() or 1
+
+    @property
+    def steps(self) -> int:
+        """The number of steps N."""
+        return len(self.path) - 1
+
+    def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
+        """Where points of the disc, shape (n, 2), that are there at time `start` are at time `stop`.
+
+        Points on the rim and outside stay where they are. A point becomes NaN when a step, too long for it, has no
+        solution there. Raises NumericsError when points or times are unusable.
+        """
+        return self._carried(points, start, stop, False)[0]
+
+    def carry_with_jacobian(
+        self, points: PointArray, start: float = 0.0, stop: float = 1.0
+    ) -> tuple[PointArray, NDArray[np.float64]]:
+        """The same, and the derivative of each place by where it came from, shape (n, 2, 2)."""
+        return self._carried(points, start, stop, True)
+
+    def _carried(self, points: PointArray, start: float, stop: float, derive: bool) -> tuple[PointArray, Any]:
+        points = np.ascontiguousarray(points, dtype=float)
+        first, last = start * self.steps, stop * self.steps
+
+        def part(some: PointArray) -> tuple[PointArray, Any]:
+            return self.module.carry(self.case, self.points, some, first, last, derive)
+
+        work = len(points) * abs(last - first) * self.module.POINTS * self.points.shape[2]
+        try:
+            if self.threads < 2 or work < THREADED:
+                return part(points)
+            part(points[:1])  # compiled, or read from disk, before several threads ask for it
+            with ThreadPoolExecutor(self.threads) as pool:
+                parts = list(pool.map(part, self._shares(points)))
+        except ValueError as error:
+            raise NumericsError(str(error), "give points, one a row, and times between 0 and 1") from error
+        places = np.concatenate([places for places, _ in parts])
+        return places, np.concatenate([jacobians for _, jacobians in parts]) if derive else None
+
+    def _shares(self, points: PointArray) -> list[PointArray]:
+        """The points for each thread: whole blocks, so that results do not depend on how many threads there are."""
+        blocks = -(-len(points) // self.module.BLOCK)
+        ends = [self.module.BLOCK * (blocks * k // self.threads) for k in range(1, self.threads)]
+        return np.split(points, ends)
