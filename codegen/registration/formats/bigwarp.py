@@ -22,7 +22,10 @@ AXES = {6: "xy", 8: "xyz"}
 
 def recognises(text: str) -> bool:
     """Whether the second field of the first line says true or false."""
-    fields = next(csv.reader([text.lstrip().split("\n", 1)[0][:1000]]), [])
+    try:
+        fields = next(csv.reader([text.lstrip().split("\n", 1)[0][:1000]]), [])
+    except csv.Error:
+        return False
     return len(fields) > 1 and fields[1].strip().lower() in ("true", "false")
 
 
