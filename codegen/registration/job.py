@@ -148,18 +148,21 @@ def _solved(
     record = _heading(job, options, len(pairs))
     record["seconds"] = seconds
     result = Result(record, pairs, moving, fixed)
-    shapes = {"shape": moving.shape[:2], "fixed_shape": (fixed or moving).shape[:2]}
-    method: dict[str, Any] = {"align": options.align, "scheme": options.scheme, "steps": options.steps}
+    shape = moving.shape[:2]
+    method: dict[str, Any] = {
+        "fixed_shape": (fixed or moving).shape[:2], "align": options.align, "scheme": options.scheme,
+        "steps": options.steps,
+    }  # fmt: skip
     try:
         with _timed(seconds, "solve"):
             sigma = options.sigma
             if sigma == "auto":
-                sigma = choose_sigma(pairs, **shapes, **method)
-            found = register(pairs, **shapes, **method, sigma=sigma)
+                sigma = choose_sigma(pairs, shape, **method)
+            found = register(pairs, shape, **method, sigma=sigma)
         with _timed(seconds, "certify"):
             certificate = certify(found)
         with _timed(seconds, "leave one out"):
-            left_out = _left_out(pairs, {**shapes, **method, "sigma": sigma})
+            left_out = _left_out(pairs, shape, {**method, "sigma": sigma})
     except RegistrationError as error:
         record |= {"status": "not converged", "message": str(error)}
         return result
@@ -178,11 +181,10 @@ def _solved(
     return Result(record, pairs, moving, fixed, found, certificate, left_out, warped)
 
 
-def _left_out(pairs: LandmarkPairs, arguments: dict[str, Any]) -> Any:
+def _left_out(pairs: LandmarkPairs, shape: tuple[int, ...], arguments: dict[str, Any]) -> Any:
     """Errors of landmarks that are left out in turn; None where there are too few or too many."""
     if not 2 <= len(pairs) <= MOST_LEFT_OUT:
         return None
-    shape = arguments.pop("shape")
     return leave_one_out(pairs, shape, **arguments)
 
 
