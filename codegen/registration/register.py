@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from codegen.drivers.scaled import quiet_single_thread
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
-from codegen.registration.flow import Flow, registration_module
+from codegen.registration.flow import Flow
 from codegen.registration.frame import MARGIN, Frame, coarse_grid, corners
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
+from codegen.registration.solver import registration_module
 
 TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
@@ -66,15 +67,15 @@ class Registration:
         points, part = as_points(xy), self._part(time)
         if inverse:
             aligned = points if part is self.alignment else self.alignment.apply(part.apply_inverse(points))
-            return self.alignment.apply_inverse(self._carried(aligned, time, 0.0))
-        carried = self._carried(self.alignment.apply(points), 0.0, time)
+            return self.alignment.apply_inverse(self._carried(aligned, time, backwards=True))
+        carried = self._carried(self.alignment.apply(points), time)
         return carried if part is self.alignment else part.apply(self.alignment.apply_inverse(carried))
 
     def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
         """The derivative of the map, or of its inverse, at points in pixels: shape (n, 2, 2), rows are x and y."""
         points = as_points(xy)
         if inverse:
-            jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points), 1.0, 0.0)[1]
+            jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points), backwards=True)[1]
             return np.asarray(self.alignment.inverse_matrix @ jacobians)
         aligned = self.frame.to_disc(self.alignment.apply(points))
         return np.asarray(self.flow.carry_with_jacobian(aligned)[1] @ self.alignment.matrix)
@@ -84,10 +85,10 @@ class Registration:
         jacobians = self.jacobian(xy, inverse)
         return np.asarray(jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0])
 
-    def _carried(self, points: PointArray, start: float, stop: float) -> PointArray:
+    def _carried(self, points: PointArray, time: float, backwards: bool = False) -> PointArray:
         """Points in pixels of the fixed image carried by the flow: what does not move keeps its every bit."""
         before = self.frame.to_disc(points)
-        return points + self.frame.radius * (self.flow.carry(before, start, stop) - before)
+        return points + self.frame.radius * (self.flow.carry(before, time, backwards) - before)
 
     def _part(self, time: float) -> Alignment:
         if not 0.0 <= time <= 1.0:
@@ -165,7 +166,7 @@ def _extent(shape: Sequence[int]) -> tuple[int, int]:
 
 
 def _momenta(previous: Registration | None, pairs: LandmarkPairs) -> NDArray[np.float64] | None:
-    return None if previous is None or len(previous.pairs) != len(pairs) else previous.flow.path[0, 1]
+    return None if previous is None or len(previous.pairs) != len(pairs) else previous.flow.momenta
 
 
 def _refined(problem: _Problem, tolerance: float, guess: NDArray[np.float64] | None) -> Registration:
@@ -175,7 +176,7 @@ def _refined(problem: _Problem, tolerance: float, guess: NDArray[np.float64] | N
     coarse = _solved(problem, FIRST_STEPS, guess)
     probe = np.vstack([coarse_grid(problem.shape), problem.pairs.moving])
     while True:
-        fine = _solved(problem, 2 * coarse.steps, coarse.flow.path[0, 1])
+        fine = _solved(problem, 2 * coarse.steps, coarse.flow.momenta)
         gain = 2.0 ** float(fine.flow.module.metadata["order"])
         change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
         if change * gain / (gain - 1.0) <= tolerance:
@@ -212,8 +213,8 @@ def _flow(problem: _Problem, steps: int, guess: NDArray[np.float64] | None) -> t
             solution = module.solve_case(case)
         if solution.status != "solved":
             raise RegistrationError(_failure(problem, solution.message), _REMEDY)
-        _, path, points = module.trajectory(case, solution.p[0])
-    return Flow(module, case, path, points), solution
+        path = np.stack([solution.q, solution.p], axis=1)
+    return Flow(module, case, path, module.stages_of(case, path)), solution
 
 
 _REMEDY = "allow for a sigma, take more steps, or leave out landmarks that are close together and move apart"
