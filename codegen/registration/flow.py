@@ -1,54 +1,57 @@
 """The flow: the generated solver that moves landmarks, and its kernels that carry any other point along.
 
 A point x without momentum moves by x' = sum_j G(x, q_j) p_j and disturbs no landmark, so the motion of the landmarks,
-once solved for, carries any number of points, forwards and backwards. A step of the scheme evaluates the field at
-known states of the landmarks; the generated inverse of that step takes the points back.
+once solved for, carries any number of points, forwards and backwards. They make the steps that the landmarks make, and
+on the way back the exact inverses of these steps.
+
+Many points are divided among threads. Generated kernels hold no lock while they run; and threads that live for one call
+alone are safe in a server with several sessions, and in a process that forks, as a pool that numba keeps would not be.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.errors import LandmarkError
+from codegen.errors import NumericsError
 from codegen.registration.pairs import PointArray
 
-Array: TypeAlias = NDArray[np.float64]
-
-SHARE = 2048
-"""Least number of points for which a thread of its own pays."""
+THREADED = 400_000
+"""Velocities that one landmark gives to one point, from which on a second thread is worth its start."""
 
 
-class CarryingModule(Protocol):
-    """A generated module that connects landmarks and carries passive points; its `solve` is in `ConnectModule`."""
+class FlowModule(Protocol):
+    """What is used of a generated module that carries passive points; a case is what `make_case` returns."""
 
-    metadata: Any
-    make_case: Callable[..., Any]
+    metadata: Mapping[str, Any]
+
     solve_case: Callable[..., Any]
-    carry: Callable[..., tuple[PointArray, Array | None]]
-    carry_points: Callable[..., None]
-    stages_of: Callable[[Any, Array], Array]
+    make_case: Callable[..., Any]
+    trajectory: Callable[[Any, Any], tuple[int, Any, Any]]
+    stages_of: Callable[[Any, Any], NDArray[np.float64]]
+    carry: Callable[..., tuple[PointArray, Any]]
+    POINTS: int
 
 
 @dataclass(frozen=True, eq=False)
 class Flow:
     """The solved motion of landmarks in the disc, from t = 0 to 1 in equal steps.
 
-    `path`, shape (N + 1, 2, n, 2), are the landmarks' places and momenta at the nodes; `stages` the states at which the
-    scheme evaluates the field.
+    `path`, shape (N + 1, 2, n, 2), are the landmarks' places and momenta at the nodes; `points` the states at which the
+    scheme evaluates the field. `threads` is the most of them that work at once.
     """
 
-    module: CarryingModule
+    module: FlowModule
     case: Any
-    path: Array
-    stages: Array
+    path: NDArray[np.float64]
+    points: NDArray[np.float64]
+    threads: int = os.cpu_count() or 1
 
     @property
     def steps(self) -> int:
@@ -56,75 +59,39 @@ class Flow:
         return len(self.path) - 1
 
     @property
-    def momenta(self) -> Array:
+    def momenta(self) -> NDArray[np.float64]:
         """The landmarks' initial momenta, shape (n, 2)."""
         return self.path[0, 1]
 
-    def carry(self, points: PointArray, time: float = 1.0, backwards: bool = False) -> PointArray:
-        """Where points of the disc, shape (n, 2), that start at time 0 are at `time`; or backwards, from `time` to 0.
+    def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
+        """Where points of the disc, shape (n, 2), that are there at time `start` are at time `stop`.
 
-        Points outside the disc stay where they are; NaN where an implicit step has no solution.
+        Points on the rim and outside stay where they are. A point becomes NaN when a step, too long for it, has no
+        solution there. Raises NumericsError when points or times are unusable.
         """
-        return self._carried(points, time, backwards, False)[0]
+        return self._carried(points, start, stop, False)[0]
 
     def carry_with_jacobian(
-        self, points: PointArray, time: float = 1.0, backwards: bool = False
-    ) -> tuple[PointArray, Array]:
+        self, points: PointArray, start: float = 0.0, stop: float = 1.0
+    ) -> tuple[PointArray, NDArray[np.float64]]:
         """The same, and the derivative of each place by where it came from, shape (n, 2, 2)."""
-        return self._carried(points, time, backwards, True)
+        return self._carried(points, start, stop, True)
 
-    def _carried(self, points: PointArray, time: float, backwards: bool, derive: bool) -> tuple[PointArray, Array]:
-        carried = np.array(points, dtype=np.float64, order="C")
-        jacobians = np.empty((len(carried) if derive else 0, 2, 2))
-        parts = self._parts(time)
+    def _carried(self, points: PointArray, start: float, stop: float, derive: bool) -> tuple[PointArray, Any]:
+        points = np.ascontiguousarray(points, dtype=float)
+        first, last = start * self.steps, stop * self.steps
 
-        def work(rows: slice) -> None:
-            own = jacobians[rows]
-            for number, (first, last, h) in enumerate(reversed(parts) if backwards else parts):
-                ends = (last, first) if backwards else (first, last)
-                part = np.empty_like(own)
-                self._carry_part(carried[rows], ends, h, part)
-                own[:] = part if number == 0 else part @ own
-            if not parts:
-                own[:] = np.eye(2)
+        def part(some: PointArray) -> tuple[PointArray, Any]:
+            return self.module.carry(self.case, self.points, some, first, last, derive)
 
-        _in_threads(work, len(carried))
-        return carried, jacobians
-
-    def _carry_part(self, points: PointArray, ends: tuple[int, int], h: float, jacobians: Array) -> None:
-        case = self.case
-        before = points.copy()
-        self.module.carry_points(before, h, *ends, self.stages, case.own, case.parameters, points, jacobians)
-
-    def _parts(self, time: float) -> list[tuple[int, int, float]]:
-        """Whole steps up to a time, and the part of a step that is left: (first node, last node, length of a step)."""
-        if not 0.0 <= time <= 1.0:
-            raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
-        h = self.case.duration / self.steps
-        whole = min(self.steps, int(np.floor(time * self.steps + 1e-12)))
-        left = time * self.steps - whole
-        parts = [(0, whole, h)] if whole > 0 else []
-        return parts + ([(whole, whole + 1, left * h)] if left > 1e-12 else [])
-
-
-@cache
-def workers() -> int:
-    """The processors that this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(workers(), thread_name_prefix="codegen-flow")
-
-
-def _in_threads(work: Callable[[slice], None], count: int) -> None:
-    """Share rows between threads, which run at the same time because generated kernels release Python's lock."""
-    pieces = max(1, min(4 * workers(), count // SHARE))
-    if workers() == 1 or pieces == 1:
-        work(slice(0, count))
-        return
-    cuts = np.linspace(0, count, pieces + 1).astype(int)
-    for _ in _pool().map(work, [slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]):
-        pass
+        work = len(points) * abs(last - first) * self.module.POINTS * self.points.shape[2]
+        try:
+            if self.threads < 2 or work < THREADED:
+                return part(points)
+            part(points[:1])  # compiled, or read from disk, before several threads ask for it
+            with ThreadPoolExecutor(self.threads) as pool:
+                parts = list(pool.map(part, np.array_split(points, self.threads)))
+        except ValueError as error:
+            raise NumericsError(str(error), "give points, one a row, and times between 0 and 1") from error
+        places = np.concatenate([places for places, _ in parts])
+        return places, np.concatenate([jacobians for _, jacobians in parts]) if derive else None

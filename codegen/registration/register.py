@@ -67,15 +67,15 @@ class Registration:
         points, part = as_points(xy), self._part(time)
         if inverse:
             aligned = points if part is self.alignment else self.alignment.apply(part.apply_inverse(points))
-            return self.alignment.apply_inverse(self._carried(aligned, time, backwards=True))
-        carried = self._carried(self.alignment.apply(points), time)
+            return self.alignment.apply_inverse(self._carried(aligned, time, 0.0))
+        carried = self._carried(self.alignment.apply(points), 0.0, time)
         return carried if part is self.alignment else part.apply(self.alignment.apply_inverse(carried))
 
     def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
         """The derivative of the map, or of its inverse, at points in pixels: shape (n, 2, 2), rows are x and y."""
         points = as_points(xy)
         if inverse:
-            jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points), backwards=True)[1]
+            jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points), 1.0, 0.0)[1]
             return np.asarray(self.alignment.inverse_matrix @ jacobians)
         aligned = self.frame.to_disc(self.alignment.apply(points))
         return np.asarray(self.flow.carry_with_jacobian(aligned)[1] @ self.alignment.matrix)
@@ -85,10 +85,10 @@ class Registration:
         jacobians = self.jacobian(xy, inverse)
         return np.asarray(jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0])
 
-    def _carried(self, points: PointArray, time: float, backwards: bool = False) -> PointArray:
+    def _carried(self, points: PointArray, start: float, stop: float) -> PointArray:
         """Points in pixels of the fixed image carried by the flow: what does not move keeps its every bit."""
         before = self.frame.to_disc(points)
-        return points + self.frame.radius * (self.flow.carry(before, time, backwards) - before)
+        return points + self.frame.radius * (self.flow.carry(before, start, stop) - before)
 
     def _part(self, time: float) -> Alignment:
         if not 0.0 <= time <= 1.0:

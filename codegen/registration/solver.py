@@ -16,7 +16,7 @@ import numpy as np
 
 from codegen.errors import ModuleError, SchemeError
 from codegen.load import load
-from codegen.registration.flow import CarryingModule
+from codegen.registration.flow import FlowModule
 
 PROBLEM = "image_registration.py"
 DEFAULT_SCHEME = "midpoint"
@@ -32,7 +32,7 @@ def problem_file() -> Path:
 
 
 @cache
-def registration_module(scheme: str = DEFAULT_SCHEME) -> CarryingModule:
+def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     """The generated module of a scheme, derived and compiled when it is needed for the first time on a machine.
 
     That takes about half a minute and is announced on stderr. Raises SchemeError for a scheme without fixed steps.
@@ -46,7 +46,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> CarryingModule:
         if not machine_code:
             print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
             processes.compile(made.path)
-    module = cast(CarryingModule, load(made.path))
+    module = cast(FlowModule, load(made.path))
     if module.metadata["adaptive"]:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
     _touch(module)
