@@ -17,13 +17,9 @@ from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.images import read_image, write_image
 from codegen.registration.pairs import LandmarkPairs
 
+pytestmark = pytest.mark.usefixtures("solver")
 CORNERS = np.array([[3.0, 4.0], [24.0, 5.0], [5.0, 20.0], [22.0, 18.0], [13.0, 11.0]])
 SHAPE = (24, 30)
-
-
-@pytest.fixture(autouse=True)
-def module(cache_folder):
-    """The solver is built once for the run, into the cache that all of its tests share."""
 
 
 def picture(shape=SHAPE, kind="u1", seed=0):
