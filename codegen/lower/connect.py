@@ -157,7 +157,7 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
         Line("DIMENSION", str(size), f"coordinates of a particle: {', '.join(model.coordinates)}"),
         Line("BLOCKS", "1" if derivatives.isotropic else str(size), "rows of H_pp for each particle"),
     ]
-    if model.smooth and derivatives.pair.distances:
+    if (model.smooth or model.passive) and derivatives.pair.distances:
         lines.append(Line("CLOSEST", "1e-300", "squared distances below this count as zero"))
     if program.substeps:
         table = ", ".join(f"({', '.join(repr(float(v)) for v in row)})" for row in program.substeps)

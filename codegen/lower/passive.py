@@ -2,6 +2,9 @@
 
 Arrays of points hold BLOCK of them, one coordinate after the other, so that the inner loop runs over neighbours in
 memory, has a fixed length and no branches: a compiler turns it into operations on several points at once.
+
+A point that lies on a particle has the limit of the velocity there. Its derivative as well where the kernel is smooth;
+where that has a kink, as in space, the mean of the derivatives on both sides.
 """
 
 from __future__ import annotations
@@ -80,7 +83,7 @@ def _loop(
     pair_scalars = {s for s, _ in writer.derivatives.pair.scalars}
     reads |= {s: code for s, code in own.items() if s in pair_scalars}
     assignments = [
-        (symbol, Max(value, CLOSEST) if model.smooth and symbol in writer.derivatives.pair.distances else value)
+        (symbol, Max(value, CLOSEST) if symbol in writer.derivatives.pair.distances else value)
         for symbol, value in needed(passive.assignments, [value for _, value in outputs])
         if symbol not in own
     ]

@@ -34,7 +34,7 @@ HUGE, HUGE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits, t
 def logarithm_parts(x):
     """The numbers k, f, r and S of 1 + x."""
     total = np.float64(1.0 + x)
-    bits = np.uint64(total.view(np.int64) - np.int64(ROOT_HALF) + np.int64(ONE)) >> np.uint64(52)  # k + 1023
+    bits = np.uint64(total.view(np.int64) + np.int64(ONE - ROOT_HALF)) >> np.uint64(52)  # k + 1023
     k = np.uint64(bits | np.uint64(HUGE_BITS)).view(np.float64) - (HUGE + 1023.0)
     scale = np.int64((np.int64(2046) - np.int64(bits)) << np.int64(52)).view(np.float64)  # 2^-k
     f = (total * scale - 1.0) + (x - (total - 1.0)) * scale
