@@ -1,0 +1,199 @@
+"""What is computed for the screen: the registration, the warped preview, the grid, and what certifies them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.registration.app.picture import Picture
+from codegen.registration.app.session import Task
+from codegen.registration.register import Registration, register
+
+COARSE = 8.0
+"""The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
+GRID_LINES = 16
+"""Squares of the drawn grid along the longer side."""
+LINE_POINTS = 49
+
+Array = NDArray[np.float64]
+Lines = tuple[list[Array], list[Array]]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A task, and what of it is to be shown."""
+
+    task: Task
+    time: float = 1.0
+    grid: bool = False
+    hasty: bool = False  # while dragging: nearest pixels, and no search for the number of steps
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The answer: `registration` is None without pairs. `image` is RGBA of the fixed image's preview."""
+
+    wanted: Wanted
+    registration: Registration | None
+    image: NDArray[np.uint8]
+    grid: Lines
+    carried: Array  # where the landmarks are at that time, (n, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Certified:
+    """What takes longer: factors of area on a coarse grid over the fixed image, and how well landmarks predict."""
+
+    revision: int
+    areas: Array
+    det_min: float
+    det_max: float
+    folded: int
+    round_trip: float
+    left_out: Array | None  # pixels, one of each landmark; None with fewer than three
+
+
+def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
+    """The registration of a task, from that of a moment ago; None without pairs. Raises the errors of `register`."""
+    work = wanted.task.work
+    if not work.pairs:
+        return None
+    steps = previous.steps if wanted.hasty and previous is not None else None
+    return register(
+        work.landmarks(),
+        wanted.task.moving.shape,
+        fixed_shape=wanted.task.fixed.shape,
+        align=work.settings.align,  # type: ignore[arg-type]
+        sigma=work.settings.sigma,
+        scheme=work.settings.scheme,
+        steps=steps,
+        previous=previous,
+    )
+
+
+def shown(wanted: Wanted, previous: Registration | None, known: Registration | None = None) -> Shown:
+    """Register, unless the registration is known, and draw."""
+    registration = known if known is not None else found(wanted, previous)
+    image = frame(wanted.task, registration, wanted.time, smooth=not wanted.hasty)
+    lines = grid(wanted.task.moving, registration, wanted.time) if wanted.grid else ([], [])
+    carried = np.empty((0, 2))
+    if registration is not None:
+        carried = registration.positions(wanted.time, registration.pairs.moving)
+    return Shown(wanted, registration, image, lines, carried)
+
+
+def frame(task: Task, registration: Registration | None, time: float, smooth: bool = True) -> NDArray[np.uint8]:
+    """The moving preview at a time along the flow, as RGBA of the size of the fixed preview; transparent outside."""
+    x, y = sources(task.fixed, registration, time)
+    return sampled(task.moving, x, y, smooth)
+
+
+def sources(picture: Picture, registration: Registration | None, time: float) -> tuple[Array, Array]:
+    """Where the pixels of a preview come from: x and y in pixels of the moving image, shape (h, w) each."""
+    coarse_x, coarse_y = picture.preview_places(COARSE)
+    fine_x, fine_y = picture.preview_places()
+    places = np.stack(np.meshgrid(coarse_x, coarse_y), axis=-1)
+    if registration is not None:
+        flat = registration.positions(time, places.reshape(-1, 2), inverse=True)
+        places = flat.reshape(places.shape)
+    along, down = _weights(coarse_x, fine_x), _weights(coarse_y, fine_y)
+    return down @ places[..., 0] @ along.T, down @ places[..., 1] @ along.T
+
+
+def _weights(coarse: Array, fine: Array) -> Array:
+    """The matrix of linear interpolation from some places to others in their range."""
+    if len(coarse) == 1:
+        return np.ones((len(fine), 1))
+    k = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
+    share = (fine - coarse[k]) / (coarse[k + 1] - coarse[k])
+    weights = np.zeros((len(fine), len(coarse)))
+    rows = np.arange(len(fine))
+    weights[rows, k], weights[rows, k + 1] = 1.0 - share, share
+    return weights
+
+
+def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
+    """A preview at places in pixels of its image, as RGBA."""
+    source = rgba(picture.preview)
+    height, width = source.shape[:2]
+    u, v = (x + 0.5) / picture.reduction - 0.5, (y + 0.5) / picture.reduction - 0.5
+    inside = (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
+    u, v = np.clip(u, 0, width - 1), np.clip(v, 0, height - 1)
+    if smooth:
+        left, top = np.minimum(u.astype(int), max(width - 2, 0)), np.minimum(v.astype(int), max(height - 2, 0))
+        a, b = (u - left)[..., None].astype(np.float32), (v - top)[..., None].astype(np.float32)
+        right, low = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+        above = source[top, left] * (1 - a) + source[top, right] * a
+        below = source[low, left] * (1 - a) + source[low, right] * a
+        result = np.rint(above * (1 - b) + below * b).astype(np.uint8)
+    else:
+        result = source[np.rint(v).astype(int), np.rint(u).astype(int)]
+    result[~inside] = 0
+    return result
+
+
+def rgba(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image of 8 bits with four channels."""
+    if image.ndim == 3 and image.shape[2] == 4:
+        return image
+    result = np.full((*image.shape[:2], 4), 255, np.uint8)
+    result[..., :3] = image if image.ndim == 3 else image[..., None]
+    return result
+
+
+def grid(picture: Picture, registration: Registration | None, time: float) -> Lines:
+    """Lines of a square grid on the moving image, carried by the flow up to a time: lists of x and of y."""
+    height, width = picture.shape
+    size = max(height, width) / GRID_LINES
+    columns, rows = max(1, round(width / size)), max(1, round(height / size))
+    u, v = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
+    along, down = np.linspace(-0.5, width - 0.5, LINE_POINTS), np.linspace(-0.5, height - 0.5, LINE_POINTS)
+    lines = [np.column_stack([np.full(LINE_POINTS, at), down]) for at in u]
+    lines += [np.column_stack([along, np.full(LINE_POINTS, at)]) for at in v]
+    if registration is not None:
+        carried = registration.positions(time, np.vstack(lines))
+        lines = np.split(carried, len(lines))
+    return [line[:, 0] for line in lines], [line[:, 1] for line in lines]
+
+
+def certified(wanted: Wanted, registration: Registration) -> Certified:
+    """The extremes of det J on the moving preview's pixels, areas for the map, and leave-one-out errors."""
+    areas = area_map(wanted.task.fixed, registration)
+    x, y = wanted.task.moving.preview_places()
+    determinants = registration.determinant(_points(x, y))
+    return Certified(
+        wanted.task.revision,
+        areas,
+        float(determinants.min()),
+        float(determinants.max()),
+        int((determinants <= 0.0).sum()),
+        registration.round_trip,
+        left_out(wanted, registration),
+    )
+
+
+def area_map(picture: Picture, registration: Registration) -> Array:
+    """How much larger things have become where they arrive: det J of moving to fixed, on every eighth preview pixel."""
+    x, y = picture.preview_places(COARSE)
+    return np.asarray(1.0 / registration.determinant(_points(x, y), inverse=True)).reshape(len(y), len(x))
+
+
+def _points(x: Array, y: Array) -> Array:
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def left_out(wanted: Wanted, registration: Registration) -> Array | None:
+    """How far off each landmark is, in pixels, by the registration of all others; None with fewer than three."""
+    if len(registration.pairs) < 3:
+        return None
+    from codegen.registration.leave_one_out import leave_one_out
+
+    settings = wanted.task.work.settings
+    result: Any = leave_one_out(
+        registration.pairs, wanted.task.moving.shape, fixed_shape=wanted.task.fixed.shape, align=settings.align,
+        sigma=settings.sigma, scheme=settings.scheme,
+    )  # fmt: skip
+    return np.asarray(getattr(result, "errors", result))

@@ -1,0 +1,331 @@
+"""The page of one session: what a visitor does becomes an operation of the session, and its answer is drawn."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from sys import stderr
+from typing import Any
+
+import numpy as np
+import panel as pn
+from bokeh.models import ColumnDataSource, CustomJS
+
+from codegen.errors import CodegenError
+from codegen.registration.app import exports, layout, solving
+from codegen.registration.app.autosave import Store, save_session
+from codegen.registration.app.bridge import Browser, FileButton
+from codegen.registration.app.canvas import Canvas, point_rows, point_source
+from codegen.registration.app.controls import Controls, table_rows
+from codegen.registration.app.reading import LIMITS, example, picture_from
+from codegen.registration.app.result import ResultCanvas
+from codegen.registration.app.session import Session
+from codegen.registration.app.solving import Certified, Shown, Wanted
+from codegen.registration.app.state import Settings, Side
+from codegen.registration.app.worker import Deliver, Worker, computing
+from codegen.registration.formats import parse_landmarks
+
+KINDS = (
+    "draw",
+    "certify",
+    "save",
+    "warped_image",
+    "field",
+    "landmarks",
+    "animation",
+)
+IMAGES = ".png,.jpg,.jpeg,.tif,.tiff"
+LANDMARKS = ".csv,.pts,.tps,.json,.txt"
+MOST_LANDMARK_BYTES = 8 << 20
+
+
+class View:
+    """Panel objects for one session; `root` is what is shown.
+
+    `deliver` runs a function in the session's thread; `store` and `token` say where the work is saved, if at all.
+    """
+
+    def __init__(self, session: Session, deliver: Deliver, store: Store | None = None, token: str = "") -> None:
+        self.session = session
+        self.store, self.token = store, token
+        self.worker = Worker(deliver, KINDS)
+        self.controls = Controls()
+        self.sources: dict[Side, ColumnDataSource] = {"moving": point_source(), "fixed": point_source()}
+        self.shown: Shown | None = None
+        self.certified: Certified | None = None
+        self._writing = False
+        self.browser = Browser(self._pressed)
+        opener = partial(FileButton, failed=self.fail, most=LIMITS.bytes)
+        self.openers = {
+            "Open moving image": opener(partial(self._open, "moving"), label="Open moving image", accept=IMAGES),
+            "Open fixed image": opener(partial(self._open, "fixed"), label="Open fixed image", accept=IMAGES),
+            "Bend one image": opener(partial(self._open, None), label="Bend one image", accept=IMAGES),
+        }
+        self.load_landmarks = FileButton(
+            self._load, self.fail, label="Load landmarks", accept=LANDMARKS, most=MOST_LANDMARK_BYTES
+        )
+        self.layout = layout.Layout(self)
+        self._connect()
+        self._show_images()
+
+    @property
+    def root(self) -> pn.viewable.Viewable:
+        """The page."""
+        return self.layout.root
+
+    # --- what the visitor does ----------------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        c = self.controls
+        for side, source in self.sources.items():
+            source.on_change("data", partial(self._rows_changed, side))
+            source.selected.on_change("indices", partial(self._point_chosen, side))
+        c.rows.selected.on_change("indices", self._row_chosen)
+        for widget, act in {
+            c.undo: self.session.undo, c.redo: self.session.redo, c.clear: self.session.clear, c.delete: self._delete,
+            c.example: self._example,
+        }.items():  # fmt: skip
+            widget.on_click(lambda _, act=act: self.do(act))
+        for widget in (c.align, c.sigma, c.scheme, c.interpolation):
+            widget.param.watch(lambda _: self.do(self._set), "value")
+        for widget in (c.grid, c.time):
+            widget.param.watch(lambda _: self.draw(), "value")
+        c.mode.param.watch(lambda _: self._compare(), "value")
+        c.points.param.watch(lambda event: self.result.show_points(event.new), "value")
+        for widget, kind in {c.save_image: "warped_image", c.save_field: "field", c.save_gif: "animation",
+                             c.save_landmarks: "landmarks"}.items():  # fmt: skip
+            widget.on_click(lambda _, kind=kind: self.export(kind))
+
+    def do(self, act: Callable[[], Any]) -> None:
+        """Do something to the session that ends in itself, and show what became of it; errors become a message."""
+        try:
+            with computing:
+                act()
+        except CodegenError as error:
+            self.fail(error)
+            self._show_points()
+            return
+        self.layout.message("")
+        self._changed()
+
+    def _changed(self) -> None:
+        self._show_settings()
+        self._show_points()
+        self.draw()
+        self._save()
+
+    def _rows_changed(self, side: Side, attr: str, old: Any, new: Any) -> None:
+        """The browser sent the points of an image: clicks, or a drag that may not be over yet."""
+        if self._writing:
+            return
+        changes = self.session.editions[side].changes(new, self.session.work)
+        if changes.added or changes.removed:
+            self.do(partial(self.session.follow, side, changes))
+        elif changes.moved:
+            self.session.follow(side, changes)
+            if self.controls.live.value:
+                self.draw(hasty=True)
+
+    def _released(self, attr: str, old: Any, new: Any) -> None:
+        """The mouse button was let go."""
+        self.do(self.session.settle)
+
+    def _point_chosen(self, side: Side, attr: str, old: Any, new: list[int]) -> None:
+        identities = self.sources[side].data["id"]
+        if new and new[0] < len(identities) and identities[new[0]]:
+            self._choose(int(identities[new[0]]))
+
+    def _row_chosen(self, attr: str, old: Any, new: list[int]) -> None:
+        pairs = self.session.work.pairs
+        if not self._writing and new and new[0] < len(pairs):
+            self._choose(pairs[new[0]].identity)
+
+    def _choose(self, identity: int | None) -> None:
+        if identity != self.session.selected:
+            self.session.select(identity)
+            self._highlight()
+
+    def _delete(self) -> None:
+        if self.session.selected is not None:
+            self.session.remove(self.session.selected)
+
+    def _pressed(self, key: str) -> None:
+        acts: dict[str, Callable[[], Any]] = {
+            "undo": self.session.undo, "redo": self.session.redo, "delete": self._delete,
+        }  # fmt: skip
+        if key in acts:
+            self.do(acts[key])
+        elif key == "deselect":
+            self._choose(None)
+
+    def _set(self) -> None:
+        c = self.controls
+        if not self._writing:
+            sigma = float(c.sigma.value or 0.0)
+            self.session.set(Settings(c.align.value, sigma, c.scheme.value, c.interpolation.value))
+
+    # --- images and landmark files --------------------------------------------------------------------------------------
+
+    def _open(self, side: Side | None, name: str, data: bytes) -> None:
+        def opened() -> None:
+            picture = picture_from(data, name)
+            if side is None:
+                self.session.open_alone(picture)
+            else:
+                self.session.open(side, picture)
+            self._show_images()
+
+        self.do(opened)
+
+    def _load(self, name: str, data: bytes) -> None:
+        shapes = self._frames()
+        self.do(lambda: self.session.load(parse_landmarks([(name, data)], frames=shapes)))
+
+    def _frames(self) -> exports.Frames:
+        return exports.Frames(self.session.moving.shape, self.session.picture("fixed").shape)
+
+    def _example(self) -> None:
+        made = example()
+        self.session.replace(made.moving, made.fixed, made.work)
+        self._show_images()
+
+    def export(self, kind: str) -> None:
+        """Make a file beside the event loop and let the browser save it."""
+        task = self.session.task()
+        jobs: dict[str, Callable[[], Any]] = {
+            "warped_image": partial(exports.warped_image, task),
+            "field": partial(exports.field, task),
+            "landmarks": partial(exports.landmarks, task, self.controls.format.value),
+            "animation": partial(exports.animation, task, self.controls.grid.value),
+        }
+        self.layout.working("Making the file")
+
+        def made(result: Any) -> None:
+            self.layout.working("")
+            for download in result if isinstance(result, tuple) else (result,):
+                self.browser.save(download)
+
+        self.worker.ask(kind, jobs[kind], made, self.fail)
+
+    # --- what is shown ----------------------------------------------------------------------------------------------------
+
+    def _show_images(self) -> None:
+        """New figures for new images."""
+        moving, fixed = self.session.moving, self.session.picture("fixed")
+        self.canvases: dict[Side, Canvas] = {
+            "moving": Canvas(moving.shape, self.sources, "moving", "moving"),
+            "fixed": Canvas(fixed.shape, self.sources, "fixed", "fixed"),
+        }
+        self.result = ResultCanvas(fixed.shape, self.sources, "result")
+        for canvas in (*self.canvases.values(), self.result):
+            canvas.released.on_change("data", self._released)
+        self.canvases["moving"].show(moving.preview)
+        self.canvases["fixed"].show(fixed.preview)
+        self.shown = self.certified = None
+        self.layout.show_canvases(self)
+        self._show_settings()
+        self._show_points()
+        self._compare()
+        self.draw()
+
+    def _show_points(self) -> None:
+        self._writing = True
+        try:
+            for side, source in self.sources.items():
+                edition = self.session.editions[side].publish(self.session.work)
+                source.data = point_rows(self.session.work, side, edition, self.session.selected)
+            self._show_table()
+        finally:
+            self._writing = False
+        self.controls.undo.disabled = not self.session.history.can_undo
+        self.controls.redo.disabled = not self.session.history.can_redo
+        self.controls.clear.disabled = not self.session.work.pairs
+        self.controls.delete.disabled = self.session.selected is None
+
+    def _highlight(self) -> None:
+        """Another pair is highlighted, and nothing has moved."""
+        number = self.session.number(self.session.selected or 0)
+        for side, source in self.sources.items():
+            rows = point_rows(self.session.work, side, 0, self.session.selected)
+            if len(rows["size"]) == len(source.data["size"]):
+                source.patch({name: [(slice(None), rows[name])] for name in ("size", "rim")})
+        self._writing = True
+        try:
+            self.controls.rows.selected.indices = [number - 1] if number else []
+        finally:
+            self._writing = False
+        self.controls.delete.disabled = number == 0
+
+    def _show_table(self) -> None:
+        residuals = None
+        if self.shown is not None and self.shown.registration is not None:
+            residuals = self.shown.registration.residuals
+        current = self.certified if self.certified and self.certified.revision == self.session.revision else None
+        number = self.session.number(self.session.selected or 0)
+        self.controls.rows.data = table_rows(self.session.work, residuals, current.left_out if current else None)
+        self.controls.rows.selected.indices = [number - 1] if number else []
+
+    def _show_settings(self) -> None:
+        self._writing = True
+        try:
+            for name, value in vars(self.session.work.settings).items():
+                getattr(self.controls, name).value = value
+        finally:
+            self._writing = False
+
+    def _compare(self) -> None:
+        self.result.compare(self.controls.mode.value, self.session.picture("fixed").preview)
+
+    def draw(self, hasty: bool = False) -> None:
+        """Register the present pairs beside the event loop, and show what comes of it."""
+        wanted = Wanted(self.session.task(), float(self.controls.time.value), bool(self.controls.grid.value), hasty)
+        previous, known = self.session.registration, None
+        if self.shown is not None and not self.shown.wanted.hasty and not hasty:
+            same = self.shown.wanted.task.revision == wanted.task.revision
+            known = self.shown.registration if same else None
+        self.worker.drop("certify")
+        self.worker.ask("draw", partial(solving.shown, wanted, previous, known), self._drawn, self.fail)
+
+    def _drawn(self, shown: Shown) -> None:
+        self.shown = shown
+        self.session.registration = shown.registration
+        self.result.show(shown.image)
+        self.result.show_grid(shown.grid)
+        self.result.show_carried(shown.carried, shown.wanted.time)
+        if shown.wanted.hasty:
+            return
+        straight = solving.grid(self.session.moving, None, 0.0) if shown.wanted.grid else ([], [])
+        self.canvases["moving"].show_grid(straight)
+        self._writing = True
+        self._show_table()
+        self._writing = False
+        self.layout.status(self)
+        if shown.registration is None:
+            self._certified(None)
+        elif self.certified is None or self.certified.revision != shown.wanted.task.revision:
+            job = partial(solving.certified, shown.wanted, shown.registration)
+            self.worker.ask("certify", job, self._certified, self.fail)
+
+    def _certified(self, certified: Certified | None) -> None:
+        self.certified = certified
+        self.result.show_areas(certified)
+        self._writing = True
+        self._show_table()
+        self._writing = False
+        self.layout.status(self)
+
+    def _save(self) -> None:
+        if self.store is not None:
+            job = partial(self.store.save, self.token, self.session.moving, self.session.fixed, self.session.work)
+            self.worker.ask("save", job, lambda _: None, self.fail)
+
+    def fail(self, error: Exception) -> None:
+        """Show what went wrong; the session goes on."""
+        self.layout.working("")
+        if isinstance(error, CodegenError):
+            self.layout.message(str(error))
+        else:
+            traceback.print_exception(error, file=stderr)
+            self.layout.message(f"Something unexpected went wrong ({type(error).__name__}); your landmarks are safe")
