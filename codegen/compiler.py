@@ -161,7 +161,7 @@ def _choice_texts(choices: Choices) -> tuple[str, ...]:
     return (choices.scheme or "", choices.method or "", choices.controls)
 
 
-_USERS = ("drivers", "plots", "report", "stress", "cli.py", "output.py", "terminal.py")
+_USERS = ("drivers", "plots", "registration", "report", "stress", "cli.py", "output.py", "terminal.py")
 """Parts of this package on which no generated text depends."""
 
 

@@ -53,3 +53,19 @@ class NumericsError(CodegenError):
 
 class PointsError(CodegenError):
     """A file of points cannot be read, or its points cannot be connected: duplicates, points outside the domain."""
+
+
+class LandmarkError(CodegenError):
+    """Landmarks that no map can match: not finite, not as many in both images, or two at one place."""
+
+
+class RegistrationError(CodegenError):
+    """The numerics did not find a map that carries the landmarks where they belong; the finding names the place."""
+
+
+class ImageError(CodegenError):
+    """An array or a file is no image that can be read, warped or written."""
+
+
+class ExtraError(CodegenError):
+    """A library is not installed that an optional part of this package needs; the remedy names the extra."""

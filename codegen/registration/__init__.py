@@ -1,0 +1,26 @@
+"""Registration of images by landmarks: maps that do not fold, their true inverses, and what certifies both.
+
+Points are (x, y) in pixels, x to the right and y down, with the origin at the centre of the top-left pixel; arrays of
+points have shape (n, 2). Forward is from the moving image to the fixed one.
+"""
+
+from codegen.registration.alignment import Alignment, align
+from codegen.registration.certificate import Certificate, certify
+from codegen.registration.frame import Frame
+from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.register import Registration, register
+from codegen.registration.warp import WarpReport, warp, warp_reported
+
+__all__ = [
+    "Alignment",
+    "Certificate",
+    "Frame",
+    "LandmarkPairs",
+    "Registration",
+    "WarpReport",
+    "align",
+    "certify",
+    "register",
+    "warp",
+    "warp_reported",
+]

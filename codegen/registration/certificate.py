@@ -1,0 +1,63 @@
+"""The certificate of a registration: that it does not fold, that its inverse is one, and how well landmarks are met."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from codegen.registration.frame import pixel_grid
+from codegen.registration.register import ROUND_TRIP, Registration
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was found on the pixels of the moving image.
+
+    `det_min` and `det_max` are the extremes of det J, the factor by which the map enlarges areas; `det_min_at` is the
+    pixel (x, y) of the least. `folded` counts the pixels at which it is not positive, `first_fold` is the first of
+    them in reading order. `round_trip` and `residual_max` are in pixels.
+    """
+
+    det_min: float
+    det_max: float
+    det_min_at: tuple[float, float]
+    folded: int
+    first_fold: tuple[float, float] | None
+    round_trip: float
+    residual_max: float
+    passed: bool
+    message: str
+
+
+def certify(registration: Registration, shape: Sequence[int] | None = None) -> Certificate:
+    """Evaluate the map's derivative at every pixel of the moving image, or of an image of another shape.
+
+    The derivative is that of the discrete map, carried along its steps, not a difference of neighbouring pixels.
+    """
+    grid = pixel_grid(registration.shape if shape is None else shape)
+    determinants = registration.determinant(grid)
+    least = int(np.nanargmin(determinants)) if not np.isnan(determinants).all() else 0
+    wrong = np.flatnonzero(~(determinants > 0.0))
+    first = (float(grid[wrong[0], 0]), float(grid[wrong[0], 1])) if wrong.size else None
+    passed = wrong.size == 0 and registration.round_trip <= ROUND_TRIP
+    return Certificate(
+        float(determinants[least]),
+        float(np.nanmax(determinants)),
+        (float(grid[least, 0]), float(grid[least, 1])),
+        int(wrong.size),
+        first,
+        registration.round_trip,
+        float(registration.residuals.max()),
+        passed,
+        _message(registration, int(wrong.size), first, float(determinants[least])),
+    )
+
+
+def _message(registration: Registration, folded: int, first: tuple[float, float] | None, least: float) -> str:
+    if first is not None:
+        return f"the map folds at {folded} pixels, the first at ({first[0]:g}, {first[1]:g}); take more steps"
+    if not registration.round_trip <= ROUND_TRIP:
+        return f"points come back only to within {registration.round_trip:.1e} pixels; take more steps"
+    return f"the map does not fold: det J is at least {least:.4g}"

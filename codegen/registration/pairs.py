@@ -1,0 +1,95 @@
+"""Pairs of landmarks: the same feature in the moving and in the fixed image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.errors import LandmarkError
+
+PointArray: TypeAlias = NDArray[np.float64]
+"""Points (x, y) in pixels, shape (n, 2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkPairs:
+    """Landmarks of the moving and the fixed image in pixels, arrays of shape (n, 2), and their names.
+
+    Names are "1", "2", ... where none are given. Raises LandmarkError, naming the landmark, when a coordinate is not
+    finite, when the numbers of landmarks differ or are zero, and when two landmarks of one image are at one place,
+    which no map that can be inverted separates.
+    """
+
+    moving: PointArray
+    fixed: PointArray
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "moving", _points("moving", self.moving))
+        object.__setattr__(self, "fixed", _points("fixed", self.fixed))
+        count = len(self.moving)
+        if len(self.fixed) != count:
+            finding = f"there are {count} moving landmarks but {len(self.fixed)} fixed ones"
+            raise LandmarkError(finding, "give both places of every landmark")
+        if count == 0:
+            raise LandmarkError("there are no landmarks", "give at least one pair")
+        names = tuple(str(name) for name in self.names) or tuple(str(k + 1) for k in range(count))
+        if len(names) != count:
+            raise LandmarkError(f"there are {len(names)} names for {count} landmarks", "name all or none")
+        object.__setattr__(self, "names", names)
+        for what, points in (("moving", self.moving), ("fixed", self.fixed)):
+            _require_finite(what, points, names)
+            _require_distinct(what, points, names)
+
+    def __len__(self) -> int:
+        return len(self.moving)
+
+    def without(self, k: int) -> LandmarkPairs:
+        """All pairs but number k, counted from zero; LandmarkError when none would be left."""
+        kept = np.arange(len(self)) != k
+        return LandmarkPairs(self.moving[kept], self.fixed[kept], self.names[:k] + self.names[k + 1 :])
+
+    def swapped(self) -> LandmarkPairs:
+        """The pairs with the fixed image as the moving one."""
+        return LandmarkPairs(self.fixed, self.moving, self.names)
+
+
+def as_points(values: Any) -> PointArray:
+    """An array of points, shape (n, 2), from whatever numpy makes one of; LandmarkError when it makes none."""
+    return _points("", values)
+
+
+def _points(what: str, values: Any) -> PointArray:
+    try:
+        points = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise LandmarkError(f"{what} points are no numbers ({error})".strip(), "give pairs x, y") from error
+    if points.size == 0:
+        points = points.reshape(0, 2)
+    if points.ndim != 2 or points.shape[1] != 2:
+        finding = f"{what} points have shape {points.shape}, expected (n, 2)".strip()
+        raise LandmarkError(finding, "give x and y of every point")
+    return np.ascontiguousarray(points)
+
+
+def _require_finite(what: str, points: PointArray, names: Sequence[str]) -> None:
+    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if wrong.size:
+        place = ", ".join(f"{x:g}" for x in points[wrong[0]])
+        raise LandmarkError(
+            f"{what} landmark {names[wrong[0]]} is at ({place})", "give finite numbers, or leave it out"
+        )
+
+
+def _require_distinct(what: str, points: PointArray, names: Sequence[str]) -> None:
+    order = np.lexsort(points.T)
+    same = np.flatnonzero((points[order[1:]] == points[order[:-1]]).all(axis=1))
+    if same.size:
+        one, other = sorted(order[same[0] : same[0] + 2])
+        place = ", ".join(f"{x:g}" for x in points[one])
+        finding = f"{what} landmarks {names[one]} and {names[other]} are at the same place ({place})"
+        raise LandmarkError(finding, "leave one of them out, because no map separates or joins them")
