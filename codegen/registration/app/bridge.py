@@ -24,7 +24,7 @@ class FileButton(JSComponent):  # type: ignore[misc]
     _esm = """
     export function render({ model, el }) {
       const button = document.createElement("button"), input = document.createElement("input")
-      button.className = "file-button"; button.type = "button"; button.textContent = model.label
+      button.className = "opener"; button.type = "button"; button.textContent = model.label
       input.type = "file"; input.accept = model.accept; input.hidden = true
       input.setAttribute("aria-label", model.label)
       button.onclick = () => input.click()
@@ -42,11 +42,11 @@ class FileButton(JSComponent):  # type: ignore[misc]
 
     _stylesheets = [
         """
-    :host { width: auto; }
-    .file-button { font: inherit; font-size: 13px; padding: 5px 10px; border: 1px solid #b9c0c8; border-radius: 6px;
+    :host { width: auto; border: none; padding: 0; }
+    .opener { font: inherit; font-size: 13px; padding: 5px 10px; border: 1px solid #b9c0c8; border-radius: 6px;
       background: #fff; color: #1c2733; cursor: pointer; white-space: nowrap; }
-    .file-button:hover { background: #eef3f8; }
-    .file-button:focus-visible { outline: 2px solid #0072b2; outline-offset: 1px; }
+    .opener:hover { background: #eef3f8; }
+    .opener:focus-visible { outline: 2px solid #0072b2; outline-offset: 1px; }
     """
     ]
 

@@ -112,11 +112,14 @@ class Canvas:
         rims = self.figure.scatter(
             "x", "y", source=self.source, size="size", fill_color=None, line_color="rim", line_width=1.2
         )
-        labels = self.figure.text(
-            "x", "y", "label", source=self.source, x_offset=8, y_offset=-6, text_font_size="12px",
-            text_font_style="bold", text_color="#111111", text_outline_color="#ffffff",
-        )  # fmt: skip
-        self.point_renderers = [marks, rims, labels]
+        text = {
+            "x": "x", "y": "y", "text": "label", "source": self.source, "x_offset": 8, "y_offset": -5,
+            "text_font": "Helvetica, Arial, DejaVu Sans, sans-serif", "text_font_size": "12px",
+            "text_font_style": "bold",
+        }  # fmt: skip
+        halo = self.figure.text(**text, text_color=None, text_outline_color="#ffffff", text_outline_width=3)
+        labels = self.figure.text(**text, text_color="#111111")
+        self.point_renderers = [marks, rims, halo, labels]
         for renderer in self.point_renderers:
             renderer.selection_glyph = renderer.glyph
             renderer.nonselection_glyph = renderer.glyph

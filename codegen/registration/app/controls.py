@@ -5,22 +5,32 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import panel as pn
-from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, StringFormatter, TableColumn
 from numpy.typing import NDArray
 
+from codegen.registration.app.layout import STYLE
 from codegen.registration.app.result import MODES
 from codegen.registration.app.state import Work
 from codegen.registration.formats import FORMATS
 
-ALIGNMENTS = {"similarity (turn, shift, scale)": "similarity", "affine": "affine", "none": "none"}
+ALIGNMENTS = {"similarity": "similarity", "affine": "affine", "none": "none"}
 SCHEMES = ("midpoint", "gauss-4", "explicit-euler")
+_TABLE_STYLE = """
+.tabulator { font-size: 12px; border: 1px solid #d7dde3; }
+.tabulator .tabulator-header .tabulator-col .tabulator-col-content { padding: 4px; }
+.tabulator .tabulator-header .tabulator-col .tabulator-col-title { font-size: 11px; padding-right: 8px; }
+.tabulator .tabulator-header .tabulator-col .tabulator-col-content .tabulator-col-sorter { right: 0; }
+.tabulator-row .tabulator-cell { padding: 3px 5px; height: 24px; min-height: 24px; }
+.tabulator-row { min-height: 24px; }
+.tabulator-row.tabulator-selected { background: #cfe5f5; font-weight: 600; }
+"""
 INTERPOLATIONS = ("linear", "nearest", "cubic")
 
 
 def button(name: str, hint: str = "", **values: Any) -> pn.widgets.Button:
     """A plain button whose hint is shown when the mouse rests on it."""
-    return pn.widgets.Button(name=name, description=hint or None, margin=0, height=32, **values)
+    return pn.widgets.Button(name=name, description=hint or None, margin=0, stylesheets=[STYLE], **values)
 
 
 class Controls:
@@ -32,17 +42,17 @@ class Controls:
         self.delete = button("Delete pair", "Delete: the pair that is highlighted")
         self.clear = button("Delete all")
         self.example = button("Example", "Two drawn fishes, with their landmarks")
-        self.mode = pn.widgets.RadioButtonGroup(options=list(MODES), value=MODES[0], margin=0, height=32)
-        self.grid = pn.widgets.Checkbox(name="Grid", value=True, margin=(6, 0))
-        self.points = pn.widgets.Checkbox(name="Points", value=True, margin=(6, 0))
-        self.live = pn.widgets.Checkbox(name="Solve while dragging", value=True, margin=(6, 0))
+        self.mode = pn.widgets.RadioButtonGroup(options=list(MODES), value=MODES[0], margin=0, stylesheets=[STYLE])
+        self.grid = pn.widgets.Checkbox(name="Grid", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
+        self.points = pn.widgets.Checkbox(name="Points", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
+        self.live = pn.widgets.Checkbox(name="Solve while dragging", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
         self.time = pn.widgets.FloatSlider(
-            name="Time along the flow: 0 is the moving image, 1 the warped one", start=0.0, end=1.0, value=1.0,
-            step=0.02, margin=0, sizing_mode="stretch_width", min_width=200,
+            name="Time along the flow", start=0.0, end=1.0, value=1.0,
+            step=0.02, margin=0, sizing_mode="stretch_width", stylesheets=[STYLE],
         )  # fmt: skip
-        narrow = {"margin": 0, "width": 150}
-        self.align = pn.widgets.Select(name="Alignment before the flow", options=ALIGNMENTS, margin=0, width=200)
-        self.sigma = pn.widgets.FloatInput(name="Landmarks may miss by, px", value=0.0, start=0.0, step=0.5, **narrow)
+        narrow = {"margin": 0, "width": 145, "stylesheets": [STYLE]}
+        self.align = pn.widgets.Select(name="Alignment first", options=ALIGNMENTS, **narrow)
+        self.sigma = pn.widgets.FloatInput(name="May miss by, pixels", value=0.0, start=0.0, step=0.5, **narrow)
         self.scheme = pn.widgets.Select(name="Scheme", options=list(SCHEMES), **narrow)
         self.interpolation = pn.widgets.Select(name="Interpolation", options=list(INTERPOLATIONS), **narrow)
         self.save_image = button("Warped image")
@@ -50,40 +60,44 @@ class Controls:
         self.save_gif = button("Animated GIF")
         self.save_landmarks = button("Landmarks")
         self.format = pn.widgets.Select(
-            options={form.title: name for name, form in FORMATS.items()}, margin=0, width=190, height=32
+            options={form.title: name for name, form in FORMATS.items()}, **narrow | {"width": 200}
         )
-        self.rows = ColumnDataSource({name: [] for name in ("label", "mx", "my", "fx", "fy", "residual", "left_out")})
-        self.table = _table(self.rows)
+        self.table = _table()
 
 
-def _table(rows: ColumnDataSource) -> DataTable:
-    number = NumberFormatter(format="0.0", text_align="right", nan_format="–")
-    fine = NumberFormatter(format="0.00", text_align="right", nan_format="–")
-    titles = {"mx": "moving x", "my": "moving y", "fx": "fixed x", "fy": "fixed y"}
-    columns = [TableColumn(field="label", title="pair", width=60, formatter=StringFormatter(font_style="bold"))]
-    columns += [TableColumn(field=name, title=title, width=72, formatter=number) for name, title in titles.items()]
-    columns.append(TableColumn(field="residual", title="residual", width=72, formatter=fine))
-    columns.append(TableColumn(field="left_out", title="left out", width=72, formatter=fine))
-    return DataTable(
-        source=rows, columns=columns, index_position=None, height=230, sizing_mode="stretch_width", row_height=24,
-        autosize_mode="fit_viewport", sortable=True, reorderable=False,
+def _table() -> pn.widgets.Tabulator:
+    right = {"type": "money", "precision": 1, "thousand": ""}
+    fine = {"type": "money", "precision": 2, "thousand": ""}
+    places = ("moving_x", "moving_y", "fixed_x", "fixed_y")
+    errors = ("residual", "left_out")
+    titles = dict(zip(places, ("moving x", "moving y", "fixed x", "fixed y"))) | {
+        "number": "pair", "name": "name", "residual": "residual", "left_out": "left out",
+    }  # fmt: skip
+    return pn.widgets.Tabulator(
+        pd.DataFrame({name: [] for name in ("number", "name", *places, *errors)}),
+        show_index=False, disabled=True, selectable=1, height=262, sizing_mode="stretch_width", layout="fit_columns",
+        titles=titles, formatters=dict.fromkeys(places, right) | dict.fromkeys(errors, fine), theme="simple",
+        text_align=dict.fromkeys((*places, *errors), "right"), margin=0, pagination=None, header_filters=False,
+        widths={"number": 44},
+        configuration={"columnDefaults": {"resizable": False, "minWidth": 60}}, stylesheets=[_TABLE_STYLE],
     )  # fmt: skip
 
 
 def table_rows(
     work: Work, residuals: NDArray[np.float64] | None, left_out: NDArray[np.float64] | None
-) -> dict[str, Any]:
-    """The columns of the table; errors that are not known, or belong to other pairs, are left open."""
+) -> pd.DataFrame:
+    """The table; errors that are not known, or belong to other pairs, are left open."""
     count = len(work.pairs)
-    unknown = np.full(count, np.nan)
     moving = np.array([pair.moving for pair in work.pairs]).reshape(-1, 2)
     fixed = np.array([pair.fixed for pair in work.pairs]).reshape(-1, 2)
-    return {
-        "label": [pair.name if pair.name and len(pair.name) > 3 else str(k + 1) for k, pair in enumerate(work.pairs)],
-        "mx": moving[:, 0],
-        "my": moving[:, 1],
-        "fx": fixed[:, 0],
-        "fy": fixed[:, 1],
-        "residual": residuals if residuals is not None and len(residuals) == count else unknown,
-        "left_out": left_out if left_out is not None and len(left_out) == count else unknown,
-    }
+
+    def known(errors: NDArray[np.float64] | None) -> list[float | None]:
+        return list(errors) if errors is not None and len(errors) == count else [None] * count
+
+    return pd.DataFrame(
+        {
+            "number": range(1, count + 1), "name": [pair.name for pair in work.pairs],
+            "moving_x": moving[:, 0], "moving_y": moving[:, 1], "fixed_x": fixed[:, 0], "fixed_y": fixed[:, 1],
+            "residual": known(residuals), "left_out": known(left_out),
+        }
+    )  # fmt: skip

@@ -14,7 +14,6 @@ from PIL import Image, ImageDraw
 from codegen.errors import LandmarkError
 from codegen.registration.app.session import Task
 from codegen.registration.app.solving import frame, grid, rgba
-from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import write_image
 from codegen.registration.register import Registration, register
@@ -55,6 +54,8 @@ def warped_image(task: Task) -> Download:
 
 def field(task: Task) -> Download:
     """The displacements from fixed to moving at every pixel of the fixed image, .npz."""
+    from codegen.registration.fields import displacement_field, write_field
+
     values = displacement_field(registered(task), task.fixed.shape, inverse=True)
     data = _written(".npz", lambda path: write_field(path, values))
     return Download(f"{task.moving.stem}_displacement_fixed_to_moving.npz", "application/octet-stream", data)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import panel as pn
 
@@ -12,13 +12,12 @@ if TYPE_CHECKING:
     from codegen.registration.app.view import View
 
 STYLE = (files("codegen.registration.app") / "style.css").read_text()
-HELP = (
-    "<b>Click</b> in either image to add a pair, <b>drag</b> its points to the same feature in both images. "
-    "The moving image is warped onto the fixed one, never folding. "
-    "<kbd>Ctrl</kbd>+<kbd>Z</kbd> undo, <kbd>Ctrl</kbd>+<kbd>Shift</kbd>+<kbd>Z</kbd> redo, <kbd>Delete</kbd> the "
-    "highlighted pair, <kbd>Ctrl</kbd>+wheel zooms."
+_KEYS = (
+    "<kbd>Ctrl Z</kbd> undo, <kbd>Ctrl Shift Z</kbd> redo, <kbd>Delete</kbd> removes the highlighted pair, "
+    "<kbd>Ctrl</kbd> + wheel zooms."
 )
-HELP_ALONE = "Click to add a point, then <b>drag it in the right-hand picture</b> and see the image follow. " + HELP[-150:]
+HELP = f"<p><b>Click</b> in either image to add a pair, and <b>drag</b> its two points to the same feature. {_KEYS}</p>"
+HELP_ALONE = f"<p><b>Click</b> to add a point, then <b>drag</b> it in the warped image, which follows. {_KEYS}</p>"
 
 
 class Layout:
@@ -26,38 +25,31 @@ class Layout:
 
     def __init__(self, view: View) -> None:
         c = view.controls
-        self._message = pn.pane.HTML("", css_classes=["message"], visible=False, sizing_mode="stretch_width", margin=0)
-        self._status = pn.pane.HTML("", css_classes=["status"], margin=0)
-        self._help = pn.pane.HTML(HELP, css_classes=["help"], sizing_mode="stretch_width", margin=0)
-        self._canvases = pn.FlexBox(css_classes=["canvases"], sizing_mode="stretch_width", margin=0, gap="12px")
-        title = pn.pane.HTML("<h1>Image registration by landmarks</h1>", margin=0)
-        header = _bar(title, self._status, justify_content="space-between")
+        self._message = _html("", visible=False, sizing_mode="stretch_width")
+        self._status = _html("")
+        self._help = _html(HELP, sizing_mode="stretch_width")
+        self._canvases = _box(gap="10px")
+        header = _bar(_html("<h1>Image registration by landmarks</h1>"), self._status, justify_content="space-between")
         opening = _bar(*view.openers.values(), view.load_landmarks, c.example)
-        editing = _bar(c.undo, c.redo, c.delete, c.clear)
-        looking = _bar(c.mode, c.grid, c.points, c.live)
-        saving = _bar(c.save_image, c.save_field, c.save_gif, c.save_landmarks, c.format)
-        settings = _bar(c.align, c.sigma, c.scheme, c.interpolation, align_items="end")
-        left = _card("Pairs", editing, pn.pane.Bokeh(c.table, sizing_mode="stretch_width", margin=0), wide=True)
-        right = _card("View", looking, c.time)
-        settings_card = _card("Registration", settings)
-        saving_card = _card("Download", saving)
-        lower = pn.FlexBox(
-            left, pn.Column(right, settings_card, saving_card, css_classes=["stack"], margin=0),
-            css_classes=["lower"], gap="12px", sizing_mode="stretch_width", margin=0,
-        )  # fmt: skip
+        left = _card("Pairs, in pixels", _bar(c.undo, c.redo, c.delete, c.clear), c.table, kind="wide")
+        saving = [_bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format)]
+        middle = _stack(_card("View", _bar(c.mode), _bar(c.grid, c.points, c.live), c.time))
+        right = _stack(
+            _card("Registration", _bar(c.align, c.sigma), _bar(c.scheme, c.interpolation)), _card("Download", *saving)
+        )
         self.root = pn.Column(
-            view.browser, header, opening, self._help, self._message, self._canvases, lower, css_classes=["page"],
-            sizing_mode="stretch_width", margin=0, stylesheets=[STYLE],
+            view.browser, header, opening, self._help, self._message, self._canvases, _box(left, middle, right, gap="10px"),
+            css_classes=["page"], sizing_mode="stretch_width", stylesheets=[STYLE],
         )  # fmt: skip
 
     def show_canvases(self, view: View) -> None:
         """Put figures for the present images into the page."""
         alone = view.session.fixed is None
         moving, fixed = view.session.moving, view.session.picture("fixed")
-        shown = [_figure(f"Moving: {moving.name}", _extent(moving.shape), view.canvases["moving"].figure)]
+        shown = [_figure(f"Moving: {moving.name}", _extent(moving.shape), view.canvases["moving"].figure, alone)]
         if not alone:
             shown.append(_figure(f"Fixed: {fixed.name}", _extent(fixed.shape), view.canvases["fixed"].figure))
-        shown.append(_figure("Warped: moving to fixed", "drag points here, too", view.result.figure))
+        shown.append(_figure("Warped", "moving to fixed; points can be dragged here, too", view.result.figure, alone))
         self._canvases.objects = shown
         self._help.object = HELP_ALONE if alone else HELP
 
@@ -66,41 +58,42 @@ class Layout:
         self._message.object = f'<div role="alert">{escape(text)}</div>' if text else ""
         self._message.visible = bool(text)
 
-    def working(self, text: str) -> None:
-        """Say what is being done."""
-        self._status.object = f'<span class="busy">{escape(text)} …</span>' if text else self._status.object
-
-    def status(self, view: View) -> None:
-        """One line on the present registration."""
-        shown, certified = view.shown, view.certified
-        if shown is None or shown.registration is None:
-            self._status.object = "<span>No pairs yet: click in an image</span>"
-            return
-        registration = shown.registration
-        parts = [f"{len(registration.pairs)} pairs", f"{registration.steps} steps"]
-        parts.append(f"residual ≤ {registration.residuals.max():.2g} px")
-        if certified is not None and certified.revision == view.session.revision:
-            verdict = "no folding" if certified.folded == 0 else f"folds at {certified.folded} pixels"
-            kind = "good" if certified.folded == 0 else "bad"
-            parts.append(f"areas × {certified.det_min:.3g} to {certified.det_max:.3g}")
-            parts.append(f"round trip {certified.round_trip:.0e} px")
-            parts.insert(0, f'<b class="{kind}">{verdict}</b>')
-        self._status.object = "<span>" + " · ".join(parts) + "</span>"
+    def status(self, parts: list[str], folds: bool | None = None) -> None:
+        """One line on the present registration, and whether it folds if that is known."""
+        text = " · ".join(escape(part) for part in parts)
+        if folds is not None:
+            text = f'<b class="{"bad" if folds else "good"}">{"folds" if folds else "no folding"}</b> {text}'
+        self._status.object = f'<div class="status">{text}</div>'
 
 
-def _bar(*widgets: object, **values: object) -> pn.FlexBox:
-    return pn.FlexBox(*widgets, gap="8px", margin=0, sizing_mode="stretch_width", css_classes=["bar"], **values)
+def _html(text: str, **values: Any) -> pn.pane.HTML:
+    return pn.pane.HTML(text, margin=0, stylesheets=[STYLE], **values)
 
 
-def _card(title: str, *contents: object, wide: bool = False) -> pn.Column:
-    heading = pn.pane.HTML(f"<h2>{escape(title)}</h2>", margin=0)
-    return pn.Column(heading, *contents, css_classes=["card", "wide" if wide else "narrow"], margin=0)
+def _box(*contents: Any, **values: Any) -> pn.FlexBox:
+    return pn.FlexBox(*contents, margin=0, sizing_mode="stretch_width", stylesheets=[STYLE], **values)
 
 
-def _figure(title: str, note: str, figure: object) -> pn.Column:
-    heading = pn.pane.HTML(f"<h2>{escape(title)} <small>{escape(note)}</small></h2>", margin=0)
+def _bar(*widgets: Any, **values: Any) -> pn.FlexBox:
+    return _box(*widgets, gap="6px", align_items="center", css_classes=["bar"], **values)
+
+
+def _card(title: str, *contents: Any, kind: str = "plain") -> pn.Column:
+    heading = _html(f"<h2>{escape(title)}</h2>")
+    return pn.Column(
+        heading, *contents, css_classes=["card", kind], margin=0, sizing_mode="stretch_width", stylesheets=[STYLE]
+    )
+
+
+def _stack(*cards: Any) -> pn.Column:
+    return pn.Column(*cards, css_classes=["stack"], margin=0, stylesheets=[STYLE])
+
+
+def _figure(title: str, note: str, figure: Any, alone: bool = False) -> pn.Column:
+    heading = _html(f"<h2>{escape(title)} <small>{escape(note)}</small></h2>", sizing_mode="stretch_width")
     picture = pn.pane.Bokeh(figure, sizing_mode="scale_width", margin=0)
-    return pn.Column(heading, picture, css_classes=["card", "figure"], margin=0)
+    kinds = ["card", "figure", *(["alone"] if alone else [])]
+    return pn.Column(heading, picture, css_classes=kinds, margin=0, stylesheets=[STYLE])
 
 
 def _extent(shape: tuple[int, int]) -> str:

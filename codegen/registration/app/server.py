@@ -16,6 +16,7 @@ from codegen.registration.app.session import Session
 from codegen.registration.app.view import View
 
 HOST = "localhost"
+pn.extension("tabulator")
 TITLE = "Image registration by landmarks"
 QUERY = "work"
 """Argument of the page's address that names the saved work."""
@@ -30,7 +31,7 @@ def page(*images: Path | str, session: Session | None = None) -> pn.viewable.Vie
 
     Nothing is saved automatically. Raises the errors of reading images.
     """
-    pn.extension()
+    pn.extension("tabulator")  # the notebook's output cell needs it, too
     return _view(session or session_of([Path(image) for image in images])).root
 
 
@@ -54,8 +55,9 @@ def serve(
             session = Session(saved.moving, saved.fixed, saved.work)
         else:
             session, token = Session(opened.moving, opened.fixed, opened.work), new_token()
-        if pn.state.location is not None:
-            pn.state.location.update_query(**{QUERY: token})
+        location = pn.state.location
+        if location is not None:
+            pn.state.onload(lambda: location.update_query(**{QUERY: token}))
         return _view(session, kept, token).root
 
     return pn.serve(

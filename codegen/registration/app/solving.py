@@ -14,6 +14,7 @@ from codegen.registration.register import Registration, register
 
 COARSE = 8.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
+CERTIFIED_EVERY = 8.0
 GRID_LINES = 16
 """Squares of the drawn grid along the longer side."""
 LINE_POINTS = 49
@@ -70,7 +71,7 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
         sigma=work.settings.sigma,
         scheme=work.settings.scheme,
         steps=steps,
-        previous=previous,
+        start=previous,
     )
 
 
@@ -162,7 +163,7 @@ def grid(picture: Picture, registration: Registration | None, time: float) -> Li
 def certified(wanted: Wanted, registration: Registration) -> Certified:
     """The extremes of det J on the moving preview's pixels, areas for the map, and leave-one-out errors."""
     areas = area_map(wanted.task.fixed, registration)
-    x, y = wanted.task.moving.preview_places()
+    x, y = wanted.task.moving.preview_places(CERTIFIED_EVERY)
     determinants = registration.determinant(_points(x, y))
     return Certified(
         wanted.task.revision,
@@ -189,7 +190,10 @@ def left_out(wanted: Wanted, registration: Registration) -> Array | None:
     """How far off each landmark is, in pixels, by the registration of all others; None with fewer than three."""
     if len(registration.pairs) < 3:
         return None
-    from codegen.registration.leave_one_out import leave_one_out
+    try:
+        from codegen.registration.leave_one_out import leave_one_out
+    except ImportError:
+        return None
 
     settings = wanted.task.work.settings
     result: Any = leave_one_out(

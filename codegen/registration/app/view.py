@@ -82,7 +82,7 @@ class View:
         for side, source in self.sources.items():
             source.on_change("data", partial(self._rows_changed, side))
             source.selected.on_change("indices", partial(self._point_chosen, side))
-        c.rows.selected.on_change("indices", self._row_chosen)
+        c.table.param.watch(self._row_chosen, "selection")
         for widget, act in {
             c.undo: self.session.undo, c.redo: self.session.redo, c.clear: self.session.clear, c.delete: self._delete,
             c.example: self._example,
@@ -137,10 +137,10 @@ class View:
         if new and new[0] < len(identities) and identities[new[0]]:
             self._choose(int(identities[new[0]]))
 
-    def _row_chosen(self, attr: str, old: Any, new: list[int]) -> None:
-        pairs = self.session.work.pairs
-        if not self._writing and new and new[0] < len(pairs):
-            self._choose(pairs[new[0]].identity)
+    def _row_chosen(self, event: Any) -> None:
+        pairs, rows = self.session.work.pairs, event.new
+        if not self._writing and rows and rows[0] < len(pairs):
+            self._choose(pairs[rows[0]].identity)
 
     def _choose(self, identity: int | None) -> None:
         if identity != self.session.selected:
@@ -200,10 +200,10 @@ class View:
             "landmarks": partial(exports.landmarks, task, self.controls.format.value),
             "animation": partial(exports.animation, task, self.controls.grid.value),
         }
-        self.layout.working("Making the file")
+        self.layout.status(["making the file …"])
 
         def made(result: Any) -> None:
-            self.layout.working("")
+            self._tell()
             for download in result if isinstance(result, tuple) else (result,):
                 self.browser.save(download)
 
@@ -253,7 +253,7 @@ class View:
                 source.patch({name: [(slice(None), rows[name])] for name in ("size", "rim")})
         self._writing = True
         try:
-            self.controls.rows.selected.indices = [number - 1] if number else []
+            self.controls.table.selection = [number - 1] if number else []
         finally:
             self._writing = False
         self.controls.delete.disabled = number == 0
@@ -264,8 +264,8 @@ class View:
             residuals = self.shown.registration.residuals
         current = self.certified if self.certified and self.certified.revision == self.session.revision else None
         number = self.session.number(self.session.selected or 0)
-        self.controls.rows.data = table_rows(self.session.work, residuals, current.left_out if current else None)
-        self.controls.rows.selected.indices = [number - 1] if number else []
+        self.controls.table.value = table_rows(self.session.work, residuals, current.left_out if current else None)
+        self.controls.table.selection = [number - 1] if number else []
 
     def _show_settings(self) -> None:
         self._writing = True
@@ -301,7 +301,7 @@ class View:
         self._writing = True
         self._show_table()
         self._writing = False
-        self.layout.status(self)
+        self._tell()
         if shown.registration is None:
             self._certified(None)
         elif self.certified is None or self.certified.revision != shown.wanted.task.revision:
@@ -314,7 +314,23 @@ class View:
         self._writing = True
         self._show_table()
         self._writing = False
-        self.layout.status(self)
+        self._tell()
+
+    def _tell(self) -> None:
+        """One line on the registration that is shown."""
+        shown, certified = self.shown, self.certified
+        if shown is None or shown.registration is None:
+            self.layout.status([] if self.session.work.pairs else ["no pairs yet: click in an image"])
+            return
+        registration = shown.registration
+        parts = [f"{len(registration.pairs)} pairs", f"{registration.steps} steps"]
+        parts.append(f"residual ≤ {registration.residuals.max():.2g} px")
+        if certified is None or certified.revision != self.session.revision:
+            self.layout.status(parts)
+            return
+        parts.append(f"areas × {certified.det_min:.2f} to {certified.det_max:.2f}")
+        parts.append(f"round trip {certified.round_trip:.0e} px")
+        self.layout.status(parts, folds=certified.folded > 0)
 
     def _save(self) -> None:
         if self.store is not None:
@@ -323,7 +339,7 @@ class View:
 
     def fail(self, error: Exception) -> None:
         """Show what went wrong; the session goes on."""
-        self.layout.working("")
+        self._tell()
         if isinstance(error, CodegenError):
             self.layout.message(str(error))
         else:
