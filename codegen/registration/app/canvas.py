@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.models import (
     ColumnDataSource,
     CustomJS,
@@ -114,7 +115,7 @@ class Canvas:
         )
         text = {
             "x": "x", "y": "y", "text": "label", "source": self.source, "x_offset": 8, "y_offset": -5,
-            "text_font": "Helvetica, Arial, DejaVu Sans, sans-serif", "text_font_size": "12px",
+            "text_font": value("Helvetica, Arial, DejaVu Sans, sans-serif"), "text_font_size": "12px",
             "text_font_style": "bold",
         }  # fmt: skip
         halo = self.figure.text(**text, text_color=None, text_outline_color="#ffffff", text_outline_width=3)

@@ -18,6 +18,8 @@ ALIGNMENTS = {"similarity": "similarity", "affine": "affine", "none": "none"}
 SCHEMES = ("midpoint", "gauss-4", "explicit-euler")
 _TABLE_STYLE = """
 .tabulator { font-size: 12px; border: 1px solid #d7dde3; }
+.tabulator-row .tabulator-cell { font-size: 12px; }
+.tabulator .tabulator-header .tabulator-col { text-align: center; }
 .tabulator .tabulator-header .tabulator-col .tabulator-col-content { padding: 4px; }
 .tabulator .tabulator-header .tabulator-col .tabulator-col-title { font-size: 11px; padding-right: 8px; }
 .tabulator .tabulator-header .tabulator-col .tabulator-col-content .tabulator-col-sorter { right: 0; }
@@ -70,16 +72,15 @@ def _table() -> pn.widgets.Tabulator:
     fine = {"type": "money", "precision": 2, "thousand": ""}
     places = ("moving_x", "moving_y", "fixed_x", "fixed_y")
     errors = ("residual", "left_out")
-    titles = dict(zip(places, ("moving x", "moving y", "fixed x", "fixed y"))) | {
-        "number": "pair", "name": "name", "residual": "residual", "left_out": "left out",
-    }  # fmt: skip
+    titles = dict(zip(places, "xyxy")) | {"number": "pair", "residual": "residual", "left_out": "left out"}
+    groups = {"moving": ["moving_x", "moving_y"], "fixed": ["fixed_x", "fixed_y"], "error": list(errors)}
     return pn.widgets.Tabulator(
         pd.DataFrame({name: [] for name in ("number", "name", *places, *errors)}),
         show_index=False, disabled=True, selectable=1, height=262, sizing_mode="stretch_width", layout="fit_columns",
-        titles=titles, formatters=dict.fromkeys(places, right) | dict.fromkeys(errors, fine), theme="simple",
+        titles=titles, groups=groups, formatters=dict.fromkeys(places, right) | dict.fromkeys(errors, fine), theme="simple",
         text_align=dict.fromkeys((*places, *errors), "right"), margin=0, pagination=None, header_filters=False,
         widths={"number": 44},
-        configuration={"columnDefaults": {"resizable": False, "minWidth": 60}}, stylesheets=[_TABLE_STYLE],
+        configuration={"columnDefaults": {"resizable": False, "minWidth": 56}}, stylesheets=[_TABLE_STYLE],
     )  # fmt: skip
 
 

@@ -32,11 +32,11 @@ class Layout:
         header = _bar(_html("<h1>Image registration by landmarks</h1>"), self._status, justify_content="space-between")
         opening = _bar(*view.openers.values(), view.load_landmarks, c.example)
         left = _card("Pairs, in pixels", _bar(c.undo, c.redo, c.delete, c.clear), c.table, kind="wide")
-        saving = [_bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format)]
-        middle = _stack(_card("View", _bar(c.mode), _bar(c.grid, c.points, c.live), c.time))
-        right = _stack(
-            _card("Registration", _bar(c.align, c.sigma), _bar(c.scheme, c.interpolation)), _card("Download", *saving)
-        )
+        saving = _card(
+            "Download", _bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format)
+        )  # fmt: skip
+        middle = _stack(_card("View", _bar(c.mode), _bar(c.grid, c.points, c.live), c.time), saving)
+        right = _stack(_card("Registration", _bar(c.align, c.sigma), _bar(c.scheme, c.interpolation)))
         self.root = pn.Column(
             view.browser, header, opening, self._help, self._message, self._canvases, _box(left, middle, right, gap="10px"),
             css_classes=["page"], sizing_mode="stretch_width", stylesheets=[STYLE],
