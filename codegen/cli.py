@@ -15,6 +15,7 @@ import typer
 
 from codegen.errors import ArgumentError
 from codegen.terminal import OneLineErrors, console, one_line, progress, working
+from codegen.warp_command import warp
 
 if TYPE_CHECKING:
     from codegen.compiler import Build
@@ -317,6 +318,9 @@ def stress(
     if failed:
         typer.echo(f"codegen: {len(failed)} of {len(rows)} rows failed; see {out / 'stress.html'}", err=True)
         raise typer.Exit(1)
+
+
+main.command()(warp)
 
 
 def _build(

@@ -76,7 +76,8 @@ class Connect(Problem):
 
     `points` is a file that holds them: it is read when the problem is solved, so that one module serves all files.
     `path` is a function of a start and a target, tuples of symbols, and of the fraction of the way between them; it
-    returns the coordinates of a guess of the place there, and may be left out for straight lines.
+    returns the coordinates of a guess of the place there, and may be left out for straight lines. With `passive=True`
+    the module also carries points without momenta along with the motion.
     """
 
     task: ClassVar[str] = "connect"
@@ -86,3 +87,4 @@ class Connect(Problem):
     steps: int = 10
     points: Points
     path: Callable[..., Sequence[Expression]] | None = None
+    passive: bool = False

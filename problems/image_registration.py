@@ -64,6 +64,7 @@ def problem(
     kernel: Literal["plate", "gauss"] = "plate",
     dimension: Literal[2, 3] = 2,
     path: Literal["arc", "straight"] = "arc",
+    passive: bool = False,
 ) -> Connect:
     i, j = particles("x y z"[: 2 * dimension - 1], "px py pz"[: 3 * dimension - 1])
     if kernel == "plate":
@@ -75,5 +76,6 @@ def problem(
         hamiltonian=Pairwise((i, j), pair_term=dot(i.p, j.p) * green, domain=domain),
         points=landmarks,
         path=arc if curved else None,
+        passive=passive,
         steps=10,
     )

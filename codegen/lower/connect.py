@@ -13,6 +13,7 @@ from codegen.lower.module import Argument, Module
 from codegen.lower.pair_writer import PairLoop
 from codegen.lower.pairwise import pair_loops, separable_loops
 from codegen.lower.particle_loops import ParticleLoop, particle_loops
+from codegen.lower.passive import BLOCK, PassiveLoop, passive_loops
 from codegen.lower.printer import scalar_code
 from codegen.transcribe.connect import PairwiseProgram
 
@@ -21,11 +22,12 @@ from codegen.transcribe.connect import PairwiseProgram
 class ConnectModule(Module):
     """A module that connects given points by the motion of particles.
 
-    `own` are a particle's own parameters, `method` is the module's.
+    `own` are a particle's own parameters, `method` is the module's; there are `passive_loops` where points are carried.
     """
 
     particle_loops: tuple[ParticleLoop, ...]
     loops: tuple[PairLoop, ...]
+    passive_loops: tuple[PassiveLoop, ...]
     own: tuple[Argument, ...]
     method: str
     duration: str
@@ -37,16 +39,17 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
     model = program.model
     singles, loops = pair_loops(model, derivatives)
     around = particle_loops(model, singles)
+    carried = passive_loops(model, derivatives)
     return ConnectModule(
         template="connect.py.j2",
         name=model.name,
         title=model.title,
-        description=tuple(_description(program, derivatives, loops)),
-        left_out=tuple(_left_out(program, derivatives, singles)),
-        metadata=tuple(_metadata(program, derivatives, loops)),
+        description=tuple(_description(program, derivatives, (*loops, *carried))),
+        left_out=tuple(_left_out_of_connection(program, derivatives, singles)),
+        metadata=tuple(_metadata(program, derivatives, (*loops, *carried))),
         constants=tuple(_constants(program, derivatives)),
         kernels=(),
-        runtime=_runtime(program, loops, around),
+        runtime=(*_runtime(program, loops, around), *_passive_runtime(program, carried)),
         sizes=(("IMPLICIT", int(_implicit(program))),),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
@@ -54,6 +57,7 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         steps=model.steps,
         particle_loops=around,
         loops=loops,
+        passive_loops=carried,
         own=tuple(Argument(name, "1.0") for name in model.own),
         method=program.method,
         duration=scalar_code(model.duration),
@@ -126,7 +130,7 @@ def _left_out_of_motion(
 
 
 def _metadata_of_motion(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | PassiveLoop, ...]
 ) -> list[tuple[str, str]]:
     """The metadata of a simulation, which names the coordinates of every particle."""
     model = program.model
@@ -168,6 +172,8 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
         lines.append(Line("WEIGHTS", _floats(program.weights), "weights of the stages"))
         weights = list(program.weights)
     lines.append(Line("COST_WEIGHTS", _floats(weights), "weights of the points in the discrete cost"))
+    if model.passive:
+        lines.append(Line("BLOCK", str(BLOCK), "passive points that are carried together"))
     if program.method == "action":
         lines.append(Line("PLACE", repr(float(program.place)), "where on an interval the action takes H"))
     return lines
@@ -195,6 +201,15 @@ def _runtime(
     return tuple(files)
 
 
+def _passive_runtime(program: PairwiseProgram, carried: tuple[PassiveLoop, ...]) -> tuple[str, ...]:
+    """The files that carry passive points, if there are kernels for them."""
+    if not carried:
+        return ()
+    logarithms = any("packed_" in line.code for visit in carried for line in (*visit.body, *visit.outputs))
+    step = "passive_substeps" if program.substeps else "passive_runge_kutta"
+    return (*(["packed_logarithms"] if logarithms else []), "passive_newton", step, "passive_flow")
+
+
 def _implicit(program: PairwiseProgram) -> bool:
     """Whether equations are solved inside a step."""
     return any(a != 0 or b != 0 for _, a, b in program.substeps)
@@ -218,7 +233,18 @@ def _left_out(program: PairwiseProgram, derivatives: PairDerivatives, singles: t
     return out
 
 
-def _description(program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop, ...]) -> list[str]:
+def _left_out_of_connection(
+    program: PairwiseProgram, derivatives: PairDerivatives, singles: tuple[str, ...]
+) -> list[str]:
+    lines = _left_out(program, derivatives, singles)
+    if not program.model.passive:
+        lines.append("points without momenta that the motion carries along: passive=True has them")
+    return lines
+
+
+def _description(
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | PassiveLoop, ...]
+) -> list[str]:
     model = program.model
     lines = [
         "Particles i = 1 ... n with places q_i and momenta p_i move by the Hamiltonian",
@@ -272,7 +298,7 @@ def _between(a: sympy.Rational, b: sympy.Rational) -> str:
 
 
 def _metadata(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | PassiveLoop, ...]
 ) -> list[tuple[str, str]]:
     model = program.model
     return [
@@ -288,5 +314,6 @@ def _metadata(
         ("points", repr(model.points)),
         ("separable", repr(derivatives.separable)),
         ("quadratic", repr(derivatives.quadratic)),
+        *([("passive", "True")] if model.passive else []),
         ("operations", repr({v.name: (v.operations_before, v.operations_after) for v in loops})),
     ]

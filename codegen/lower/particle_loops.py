@@ -62,9 +62,13 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
     return tuple(loops)
 
 
-def accurate_sum(expression: Expr, model: PairwiseModel) -> str:
-    """Code of a polynomial of one particle's coordinates: to the last digit where it is a sum of products of two."""
-    reads = {s: Symbol(f"z[0, i, {a}]", real=True) for a, s in enumerate(model.first.q)}
+def accurate_sum(expression: Expr, model: PairwiseModel, places: Sequence[str] = ()) -> str:
+    """Code of a polynomial of one particle's coordinates: to the last digit where it is a sum of products of two.
+
+    `places` are codes that read the coordinates, by default those of particle i.
+    """
+    places = places or [f"z[0, i, {a}]" for a in range(len(model.first.q))]
+    reads = {s: Symbol(code, real=True) for s, code in zip(model.first.q, places, strict=True)}
     first, second = list[str](), list[str]()
     for term in sympy.Add.make_args(sympy.expand(expression)):
         coefficient, rest = term.as_coeff_Mul()

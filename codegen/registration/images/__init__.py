@@ -121,11 +121,20 @@ def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> Non
     Raises ImageError where file and samples do not fit, and ArgumentError where the file system refuses.
     """
     path = Path(path)
+    require_fitting(path, pixels)
     kind = require_kind(path)
-    _require_pixels(path, pixels)
     encode = by_tifffile.encode if kind == "TIFF" else by_pillow.encode
     with replacing(path) as temporary:
         encode(path, temporary, kind, pixels, profile)
+
+
+def require_fitting(path: Path, pixels: Pixels) -> None:
+    """Refuse samples and channels that the kind of file has no place for; ImageError names the file."""
+    kind = require_kind(path)
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (2, 3, 4)) or not pixels.size:
+        raise ImageError(f"{path}: an array of shape {pixels.shape} is no image", "give (h, w) or (h, w, 2 to 4)")
+    check = by_tifffile.require_fitting if kind == "TIFF" else by_pillow.require_fitting
+    check(path, kind, pixels.dtype, pixels.shape[2] if pixels.ndim == 3 else 1)
 
 
 def require_kind(path: Path) -> str:
@@ -135,8 +144,3 @@ def require_kind(path: Path) -> str:
             return kind
     known = ", ".join(suffix for suffixes in KINDS.values() for suffix in suffixes)
     raise ImageError(f"{path}: unknown kind of image", f"let its name end in one of {known}")
-
-
-def _require_pixels(path: Path, pixels: Pixels) -> None:
-    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (2, 3, 4)) or not pixels.size:
-        raise ImageError(f"{path}: an array of shape {pixels.shape} is no image", "give (h, w) or (h, w, 2 to 4)")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.errors import ImageError
+from codegen.errors import ExtraError, ImageError
 from codegen.registration.images.header import Header
 
 MODES = {"L": 1, "LA": 2, "RGB": 3, "RGBA": 4}
@@ -62,23 +62,28 @@ def _itk(name: str) -> Any:
         import SimpleITK
     except ImportError as error:
         finding = f"{name}: PNG with several channels of 16 bits takes SimpleITK, which is not installed"
-        raise ImageError(finding, "pip install variational-codegen[images], or use TIFF") from error
+        raise ExtraError(finding, "pip install variational-codegen[images], or use TIFF") from error
     return SimpleITK
 
 
+def require_fitting(path: Path, kind: str, dtype: np.dtype[Any], channels: int) -> None:
+    """Refuse samples that a PNG or JPEG file cannot hold; ImageError names the file."""
+    if kind == "JPEG" and (dtype != np.uint8 or channels not in (1, 3)):
+        finding = f"{path}: JPEG holds 8-bit grey or RGB, and this is {dtype} with {channels} channels"
+        raise ImageError(finding, "write PNG or TIFF")
+    if dtype not in (np.uint8, np.uint16):
+        raise ImageError(f"{path}: PNG holds 8-bit or 16-bit samples, and these are {dtype}", "write TIFF")
+    if dtype == np.uint16 and channels == 2:
+        raise ImageError(f"{path}: 16-bit grey with opacity cannot be written as PNG", "write TIFF")
+    if dtype == np.uint16 and channels > 2:
+        _itk(str(path))
+
+
 def encode(path: Path, temporary: Path, kind: str, pixels: NDArray[Any], profile: bytes | None) -> None:
-    """Write a file of the given kind to `temporary`; ImageError where it cannot hold the samples, naming `path`."""
+    """Write a file of the given kind, into which the samples fit, to `temporary`."""
     from PIL import Image
 
-    channels = pixels.shape[2] if pixels.ndim == 3 else 1
-    if kind == "JPEG" and (pixels.dtype != np.uint8 or channels not in (1, 3)):
-        finding = f"{path}: JPEG holds 8-bit grey or RGB, and this is {pixels.dtype} with {channels} channels"
-        raise ImageError(finding, "write PNG or TIFF")
-    if pixels.dtype not in (np.uint8, np.uint16):
-        raise ImageError(f"{path}: PNG holds 8-bit or 16-bit samples, and these are {pixels.dtype}", "write TIFF")
-    if pixels.dtype == np.uint16 and channels > 1:
-        if channels == 2:
-            raise ImageError(f"{path}: 16-bit grey with opacity cannot be written as PNG", "write TIFF")
+    if pixels.dtype == np.uint16 and pixels.ndim == 3:
         itk = _itk(str(path))
         itk.WriteImage(itk.GetImageFromArray(pixels, isVector=True), str(temporary), imageIO="PNGImageIO")
         return

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.errors import ImageError
+from codegen.errors import ExtraError, ImageError
 from codegen.registration.images.header import Header
 
 SAMPLES = frozenset(np.dtype(name) for name in ("u1", "u2", "i2", "u4", "i4", "f4", "f8"))
@@ -20,8 +20,11 @@ DEFLATE = (8, 32946)
 
 def _tifffile() -> Any:
     """The library, which says on stderr what is wrong with a file unless it is told not to."""
-    import tifffile
-
+    try:
+        import tifffile
+    except ImportError as error:
+        finding = "TIFF files take tifffile, which is not installed"
+        raise ExtraError(finding, "pip install variational-codegen[images]") from error
     tifffile.logger().setLevel(logging.CRITICAL)
     return tifffile
 
@@ -107,10 +110,15 @@ def _native(pixels: NDArray[Any]) -> NDArray[Any]:
     return pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
 
 
+def require_fitting(path: Path, kind: str, dtype: np.dtype[Any], channels: int) -> None:
+    """Refuse samples that are not written; ImageError names the file."""
+    if dtype not in SAMPLES:
+        raise ImageError(f"{path}: samples of {dtype} cannot be written", "convert them to 32-bit floats")
+    _tifffile()
+
+
 def encode(path: Path, temporary: Path, kind: str, pixels: NDArray[Any], profile: bytes | None) -> None:
-    """Write one page, compressed without loss, to `temporary`; ImageError where TIFF has no such samples."""
-    if pixels.dtype not in SAMPLES:
-        raise ImageError(f"{path}: samples of {pixels.dtype} cannot be written", "convert them to 32-bit floats")
+    """Write one page, compressed without loss, to `temporary`."""
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     _tifffile().imwrite(
         temporary, pixels, photometric="rgb" if channels > 2 else "minisblack", compression="zlib", metadata=None,

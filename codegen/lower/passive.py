@@ -1,0 +1,135 @@
+"""Velocities of points without momenta -> loops over particles and, inside them, over blocks of points.
+
+Arrays of points hold BLOCK of them, one coordinate after the other, so that the inner loop runs over neighbours in
+memory, has a fixed length and no branches: a compiler turns it into operations on several points at once.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sympy import Expr, Max
+
+from codegen.differentiate.pairwise import PairDerivatives
+from codegen.differentiate.passive import PassiveDerivatives, passive_derivatives
+from codegen.lower.kernels import Line, Output, kernel
+from codegen.lower.pair_writer import CLOSEST, Writer, needed
+from codegen.lower.particle_loops import accurate_sum
+from codegen.model.pairwise import PairwiseModel
+
+BLOCK = 128
+"""Points of a block: all that is known about them stays in the cache nearest to the processor."""
+
+
+@dataclass(frozen=True)
+class PassiveLoop:
+    """A function that adds up what all particles j contribute to each point m of a block.
+
+    `head` comes first, `before` and `after` are run for each point; `inputs` for each particle, then for each point
+    `point_inputs`, `body` and `outputs`. `over_points` is the code of the last loop, none where there is no domain.
+    """
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    head: tuple[Line, ...]
+    before: tuple[Line, ...]
+    inputs: tuple[Line, ...]
+    point_inputs: tuple[Line, ...]
+    body: tuple[Line, ...]
+    outputs: tuple[Line, ...]
+    over_points: tuple[str, ...]
+    after: tuple[Line, ...]
+    operations_before: int
+    operations_after: int
+
+
+def passive_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[PassiveLoop, ...]:
+    """The velocity of passive points; and the velocity with its derivative by their places. None if not asked for."""
+    if not model.passive:
+        return ()
+    passive, size = passive_derivatives(model, derivatives), len(model.coordinates)
+    writer = Writer(model, derivatives)
+    velocity = [(_entry("rates", a), value) for a, value in enumerate(passive.velocity)]
+    gradient = [(_entry("gradients", k), value) for k, value in enumerate(passive.gradient)]
+    shapes = f"`rates`, shape ({size}*BLOCK,), with the velocities of passive points at `places`"
+    return (
+        _loop(writer, passive, "passive_velocity", f"Fill {shapes}.", ("rates",), velocity),
+        _loop(
+            writer, passive, "passive_gradient",
+            f"Fill {shapes}, and `gradients`, shape ({size * size}*BLOCK,), with their derivatives by place.",
+            ("rates", "gradients"), [*velocity, *gradient],
+        ),
+    )  # fmt: skip
+
+
+def _loop(
+    writer: Writer,
+    passive: PassiveDerivatives,
+    name: str,
+    summary: str,
+    filled: tuple[str, ...],
+    outputs: Sequence[tuple[str, Expr]],
+) -> PassiveLoop:
+    model = writer.model
+    reads = {s: _entry("places", a) for a, s in enumerate(model.first.q)}
+    reads |= {**writer.places("j"), **{s: f"parameters[{k}]" for k, s in enumerate(model.parameters)}}
+    own = {s: _of_point(code) for s, code in writer.single_places.items()}
+    pair_scalars = {s for s, _ in writer.derivatives.pair.scalars}
+    reads |= {s: code for s, code in own.items() if s in pair_scalars}
+    assignments = [
+        (symbol, Max(value, CLOSEST) if model.smooth and symbol in writer.derivatives.pair.distances else value)
+        for symbol, value in needed(passive.assignments, [value for _, value in outputs])
+        if symbol not in own
+    ]
+    made = kernel(
+        "", "", (), reads, [Output(target, value, "", "+=") for target, value in outputs if value != 0],
+        assignments=assignments,
+    )  # fmt: skip
+    places = [_entry("places", a) for a in range(len(model.coordinates))]
+    sums = [accurate_sum(e, model, places) for e in writer.singles]
+    scalars = {code: _entry("scalars", k) for k, code in enumerate(sums)}
+    lengths = f"{len(sums)}*BLOCK" if len(sums) > 1 else "BLOCK"
+    singles = [Line("singles", "single_values(z)"), Line("scalars", f"np.empty({lengths})")] if sums else []
+    positive = [scalars.get(code, code) for code in (accurate_sum(e, model, places) for e in model.domain)]
+    margin = positive[0] if len(positive) == 1 else f"min({', '.join(positive)})"
+    return PassiveLoop(
+        name=name,
+        summary=summary,
+        arguments=("places", "z", "own", "parameters", *filled),
+        head=(*singles, *(line for line in made.inputs if line.code.startswith("parameters["))),
+        before=(
+            *(Line(target, code) for code, target in scalars.items()),
+            *(Line(target, "0.0") for target, _ in outputs),
+        ),
+        inputs=tuple(line for line in made.inputs if "j" in line.code and "m]" not in line.code),
+        point_inputs=tuple(line for line in made.inputs if "m]" in line.code),
+        body=tuple(_packed(line) for line in made.body),
+        outputs=tuple(_packed(line) for line in made.outputs),
+        over_points=("for m in range(BLOCK):",) if model.domain else (),
+        after=tuple(Line(target, f"{target} if {margin} > 0.0 else 0.0") for target, _ in outputs if model.domain),
+        operations_before=made.operations_before,
+        operations_after=made.operations_after,
+    )  # fmt: skip
+
+
+def _entry(array: str, row: int) -> str:
+    return f"{array}[{_offset(row)}m]"
+
+
+def _offset(row: int) -> str:
+    """Where a row of a block begins."""
+    return "" if row == 0 else "BLOCK + " if row == 1 else f"{row}*BLOCK + "
+
+
+def _of_point(code: str) -> str:
+    """The code of a scalar of a single particle, where particle i is a point of a block."""
+    return re.sub(r"singles\[i, (\d+)\]", lambda found: _entry("scalars", int(found[1])), code)
+
+
+def _packed(line: Line) -> Line:
+    """A line with logarithms that have no branches in place of those of the C library."""
+    code = re.sub(r"\b(?:math\.)?(log1p|x_minus_log1p|log1p_minus_ratio)\(", r"packed_\1(", line.code)
+    return Line(line.target, code, line.comment, line.operator)

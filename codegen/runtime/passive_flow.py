@@ -1,0 +1,68 @@
+"""Passive points, which have no momenta, carried along the motion of particles, forwards or backwards."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.example_pairs import DIMENSION, POINTS
+from codegen.runtime.example_passive import BLOCK
+from codegen.runtime.pair_trajectory import defects
+from codegen.runtime.passive_substeps import passive_step
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def carry_points(points, h, first, last, stages, own, parameters, carried, jacobians):
+    """Fill `carried`, shape (n, d), with `points` carried from node `first` to node `last`, block after block.
+
+    `jacobians`, shape (n, d, d), gets the derivatives of that map, unless it is empty.
+    """
+    count, square = points.shape[0], DIMENSION * DIMENSION
+    places, rates, older = np.empty(DIMENSION * BLOCK), np.empty(DIMENSION * BLOCK), np.empty(DIMENSION * BLOCK)
+    tangents = np.empty(square * BLOCK if jacobians.size > 0 else 0)
+    for start in range(0, count, BLOCK):
+        for m in range(BLOCK):
+            row = min(start + m, count - 1)
+            for a in range(DIMENSION):
+                places[a * BLOCK + m] = points[row, a]
+        rates[:] = 0.0
+        older[:] = 0.0
+        for e in range(tangents.size):
+            tangents[e] = 1.0 if (e // BLOCK) % (DIMENSION + 1) == 0 else 0.0
+        for k in range(first, last):
+            passive_step(k, h, stages, own, parameters, places, tangents, rates, older)
+        for k in range(first - 1, last - 1, -1):
+            passive_step(k, -h, stages, own, parameters, places, tangents, rates, older)
+        for m in range(min(BLOCK, count - start)):
+            for a in range(DIMENSION):
+                carried[start + m, a] = places[a * BLOCK + m]
+            for e in range(square if jacobians.size > 0 else 0):
+                jacobians[start + m, e // DIMENSION, e % DIMENSION] = tangents[e * BLOCK + m]
+
+
+def stages_of(case, path):
+    """The states at which the scheme evaluates H along the states `path`, shape (N POINTS, 2, n, d)."""
+    points, errors = np.zeros((case.steps * POINTS, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
+    if defects(case.duration / case.steps, case.own, case.parameters, path, points, errors) < 0:
+        raise ValueError("path has a state from which no step can be made; carry points along a solved path")
+    return points
+
+
+def carry(case, stages, points, first=0, last=None, derivative=False):
+    """Carry passive points, shape (m, d), along the motion whose `stages` are given, from one node to another.
+
+    By default from the first node to the last; from `first` back to an earlier `last` the inverse of that map. Returns
+    the places, shape (m, d), and the derivatives of the map, shape (m, d, d), or None. A point outside the domain of
+    the particles stays where it is; one for which an implicit step has no solution becomes NaN. Raises ValueError
+    when points or nodes are unusable.
+    """
+    points = np.ascontiguousarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != DIMENSION:
+        raise ValueError(f"points have shape {points.shape}, expected (m, {DIMENSION})")
+    last = case.steps if last is None else last
+    for name, node in (("first", first), ("last", last)):
+        if not 0 <= node <= case.steps:
+            raise ValueError(f"{name} is {node!r}, expected a node between 0 and {case.steps}")
+    carried = np.empty(points.shape)
+    jacobians = np.empty((len(points) if derivative else 0, DIMENSION, DIMENSION))
+    h = case.duration / case.steps
+    carry_points(points, h, first, last, stages, case.own, case.parameters, carried, jacobians)
+    return carried, jacobians if derivative else None

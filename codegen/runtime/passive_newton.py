@@ -1,0 +1,97 @@
+"""Newton's method for blocks of passive points: when it has come to an end, and linear equations of each point.
+
+A matrix of each point, d rows of some columns, is kept entry after entry, with all points of the block in each.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.example_pairs import DIMENSION
+from codegen.runtime.example_passive import BLOCK
+
+MOST = 30  # iterations of Newton's method
+SETTLED = 1e-16  # a change of a place, in units of length, that is not made any more
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def eliminated(matrices, right, columns):
+    """Solve the equations of each point, `right` with some columns, in place.
+
+    The matrices are close to the unit matrix, or their steps would be too long to be inverted: there is no pivoting.
+    """
+    for c in range(DIMENSION):
+        for a in range(c + 1, DIMENSION):
+            for m in range(BLOCK):
+                factor = matrices[(a * DIMENSION + c) * BLOCK + m] / matrices[c * (DIMENSION + 1) * BLOCK + m]
+                matrices[(a * DIMENSION + c) * BLOCK + m] = factor
+            for b in range(c + 1, DIMENSION):
+                for m in range(BLOCK):
+                    factor = matrices[(a * DIMENSION + c) * BLOCK + m]
+                    matrices[(a * DIMENSION + b) * BLOCK + m] -= factor * matrices[(c * DIMENSION + b) * BLOCK + m]
+            for b in range(columns):
+                for m in range(BLOCK):
+                    factor = matrices[(a * DIMENSION + c) * BLOCK + m]
+                    right[(a * columns + b) * BLOCK + m] -= factor * right[(c * columns + b) * BLOCK + m]
+    for a in range(DIMENSION - 1, -1, -1):
+        for b in range(columns):
+            for c in range(a + 1, DIMENSION):
+                for m in range(BLOCK):
+                    factor = matrices[(a * DIMENSION + c) * BLOCK + m]
+                    right[(a * columns + b) * BLOCK + m] -= factor * right[(c * columns + b) * BLOCK + m]
+            for m in range(BLOCK):
+                right[(a * columns + b) * BLOCK + m] /= matrices[a * (DIMENSION + 1) * BLOCK + m]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def shifted_unit(gradients, factor, matrices):
+    """Fill `matrices` with 1 + factor times the gradients."""
+    for a in range(DIMENSION):
+        for b in range(DIMENSION):
+            row = (a * DIMENSION + b) * BLOCK
+            for m in range(BLOCK):
+                matrices[row + m] = factor * gradients[row + m] + (1.0 if a == b else 0.0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def times(matrices, tangents, products):
+    """Fill `products` with the matrix of each point times its tangent, which is a matrix as well."""
+    for a in range(DIMENSION):
+        for b in range(DIMENSION):
+            row = (a * DIMENSION + b) * BLOCK
+            for m in range(BLOCK):
+                products[row + m] = 0.0
+            for c in range(DIMENSION):
+                for m in range(BLOCK):
+                    products[row + m] += (
+                        matrices[(a * DIMENSION + c) * BLOCK + m] * tangents[(c * DIMENSION + b) * BLOCK + m]
+                    )
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def moved_places(places, changes):
+    """Add `changes` to the places; return the largest of them."""
+    largest = 0.0
+    for k in range(DIMENSION * BLOCK):
+        places[k] += changes[k]
+        if abs(changes[k]) > largest:
+            largest = abs(changes[k])
+    return largest
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def has_settled(change, previous):
+    """Whether another iteration would change nothing, as changes decrease quadratically: by change^2/previous^2.
+
+    The largest changes of a block may belong to different points, for which a factor of a hundred makes up.
+    """
+    return change <= SETTLED or (previous < np.inf and 100.0 * change * (change / previous) ** 2 <= SETTLED)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def without_unsettled(places, changes):
+    """Make those points of a block NaN for which Newton's method has found no place."""
+    for m in range(BLOCK):
+        for a in range(DIMENSION):
+            if abs(changes[a * BLOCK + m]) > 1e-13:
+                for b in range(DIMENSION):
+                    places[b * BLOCK + m] = np.nan
