@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from codegen.registration.app.session import Session
 
-__all__ = ["page", "serve"]
+__all__ = ["page", "prepare", "serve"]
 
 
 def page(*images: Path | str, session: Session | None = None) -> Viewable:
@@ -30,6 +30,23 @@ def page(*images: Path | str, session: Session | None = None) -> Viewable:
     from codegen.registration.app import server
 
     return server.page(*images, session=session)
+
+
+def prepare(images: Sequence[Path] = ()) -> None:
+    """Read the images, and build and compile the solver, so that the page answers at once.
+
+    Raises ArgumentError when the extra `app` is missing, and the errors of reading images.
+    """
+    _require_panel()
+    from codegen.registration.app.reading import example, session_of
+    from codegen.registration.app.solving import Wanted, certified, shown
+
+    session_of(images)
+    wanted = Wanted(example().task(), grid=True)
+    answer = shown(wanted, None)
+    if answer.registration is not None:
+        shown(Wanted(wanted.task, hasty=True), answer.registration)
+        certified(wanted, answer.registration)
 
 
 def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True) -> None:

@@ -19,7 +19,6 @@ from codegen.errors import CodegenError, ImageError
 from codegen.output import replacing
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.reading import picture_from
-from codegen.registration.app.session import Session
 from codegen.registration.app.state import Work, as_record, from_record
 
 MOST_WORKS = 50
@@ -113,11 +112,6 @@ class Store:
             for path in self.folder.iterdir():
                 if DIGEST.fullmatch(path.name) and path.name not in kept:
                     path.unlink(missing_ok=True)
-
-
-def save_session(store: Store, token: str, session: Session) -> None:
-    """Save what a session holds now."""
-    store.save(token, session.moving, session.fixed, session.work)
 
 
 def _label(picture: Picture) -> dict[str, str]:

@@ -78,8 +78,7 @@ class Browser(JSComponent):  # type: ignore[misc]
 
     _esm = """
     export function render({ model }) {
-      model.on("msg:custom", (event) => {
-        const { name, kind, data } = event.data
+      model.on("msg:custom", ({ name, kind, data }) => {
         const link = document.createElement("a")
         link.href = URL.createObjectURL(new Blob([data], { type: kind }))
         link.download = name

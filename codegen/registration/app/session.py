@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -93,11 +95,11 @@ class Session:
 
     # --- pairs ------------------------------------------------------------------------------------------------------
 
-    def click(self, side: Side, place: Place) -> Pair:
+    def click(self, side: Side, place: Place, partner: Place | None = None) -> Pair:
         """A click on an empty place: a new pair, or the place of the newest pair's guessed partner.
 
-        The partner of a new point is put where the last registration maps it. A click in the other image right
-        afterwards says where it really is. LandmarkError when there are too many pairs.
+        The partner of a new point is put where it is `expected`, which may have been computed elsewhere. A click in the
+        other image right afterwards says where it really is. LandmarkError when there are too many pairs.
         """
         place = self._inside(side, place)
         waiting = self.work.find(self.selected) if self.selected is not None else None
@@ -108,7 +110,7 @@ class Session:
                 raise LandmarkError(f"there are {MOST_PAIRS} pairs already", "delete some, or use codegen warp")
             self._last_identity += 1
             away = other(side)
-            guess = self._inside(away, self._expected(side, place))
+            guess = self._inside(away, self.expected(side, place) if partner is None else partner)
             pair = Pair(self._last_identity, place, place).put(away, guess, guessed=away)
         self._change(self.work.with_pair(pair))
         self.selected = pair.identity
@@ -141,14 +143,15 @@ class Session:
         """Highlight a pair, or none."""
         self.selected = identity if identity is not None and self.work.find(identity) else None
 
-    def follow(self, side: Side, changes: Changes) -> None:
-        """Do what the browser did; moves stay unsettled."""
+    def follow(self, side: Side, changes: Changes, partners: Sequence[Place | None] = ()) -> None:
+        """Do what the browser did; moves stay unsettled. `partners` are where those of new points are expected."""
         if changes.removed:
             self.remove(*changes.removed)
         for identity, place in changes.moved:
             self.move(identity, side, place, settled=False)
-        for place in changes.added:
-            self.click(side, place)
+        for place, partner in zip_longest(changes.added, partners):
+            if all(pair.at(side) != place for pair in self.work.pairs):  # an earlier message may have told of it, too
+                self.click(side, place, partner)
 
     def load(self, landmarks: LandmarkPairs) -> None:
         """Take all pairs from a landmark file instead; it can be undone. LandmarkError when there are too many."""
@@ -194,7 +197,7 @@ class Session:
         x, y = place
         return min(max(float(x), -0.5), width - 0.5), min(max(float(y), -0.5), height - 0.5)
 
-    def _expected(self, side: Side, place: Place) -> Place:
+    def expected(self, side: Side, place: Place) -> Place:
         """Where the partner of a point is, by the last registration; at the same share of the image without one."""
         if self.registration is not None:
             points = np.array([place])

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from sys import stderr
 from typing import Any
 
-import numpy as np
 import panel as pn
-from bokeh.models import ColumnDataSource, CustomJS
+from bokeh.models import ColumnDataSource
 
 from codegen.errors import CodegenError
 from codegen.registration.app import exports, layout, solving
-from codegen.registration.app.autosave import Store, save_session
+from codegen.registration.app.autosave import Store
 from codegen.registration.app.bridge import Browser, FileButton
 from codegen.registration.app.canvas import Canvas, point_rows, point_source
 from codegen.registration.app.controls import Controls, table_rows
@@ -23,19 +22,11 @@ from codegen.registration.app.reading import LIMITS, example, picture_from
 from codegen.registration.app.result import ResultCanvas
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Shown, Wanted
-from codegen.registration.app.state import Settings, Side
-from codegen.registration.app.worker import Deliver, Worker, computing
+from codegen.registration.app.state import Place, Settings, Side
+from codegen.registration.app.worker import Deliver, Worker
 from codegen.registration.formats import parse_landmarks
 
-KINDS = (
-    "draw",
-    "certify",
-    "save",
-    "warped_image",
-    "field",
-    "landmarks",
-    "animation",
-)
+KINDS = ("click moving", "click fixed", "draw", "warped_image", "field", "landmarks", "animation", "save", "certify")
 IMAGES = ".png,.jpg,.jpeg,.tif,.tiff"
 LANDMARKS = ".csv,.pts,.tps,.json,.txt"
 MOST_LANDMARK_BYTES = 8 << 20
@@ -101,8 +92,7 @@ class View:
     def do(self, act: Callable[[], Any]) -> None:
         """Do something to the session that ends in itself, and show what became of it; errors become a message."""
         try:
-            with computing:
-                act()
+            act()
         except CodegenError as error:
             self.fail(error)
             self._show_points()
@@ -121,12 +111,20 @@ class View:
         if self._writing:
             return
         changes = self.session.editions[side].changes(new, self.session.work)
-        if changes.added or changes.removed:
+        if changes.added:
+            # Clicks that are still being worked on come again with the next message, so only the newest counts.
+            expect = partial(self._expectations, side, changes.added)
+            follow = partial(self.session.follow, side, changes)
+            self.worker.ask(f"click {side}", expect, lambda partners: self.do(partial(follow, partners)), self.fail)
+        elif changes.removed:
             self.do(partial(self.session.follow, side, changes))
         elif changes.moved:
             self.session.follow(side, changes)
             if self.controls.live.value:
                 self.draw(hasty=True)
+
+    def _expectations(self, side: Side, places: Sequence[Place]) -> list[Place]:
+        return [self.session.expected(side, place) for place in places]
 
     def _released(self, attr: str, old: Any, new: Any) -> None:
         """The mouse button was let go."""
