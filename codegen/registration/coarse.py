@@ -124,9 +124,7 @@ def _nodes(length: int, spacing: int) -> NDArray[np.float64]:
     return spacing * np.arange(cells + 1.0)
 
 
-def _automatic(
-    function: Map, shape: tuple[int, int], singular: PointArray, largest: int, bound: float
-) -> Positions:
+def _automatic(function: Map, shape: tuple[int, int], singular: PointArray, largest: int, bound: float) -> Positions:
     """Halve the spacing while the pixels to be mapped exactly are more than the nodes that halving would add."""
     grid = _Grid.exact(function, shape, largest)
     while grid.spacing > SMALLEST:

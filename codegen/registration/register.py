@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from codegen.drivers.scaled import quiet_single_thread
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
-from codegen.registration.flow import Flow, registration_module
+from codegen.registration.flow import Flow
 from codegen.registration.frame import MARGIN, Frame, coarse_grid, corners
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
+from codegen.registration.solver import registration_module
 
 TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
@@ -165,7 +166,7 @@ def _extent(shape: Sequence[int]) -> tuple[int, int]:
 
 
 def _momenta(previous: Registration | None, pairs: LandmarkPairs) -> NDArray[np.float64] | None:
-    return None if previous is None or len(previous.pairs) != len(pairs) else previous.flow.path[0, 1]
+    return None if previous is None or len(previous.pairs) != len(pairs) else previous.flow.momenta
 
 
 def _refined(problem: _Problem, tolerance: float, guess: NDArray[np.float64] | None) -> Registration:
@@ -175,7 +176,7 @@ def _refined(problem: _Problem, tolerance: float, guess: NDArray[np.float64] | N
     coarse = _solved(problem, FIRST_STEPS, guess)
     probe = np.vstack([coarse_grid(problem.shape), problem.pairs.moving])
     while True:
-        fine = _solved(problem, 2 * coarse.steps, coarse.flow.path[0, 1])
+        fine = _solved(problem, 2 * coarse.steps, coarse.flow.momenta)
         gain = 2.0 ** float(fine.flow.module.metadata["order"])
         change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
         if change * gain / (gain - 1.0) <= tolerance:
@@ -212,8 +213,8 @@ def _flow(problem: _Problem, steps: int, guess: NDArray[np.float64] | None) -> t
             solution = module.solve_case(case)
         if solution.status != "solved":
             raise RegistrationError(_failure(problem, solution.message), _REMEDY)
-        _, path, points = module.trajectory(case, solution.p[0])
-    return Flow(module, case, path, points), solution
+        path = np.stack([solution.q, solution.p], axis=1)
+    return Flow(module, case, path, module.stages_of(case, path)), solution
 
 
 _REMEDY = "allow for a sigma, take more steps, or leave out landmarks that are close together and move apart"

@@ -68,5 +68,5 @@ def packed_x_minus_log1p(x, log):
 def packed_log1p_minus_ratio(x, log):
     """log(1 + x) - x/(1 + x); of `log`, which is log(1 + x), nothing is needed."""
     k, f, r, series = logarithm_parts(x)
-    rest = ((f - x) / (1.0 + x) + r * f) / (1.0 + f)
+    rest = ((f - x) + r * f * (1.0 + x)) / ((1.0 + f) * (1.0 + x))
     return k * LOG_2_HIGH + (rest + 2.0 * r * series + k * LOG_2_LOW)

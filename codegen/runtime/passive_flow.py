@@ -11,9 +11,9 @@ from codegen.runtime.passive_substeps import passive_step
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def carry_points(points, h, first, last, stages, own, parameters, carried, jacobians):
-    """Fill `carried`, shape (n, d), with `points` carried from node `first` to node `last`, block after block.
+    """Fill `carried`, shape (n, d), with `points` carried from time `first` to time `last`, block after block.
 
-    `jacobians`, shape (n, d, d), gets the derivatives of that map, unless it is empty.
+    `jacobians`, shape (n, d, d), gets the derivatives of that map, unless it is empty. Times are in steps.
     """
     count, square = points.shape[0], DIMENSION * DIMENSION
     places, rates, older = np.empty(DIMENSION * BLOCK), np.empty(DIMENSION * BLOCK), np.empty(DIMENSION * BLOCK)
@@ -27,10 +27,13 @@ def carry_points(points, h, first, last, stages, own, parameters, carried, jacob
         older[:] = 0.0
         for e in range(tangents.size):
             tangents[e] = 1.0 if (e // BLOCK) % (DIMENSION + 1) == 0 else 0.0
-        for k in range(first, last):
-            passive_step(k, h, stages, own, parameters, places, tangents, rates, older)
-        for k in range(first - 1, last - 1, -1):
-            passive_step(k, -h, stages, own, parameters, places, tangents, rates, older)
+        low, high = min(first, last), max(first, last)
+        begin, end = int(np.floor(low)), int(np.ceil(high))
+        for turn in range(end - begin):
+            k = begin + turn if last > first else end - 1 - turn
+            share = min(high, k + 1.0) - max(low, float(k))
+            step = h * share if last > first else -h * share
+            passive_step(k, step, stages, own, parameters, places, tangents, rates, older)
         for m in range(min(BLOCK, count - start)):
             for a in range(DIMENSION):
                 carried[start + m, a] = places[a * BLOCK + m]
@@ -46,21 +49,22 @@ def stages_of(case, path):
     return points
 
 
-def carry(case, stages, points, first=0, last=None, derivative=False):
-    """Carry passive points, shape (m, d), along the motion whose `stages` are given, from one node to another.
+def carry(case, stages, points, first=0.0, last=None, derivative=False):
+    """Carry passive points, shape (m, d), along the motion whose `stages` are given, from one time to another.
 
-    By default from the first node to the last; from `first` back to an earlier `last` the inverse of that map. Returns
-    the places, shape (m, d), and the derivatives of the map, shape (m, d, d), or None. A point outside the domain of
-    the particles stays where it is; one for which an implicit step has no solution becomes NaN. Raises ValueError
-    when points or nodes are unusable.
+    Times are in steps, from 0 to the number of steps; by default the points are carried from the first to the last, and
+    from `first` back to an earlier `last` by the inverse of that map. A time between two nodes is reached by part of a
+    step. Returns the places, shape (m, d), and the derivatives of the map, shape (m, d, d), or None. A point outside
+    the domain of the particles stays where it is; one for which an implicit step has no solution becomes NaN. Raises
+    ValueError when points or times are unusable.
     """
     points = np.ascontiguousarray(points, dtype=float)
     if points.ndim != 2 or points.shape[1] != DIMENSION:
         raise ValueError(f"points have shape {points.shape}, expected (m, {DIMENSION})")
-    last = case.steps if last is None else last
-    for name, node in (("first", first), ("last", last)):
-        if not 0 <= node <= case.steps:
-            raise ValueError(f"{name} is {node!r}, expected a node between 0 and {case.steps}")
+    first, last = float(first), float(case.steps if last is None else last)
+    for name, time in (("first", first), ("last", last)):
+        if not 0.0 <= time <= case.steps:
+            raise ValueError(f"{name} is {time}, expected a time between 0 and {case.steps} steps")
     carried = np.empty(points.shape)
     jacobians = np.empty((len(points) if derivative else 0, DIMENSION, DIMENSION))
     h = case.duration / case.steps

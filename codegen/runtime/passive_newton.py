@@ -19,52 +19,43 @@ def eliminated(matrices, right, columns):
 
     The matrices are close to the unit matrix, or their steps would be too long to be inverted: there is no pivoting.
     """
-    for c in range(DIMENSION):
-        for a in range(c + 1, DIMENSION):
-            for m in range(BLOCK):
-                factor = matrices[(a * DIMENSION + c) * BLOCK + m] / matrices[c * (DIMENSION + 1) * BLOCK + m]
-                matrices[(a * DIMENSION + c) * BLOCK + m] = factor
-            for b in range(c + 1, DIMENSION):
-                for m in range(BLOCK):
-                    factor = matrices[(a * DIMENSION + c) * BLOCK + m]
-                    matrices[(a * DIMENSION + b) * BLOCK + m] -= factor * matrices[(c * DIMENSION + b) * BLOCK + m]
-            for b in range(columns):
-                for m in range(BLOCK):
-                    factor = matrices[(a * DIMENSION + c) * BLOCK + m]
+    d = DIMENSION
+    for m in range(BLOCK):
+        for c in range(d):
+            for a in range(c + 1, d):
+                factor = matrices[(a * d + c) * BLOCK + m] / matrices[c * (d + 1) * BLOCK + m]
+                for b in range(c + 1, d):
+                    matrices[(a * d + b) * BLOCK + m] -= factor * matrices[(c * d + b) * BLOCK + m]
+                for b in range(columns):
                     right[(a * columns + b) * BLOCK + m] -= factor * right[(c * columns + b) * BLOCK + m]
-    for a in range(DIMENSION - 1, -1, -1):
         for b in range(columns):
-            for c in range(a + 1, DIMENSION):
-                for m in range(BLOCK):
-                    factor = matrices[(a * DIMENSION + c) * BLOCK + m]
-                    right[(a * columns + b) * BLOCK + m] -= factor * right[(c * columns + b) * BLOCK + m]
-            for m in range(BLOCK):
-                right[(a * columns + b) * BLOCK + m] /= matrices[a * (DIMENSION + 1) * BLOCK + m]
+            for a in range(d - 1, -1, -1):
+                value = right[(a * columns + b) * BLOCK + m]
+                for c in range(a + 1, d):
+                    value -= matrices[(a * d + c) * BLOCK + m] * right[(c * columns + b) * BLOCK + m]
+                right[(a * columns + b) * BLOCK + m] = value / matrices[a * (d + 1) * BLOCK + m]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def shifted_unit(gradients, factor, matrices):
     """Fill `matrices` with 1 + factor times the gradients."""
-    for a in range(DIMENSION):
-        for b in range(DIMENSION):
-            row = (a * DIMENSION + b) * BLOCK
-            for m in range(BLOCK):
-                matrices[row + m] = factor * gradients[row + m] + (1.0 if a == b else 0.0)
+    for e in range(DIMENSION * DIMENSION):
+        unit = 1.0 if e % (DIMENSION + 1) == 0 else 0.0
+        for m in range(e * BLOCK, (e + 1) * BLOCK):
+            matrices[m] = factor * gradients[m] + unit
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def times(matrices, tangents, products):
     """Fill `products` with the matrix of each point times its tangent, which is a matrix as well."""
-    for a in range(DIMENSION):
-        for b in range(DIMENSION):
-            row = (a * DIMENSION + b) * BLOCK
-            for m in range(BLOCK):
-                products[row + m] = 0.0
-            for c in range(DIMENSION):
-                for m in range(BLOCK):
-                    products[row + m] += (
-                        matrices[(a * DIMENSION + c) * BLOCK + m] * tangents[(c * DIMENSION + b) * BLOCK + m]
-                    )
+    d = DIMENSION
+    for m in range(BLOCK):
+        for a in range(d):
+            for b in range(d):
+                value = 0.0
+                for c in range(d):
+                    value += matrices[(a * d + c) * BLOCK + m] * tangents[(c * d + b) * BLOCK + m]
+                products[(a * d + b) * BLOCK + m] = value
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
