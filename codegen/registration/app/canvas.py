@@ -19,7 +19,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from codegen.registration.app.solving import rgba
+from codegen.registration.app.picture import rgba
 from codegen.registration.app.state import Side, Work
 
 # Okabe and Ito's colours, which the colour-blind tell apart; black, and yellow on white, are left out.

@@ -47,7 +47,9 @@ class Controls:
         self.mode = pn.widgets.RadioButtonGroup(options=list(MODES), value=MODES[0], margin=0, stylesheets=[STYLE])
         self.grid = pn.widgets.Checkbox(name="Grid", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
         self.points = pn.widgets.Checkbox(name="Points", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
-        self.live = pn.widgets.Checkbox(name="Solve while dragging", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
+        self.live = pn.widgets.Checkbox(
+            name="Solve while dragging", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE]
+        )
         self.time = pn.widgets.FloatSlider(
             name="Time along the flow", start=0.0, end=1.0, value=1.0,
             step=0.02, margin=0, sizing_mode="stretch_width", stylesheets=[STYLE],
@@ -84,9 +86,7 @@ def _table() -> pn.widgets.Tabulator:
     )  # fmt: skip
 
 
-def table_rows(
-    work: Work, residuals: NDArray[np.float64] | None, left_out: NDArray[np.float64] | None
-) -> pd.DataFrame:
+def table_rows(work: Work, residuals: NDArray[np.float64] | None, left_out: NDArray[np.float64] | None) -> pd.DataFrame:
     """The table; errors that are not known, or belong to other pairs, are left open."""
     count = len(work.pairs)
     moving = np.array([pair.moving for pair in work.pairs]).reshape(-1, 2)

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 
 from codegen.errors import LandmarkError
 from codegen.registration.app.session import Task
-from codegen.registration.app.solving import frame, grid, rgba
+from codegen.registration.app.solving import frame, grid
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import write_image
 from codegen.registration.register import Registration, register
@@ -87,7 +87,7 @@ def animation(task: Task, with_grid: bool = False) -> Download:
 
 
 def _painted(task: Task, registration: Registration, time: float, with_grid: bool) -> Image.Image:
-    pixels = rgba(frame(task, registration, time))
+    pixels = frame(task, registration, time)
     picture = Image.new("RGBA", (pixels.shape[1], pixels.shape[0]), PAPER)
     picture.alpha_composite(Image.fromarray(pixels))
     if with_grid:

@@ -71,10 +71,24 @@ class Picture:
             return np.ascontiguousarray(pixels)
         return np.asarray(Image.fromarray(np.ascontiguousarray(pixels)).reduce(self.reduction))
 
+    @cached_property
+    def screen(self) -> NDArray[np.uint8]:
+        """The small copy as RGBA, (h, w, 4)."""
+        return rgba(self.preview)
+
     def preview_places(self, step: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """x and y, in pixels of the image, of every `step`-th pixel of the preview; the last lies at its far edge."""
+        """X and y, in pixels of the image, of every `step`-th pixel of the preview; the last lies at its far edge."""
         height, width = self.preview.shape[:2]
         return _centres(width, step, self.reduction), _centres(height, step, self.reduction)
+
+
+def rgba(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image of 8 bits with four channels."""
+    if image.ndim == 3 and image.shape[2] == 4:
+        return image
+    result = np.full((*image.shape[:2], 4), 255, np.uint8)
+    result[..., :3] = image if image.ndim == 3 else image[..., None]
+    return result
 
 
 def _centres(count: int, step: float, reduction: int) -> NDArray[np.float64]:

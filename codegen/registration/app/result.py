@@ -9,7 +9,8 @@ from bokeh.models import BasicTicker, ColorBar, ColumnDataSource, CustomJS, Cust
 from numpy.typing import NDArray
 
 from codegen.registration.app.canvas import Canvas, put_image
-from codegen.registration.app.solving import Certified, rgba
+from codegen.registration.app.picture import rgba
+from codegen.registration.app.solving import Certified
 from codegen.registration.app.state import Side
 
 MODES = ("Warped", "Blink", "Checkerboard", "Blend", "Area change")

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Task
 from codegen.registration.register import Registration, register
 
-COARSE = 8.0
+COARSE, COARSER = 8.0, 16.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
-CERTIFIED_EVERY = 8.0
 GRID_LINES = 16
 """Squares of the drawn grid along the longer side."""
 LINE_POINTS = 49
@@ -41,7 +41,7 @@ class Shown:
     registration: Registration | None
     image: NDArray[np.uint8]
     grid: Lines
-    carried: Array  # where the landmarks are at that time, (n, 2)
+    carried: Array  # where the landmarks are before time 1, (n, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,20 +81,22 @@ def shown(wanted: Wanted, previous: Registration | None, known: Registration | N
     image = frame(wanted.task, registration, wanted.time, smooth=not wanted.hasty)
     lines = grid(wanted.task.moving, registration, wanted.time) if wanted.grid else ([], [])
     carried = np.empty((0, 2))
-    if registration is not None:
+    if registration is not None and wanted.time < 1.0:
         carried = registration.positions(wanted.time, registration.pairs.moving)
     return Shown(wanted, registration, image, lines, carried)
 
 
 def frame(task: Task, registration: Registration | None, time: float, smooth: bool = True) -> NDArray[np.uint8]:
     """The moving preview at a time along the flow, as RGBA of the size of the fixed preview; transparent outside."""
-    x, y = sources(task.fixed, registration, time)
+    x, y = sources(task.fixed, registration, time, COARSE if smooth else COARSER)
     return sampled(task.moving, x, y, smooth)
 
 
-def sources(picture: Picture, registration: Registration | None, time: float) -> tuple[Array, Array]:
+def sources(
+    picture: Picture, registration: Registration | None, time: float, spacing: float = COARSE
+) -> tuple[Array, Array]:
     """Where the pixels of a preview come from: x and y in pixels of the moving image, shape (h, w) each."""
-    coarse_x, coarse_y = picture.preview_places(COARSE)
+    coarse_x, coarse_y = picture.preview_places(spacing)
     fine_x, fine_y = picture.preview_places()
     places = np.stack(np.meshgrid(coarse_x, coarse_y), axis=-1)
     if registration is not None:
@@ -117,32 +119,23 @@ def _weights(coarse: Array, fine: Array) -> Array:
 
 
 def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
-    """A preview at places in pixels of its image, as RGBA."""
-    source = rgba(picture.preview)
+    """A preview at places in pixels of its image, as RGBA; nothing where they are outside."""
+    source = picture.screen
     height, width = source.shape[:2]
     u, v = (x + 0.5) / picture.reduction - 0.5, (y + 0.5) / picture.reduction - 0.5
-    inside = (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
-    u, v = np.clip(u, 0, width - 1), np.clip(v, 0, height - 1)
+    inside = (np.abs(u - (width - 1) / 2) <= width / 2) & (np.abs(v - (height - 1) / 2) <= height / 2)
     if smooth:
-        left, top = np.minimum(u.astype(int), max(width - 2, 0)), np.minimum(v.astype(int), max(height - 2, 0))
-        a, b = (u - left)[..., None].astype(np.float32), (v - top)[..., None].astype(np.float32)
-        right, low = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-        above = source[top, left] * (1 - a) + source[top, right] * a
-        below = source[low, left] * (1 - a) + source[low, right] * a
-        result = np.rint(above * (1 - b) + below * b).astype(np.uint8)
-    else:
-        result = source[np.rint(v).astype(int), np.rint(u).astype(int)]
-    result[~inside] = 0
-    return result
-
-
-def rgba(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """An image of 8 bits with four channels."""
-    if image.ndim == 3 and image.shape[2] == 4:
-        return image
-    result = np.full((*image.shape[:2], 4), 255, np.uint8)
-    result[..., :3] = image if image.ndim == 3 else image[..., None]
-    return result
+        result = np.empty((*x.shape, 4), np.uint8)
+        places = np.stack([np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)])
+        for channel in range(4):
+            values = map_coordinates(source[..., channel].astype(np.float32), places, order=1, mode="nearest")
+            result[..., channel] = np.rint(values)
+        result[~inside] = 0
+        return result
+    row = np.clip(np.rint(v), 0, height - 1).astype(np.intp)
+    column = np.clip(np.rint(u), 0, width - 1).astype(np.intp)
+    packed = source.view(np.uint32).reshape(-1).take(row * width + column)
+    return np.asarray(np.where(inside, packed, np.uint32(0))[..., None]).view(np.uint8)
 
 
 def grid(picture: Picture, registration: Registration | None, time: float) -> Lines:
@@ -163,7 +156,7 @@ def grid(picture: Picture, registration: Registration | None, time: float) -> Li
 def certified(wanted: Wanted, registration: Registration) -> Certified:
     """The extremes of det J on the moving preview's pixels, areas for the map, and leave-one-out errors."""
     areas = area_map(wanted.task.fixed, registration)
-    x, y = wanted.task.moving.preview_places(CERTIFIED_EVERY)
+    x, y = wanted.task.moving.preview_places()
     determinants = registration.determinant(_points(x, y))
     return Certified(
         wanted.task.revision,

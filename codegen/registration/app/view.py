@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from sys import stderr
 from typing import Any
@@ -164,7 +163,7 @@ class View:
             sigma = float(c.sigma.value or 0.0)
             self.session.set(Settings(c.align.value, sigma, c.scheme.value, c.interpolation.value))
 
-    # --- images and landmark files --------------------------------------------------------------------------------------
+    # --- images and landmark files --------------------------------------------------------------------------------
 
     def _open(self, side: Side | None, name: str, data: bytes) -> None:
         def opened() -> None:
@@ -207,7 +206,7 @@ class View:
 
         self.worker.ask(kind, jobs[kind], made, self.fail)
 
-    # --- what is shown ----------------------------------------------------------------------------------------------------
+    # --- what is shown ---------------------------------------------------------------------------------------------
 
     def _show_images(self) -> None:
         """New figures for new images."""

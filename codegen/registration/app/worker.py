@@ -11,7 +11,7 @@ Job: TypeAlias = Callable[[], Any]
 Deliver: TypeAlias = Callable[[Callable[[], None]], None]
 
 computing = threading.Lock()
-"""Held wherever compiled kernels run: they use all cores themselves, and not every system lets two of them run at once."""
+"""Held while compiled kernels run: they use all cores themselves, and not every system runs two of them at once."""
 
 _pool = ThreadPoolExecutor(1, thread_name_prefix="registration")  # sessions take turns, one job each
 
