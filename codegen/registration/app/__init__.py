@@ -46,7 +46,7 @@ def prepare(images: Sequence[Path] = ()) -> None:
     answer = shown(wanted, None)
     if answer.registration is not None:
         shown(Wanted(wanted.task, hasty=True), answer.registration)
-        certified(wanted, answer.registration)
+        certified(wanted, answer.registration, lambda: False)
 
 
 def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True) -> None:
@@ -62,7 +62,7 @@ def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True) -> N
 
 def _require_panel() -> None:
     try:
-        import bokeh
+        import bokeh  # noqa: F401
         import panel  # noqa: F401
     except ImportError as error:
         remedy = 'install it with python -m pip install "variational-codegen[app]"'

@@ -1,9 +1,9 @@
-"""What only the browser can do: hand over files in both directions, and tell of keys; with the page's own small scripts."""
+"""What only the browser can do: hand over files in both directions, and tell of keys."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import param
 from panel.custom import JSComponent
@@ -40,7 +40,7 @@ class FileButton(JSComponent):  # type: ignore[misc]
     }
     """
 
-    _stylesheets = [
+    _stylesheets: ClassVar[list[str]] = [
         """
     :host { width: auto; border: none; padding: 0; }
     .opener { font: inherit; font-size: 13px; padding: 5px 10px; border: 1px solid #b9c0c8; border-radius: 6px;

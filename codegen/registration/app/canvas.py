@@ -10,10 +10,8 @@ from bokeh.core.properties import value
 from bokeh.models import (
     ColumnDataSource,
     CustomJS,
-    PanTool,
     PointDrawTool,
     Range1d,
-    ResetTool,
     WheelZoomTool,
 )
 from bokeh.plotting import figure
@@ -27,11 +25,24 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 WHILE_DRAGGING = 40
 """Milliseconds between messages of a drag."""
 
+_BEGUN = """
+const { x_range, y_range } = figure
+window.__ranges = [x_range.start, x_range.end, y_range.end, y_range.start]
+"""
+# A point that is dragged is told of now and then; a drag of the empty image shifts a view that was zoomed into.
 _DRAGGED = """
 const now = Date.now()
-if (source.selected.indices.length && now - (window.__dragged ?? 0) >= every) {
+if (source.selected.indices.length) {
+  if (now - (window.__dragged ?? 0) < every) return
   window.__dragged = now
   source.setv({ data: source.data }, { check_eq: false })
+} else {
+  const [left, right, top, bottom] = window.__ranges
+  const within = (shift, low, high, least, most) => Math.min(Math.max(shift, least - low), most - high)
+  const x = within(-cb_obj.delta_x * (right - left) / figure.inner_width, left, right, -0.5, width - 0.5)
+  const y = within(-cb_obj.delta_y * (bottom - top) / figure.inner_height, top, bottom, -0.5, height - 0.5)
+  figure.x_range.setv({ start: left + x, end: right + x })
+  figure.y_range.setv({ start: bottom + y, end: top + y })
 }
 """
 # The tool tells of the end of a drag itself; this comes after it. A point that stayed selected would be dragged along.
@@ -75,14 +86,11 @@ class Canvas:
         self.shape = (height, width)
         self.figure = figure(
             x_range=Range1d(-0.5, width - 0.5), y_range=Range1d(height - 0.5, -0.5), aspect_ratio=width / height,
-            sizing_mode="scale_width", tools="", toolbar_location="above", min_border=0, outline_line_color="#c5ccd3",
+            sizing_mode="scale_width", tools="", toolbar_location=None, min_border=0, outline_line_color="#c5ccd3",
             background_fill_color="#f2f4f6", name=label, margin=0,
         )  # fmt: skip
         self.figure.axis.visible = False
         self.figure.grid.visible = False
-        self.figure.toolbar.logo = None
-        self.figure.toolbar_inner = True
-        self.figure.toolbar.autohide = True
         self.image = _image_source()
         self._draw_image(self.image)
         self.source = sources[side]
@@ -129,12 +137,15 @@ class Canvas:
             "colour": "#444444", "rim": "#ffffff", "label": ""}, description="Click to add a pair, drag to move",
         )  # fmt: skip
         zoom = WheelZoomTool(modifiers={"ctrl": True}, description="Zoom: Ctrl + wheel")
-        self.figure.add_tools(draw, PanTool(), zoom, ResetTool())
+        self.figure.add_tools(draw, zoom)
         self.figure.toolbar.active_tap = draw
         self.figure.toolbar.active_drag = draw
         self.figure.toolbar.active_scroll = zoom
         self.released = ColumnDataSource({"count": [0]})
-        self.figure.js_on_event("pan", CustomJS(args={"source": self.source, "every": WHILE_DRAGGING}, code=_DRAGGED))
+        shape = {"figure": self.figure, "height": self.shape[0], "width": self.shape[1]}
+        dragged = CustomJS(args={"source": self.source, "every": WHILE_DRAGGING, **shape}, code=_DRAGGED)
+        self.figure.js_on_event("panstart", CustomJS(args={"figure": self.figure}, code=_BEGUN))
+        self.figure.js_on_event("pan", dragged)
         self.figure.js_on_event(
             "panend", CustomJS(args={"source": self.source, "released": self.released}, code=_RELEASED)
         )

@@ -74,14 +74,14 @@ def _table() -> pn.widgets.Tabulator:
     fine = {"type": "money", "precision": 2, "thousand": ""}
     places = ("moving_x", "moving_y", "fixed_x", "fixed_y")
     errors = ("residual", "left_out")
-    titles = dict(zip(places, "xyxy")) | {"number": "pair", "residual": "residual", "left_out": "left out"}
+    titles = dict(zip(places, "xyxy")) | {"number": "#", "residual": "residual", "left_out": "left out"}
     groups = {"moving": ["moving_x", "moving_y"], "fixed": ["fixed_x", "fixed_y"], "error": list(errors)}
     return pn.widgets.Tabulator(
         pd.DataFrame({name: [] for name in ("number", "name", *places, *errors)}),
-        show_index=False, disabled=True, selectable=1, height=262, sizing_mode="stretch_width", layout="fit_columns",
+        show_index=False, disabled=True, selectable=1, height=236, sizing_mode="stretch_width", layout="fit_columns",
         titles=titles, groups=groups, formatters=dict.fromkeys(places, right) | dict.fromkeys(errors, fine), theme="simple",
         text_align=dict.fromkeys((*places, *errors), "right"), margin=0, pagination=None, header_filters=False,
-        widths={"number": 44},
+        widths={"number": 44, "name": 90}, hidden_columns=["name"],
         configuration={"columnDefaults": {"resizable": False, "minWidth": 56}}, stylesheets=[_TABLE_STYLE],
     )  # fmt: skip
 

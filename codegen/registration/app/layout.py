@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 STYLE = (files("codegen.registration.app") / "style.css").read_text()
 _KEYS = (
     "<kbd>Ctrl Z</kbd> undo, <kbd>Ctrl Shift Z</kbd> redo, <kbd>Delete</kbd> removes the highlighted pair, "
-    "<kbd>Ctrl</kbd> + wheel zooms."
+    "<kbd>Ctrl</kbd> + wheel zooms, dragging beside the points shifts."
 )
 HELP = f"<p><b>Click</b> in either image to add a pair, and <b>drag</b> its two points to the same feature. {_KEYS}</p>"
 HELP_ALONE = f"<p><b>Click</b> to add a point, then <b>drag</b> it in the warped image, which follows. {_KEYS}</p>"
@@ -35,8 +35,8 @@ class Layout:
         saving = _card(
             "Download", _bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format)
         )  # fmt: skip
-        middle = _stack(_card("View", _bar(c.mode), _bar(c.grid, c.points, c.live), c.time), saving)
-        right = _stack(_card("Registration", _bar(c.align, c.sigma), _bar(c.scheme, c.interpolation)))
+        middle = _stack(_card("View", _bar(c.mode), _bar(c.grid, c.points, c.live), c.time))
+        right = _stack(_card("Registration", _bar(c.align, c.sigma), _bar(c.scheme, c.interpolation)), saving)
         self.root = pn.Column(
             view.browser, header, opening, self._help, self._message, self._canvases, _box(left, middle, right, gap="10px"),
             css_classes=["page"], sizing_mode="stretch_width", stylesheets=[STYLE],

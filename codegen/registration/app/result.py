@@ -13,7 +13,7 @@ from codegen.registration.app.picture import rgba
 from codegen.registration.app.solving import Certified
 from codegen.registration.app.state import Side
 
-MODES = ("Warped", "Blink", "Checkerboard", "Blend", "Area change")
+MODES = ("Warped", "Blink", "Checkerboard", "Blend", "Areas")
 SQUARES = 10
 """Squares of the checkerboard along the longer side."""
 BLINK_MILLISECONDS = 700
@@ -82,7 +82,7 @@ class ResultCanvas(Canvas):
             put_image(self.over, over, self.shape)
         self._over.visible = laid_over
         self.blinking.data = {"on": [mode == "Blink"], "shown": [laid_over]}
-        self._areas.visible = self.bar.visible = mode == "Area change"
+        self._areas.visible = self.bar.visible = mode == "Areas"
 
     def show_areas(self, certified: Certified | None) -> None:
         """Colour the map of det J, on a logarithmic scale that is the same for growth and shrinking."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ from codegen.registration.register import Registration, register
 
 COARSE, COARSER = 8.0, 16.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
+PORTIONS, PAUSE = 20, 0.01
+"""The certificate is computed in portions with pauses of so many seconds, which a dragged point may use."""
 GRID_LINES = 16
 """Squares of the drawn grid along the longer side."""
 LINE_POINTS = 49
@@ -153,17 +157,26 @@ def grid(picture: Picture, registration: Registration | None, time: float) -> Li
     return [line[:, 0] for line in lines], [line[:, 1] for line in lines]
 
 
-def certified(wanted: Wanted, registration: Registration) -> Certified:
-    """The extremes of det J on the moving preview's pixels, areas for the map, and leave-one-out errors."""
+def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bool]) -> Certified | None:
+    """The extremes of det J on the moving preview's pixels, areas for the map, and leave-one-out errors.
+
+    None as soon as it is `stale`, because something else is wanted by now.
+    """
     areas = area_map(wanted.task.fixed, registration)
     x, y = wanted.task.moving.preview_places()
-    determinants = registration.determinant(_points(x, y))
+    parts = []
+    for points in np.array_split(_points(x, y), PORTIONS):
+        sleep(PAUSE)
+        if stale():
+            return None
+        parts.append(registration.determinant(points))
+    determinants = np.concatenate(parts)
     return Certified(
         wanted.task.revision,
         areas,
         float(determinants.min()),
         float(determinants.max()),
-        int((determinants <= 0.0).sum()),
+        int((~(determinants > 0.0)).sum()),
         registration.round_trip,
         left_out(wanted, registration),
     )

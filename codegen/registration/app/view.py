@@ -19,13 +19,15 @@ from codegen.registration.app.canvas import Canvas, point_rows, point_source
 from codegen.registration.app.controls import Controls, table_rows
 from codegen.registration.app.reading import LIMITS, example, picture_from
 from codegen.registration.app.result import ResultCanvas
+from codegen.registration.app.rows import Changes
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Shown, Wanted
 from codegen.registration.app.state import Place, Settings, Side
-from codegen.registration.app.worker import Deliver, Worker
+from codegen.registration.app.worker import Deliver, Worker, slow
 from codegen.registration.formats import parse_landmarks
 
-KINDS = ("click moving", "click fixed", "draw", "warped_image", "field", "landmarks", "animation", "save", "certify")
+QUICK = ("click moving", "click fixed", "draw")
+SLOW = ("save", "warped_image", "field", "landmarks", "animation", "certify")
 IMAGES = ".png,.jpg,.jpeg,.tif,.tiff"
 LANDMARKS = ".csv,.pts,.tps,.json,.txt"
 MOST_LANDMARK_BYTES = 8 << 20
@@ -40,7 +42,8 @@ class View:
     def __init__(self, session: Session, deliver: Deliver, store: Store | None = None, token: str = "") -> None:
         self.session = session
         self.store, self.token = store, token
-        self.worker = Worker(deliver, KINDS)
+        self.worker, self.slow = Worker(deliver, QUICK), Worker(deliver, SLOW, slow)
+        self._clicks: dict[Side, list[Place]] = {"moving": [], "fixed": []}
         self.controls = Controls()
         self.sources: dict[Side, ColumnDataSource] = {"moving": point_source(), "fixed": point_source()}
         self.shown: Shown | None = None
@@ -111,16 +114,25 @@ class View:
             return
         changes = self.session.editions[side].changes(new, self.session.work)
         if changes.added:
-            # Clicks that are still being worked on come again with the next message, so only the newest counts.
-            expect = partial(self._expectations, side, changes.added)
-            follow = partial(self.session.follow, side, changes)
-            self.worker.ask(f"click {side}", expect, lambda partners: self.do(partial(follow, partners)), self.fail)
-        elif changes.removed:
-            self.do(partial(self.session.follow, side, changes))
-        elif changes.moved:
-            self.session.follow(side, changes)
+            self._expect(side, changes.added)
+        if changes.moved:
+            self.session.follow(side, replace(changes, added=(), removed=()))
             if self.controls.live.value:
                 self.draw(hasty=True)
+        if changes.removed:
+            self.do(partial(self.session.remove, *changes.removed))
+
+    def _expect(self, side: Side, places: Sequence[Place]) -> None:
+        """Add pairs as soon as it is known where the partners of the points that were clicked are to be expected."""
+        self._clicks[side] += places
+        waiting = tuple(self._clicks[side])
+
+        def add(partners: list[Place]) -> None:
+            del self._clicks[side][: len(waiting)]
+            self.do(partial(self.session.follow, side, Changes(waiting), partners))
+
+        job = partial(self._expectations, side, waiting)
+        self.worker.ask(f"click {side}", job, add, self.fail)
 
     def _expectations(self, side: Side, places: Sequence[Place]) -> list[Place]:
         return [self.session.expected(side, place) for place in places]
@@ -204,7 +216,7 @@ class View:
             for download in result if isinstance(result, tuple) else (result,):
                 self.browser.save(download)
 
-        self.worker.ask(kind, jobs[kind], made, self.fail)
+        self.slow.ask(kind, jobs[kind], made, self.fail)
 
     # --- what is shown ---------------------------------------------------------------------------------------------
 
@@ -261,6 +273,8 @@ class View:
             residuals = self.shown.registration.residuals
         current = self.certified if self.certified and self.certified.revision == self.session.revision else None
         number = self.session.number(self.session.selected or 0)
+        named = any(pair.name not in ("", str(k + 1)) for k, pair in enumerate(self.session.work.pairs))
+        self.controls.table.hidden_columns = [] if named else ["name"]
         self.controls.table.value = table_rows(self.session.work, residuals, current.left_out if current else None)
         self.controls.table.selection = [number - 1] if number else []
 
@@ -282,7 +296,7 @@ class View:
         if self.shown is not None and not self.shown.wanted.hasty and not hasty:
             same = self.shown.wanted.task.revision == wanted.task.revision
             known = self.shown.registration if same else None
-        self.worker.drop("certify")
+        self.slow.drop("certify")
         self.worker.ask("draw", partial(solving.shown, wanted, previous, known), self._drawn, self.fail)
 
     def _drawn(self, shown: Shown) -> None:
@@ -302,10 +316,14 @@ class View:
         if shown.registration is None:
             self._certified(None)
         elif self.certified is None or self.certified.revision != shown.wanted.task.revision:
-            job = partial(solving.certified, shown.wanted, shown.registration)
-            self.worker.ask("certify", job, self._certified, self.fail)
+            revision = shown.wanted.task.revision
+            stale = lambda: self.session.revision != revision  # noqa: E731
+            job = partial(solving.certified, shown.wanted, shown.registration, stale)
+            self.slow.ask("certify", job, self._certified, self.fail)
 
     def _certified(self, certified: Certified | None) -> None:
+        if certified is None and self.session.work.pairs:
+            return  # overtaken by another change
         self.certified = certified
         self.result.show_areas(certified)
         self._writing = True
@@ -332,7 +350,7 @@ class View:
     def _save(self) -> None:
         if self.store is not None:
             job = partial(self.store.save, self.token, self.session.moving, self.session.fixed, self.session.work)
-            self.worker.ask("save", job, lambda _: None, self.fail)
+            self.slow.ask("save", job, lambda _: None, self.fail)
 
     def fail(self, error: Exception) -> None:
         """Show what went wrong; the session goes on."""

@@ -10,20 +10,20 @@ from typing import Any, TypeAlias
 Job: TypeAlias = Callable[[], Any]
 Deliver: TypeAlias = Callable[[Callable[[], None]], None]
 
-computing = threading.Lock()
-"""Held while compiled kernels run: they use all cores themselves, and not every system runs two of them at once."""
-
-_pool = ThreadPoolExecutor(1, thread_name_prefix="registration")  # sessions take turns, one job each
+# Sessions take turns, one job each; what takes long must not keep anyone's dragged point waiting.
+quick = ThreadPoolExecutor(1, thread_name_prefix="registration-quick")
+slow = ThreadPoolExecutor(1, thread_name_prefix="registration-slow")
 
 
 class Worker:
-    """Runs jobs of one session one after the other.
+    """Runs jobs of one session one after the other in the thread of a pool.
 
     `deliver` hands a function to the session's own thread. A job that was not begun when a newer one of the same
     `kind` comes is dropped; kinds are begun in the order of `order`.
     """
 
-    def __init__(self, deliver: Deliver, order: tuple[str, ...]) -> None:
+    def __init__(self, deliver: Deliver, order: tuple[str, ...], pool: ThreadPoolExecutor = quick) -> None:
+        self._pool = pool
         self._deliver = deliver
         self._order = order
         self._waiting: dict[str, tuple[Job, Callable[[Any], None], Callable[[Exception], None]]] = {}
@@ -37,7 +37,7 @@ class Worker:
             if self._running:
                 return
             self._running = True
-        _pool.submit(self._run)
+        self._pool.submit(self._run)
 
     def drop(self, kind: str) -> None:
         """Forget a job that was not begun."""
@@ -57,8 +57,7 @@ class Worker:
                 return
             job, done, failed = self._waiting.pop(kind)
         try:
-            with computing:
-                result = job()
+            result = job()
         except Exception as error:  # whatever happens to one job is shown, and the session goes on
             caught = error  # the name `error` ends with this block
             self._finish(lambda: failed(caught))
@@ -72,7 +71,7 @@ class Worker:
             try:
                 report()
             finally:
-                _pool.submit(self._run)
+                self._pool.submit(self._run)
 
         try:
             self._deliver(then)
