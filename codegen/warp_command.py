@@ -142,7 +142,10 @@ def _many(
     if moving.is_dir():
         if out is None or out.resolve() == moving.resolve():
             raise ArgumentError(f"--out is missing, or is {moving} itself", "give a folder for the warped images")
-        jobs = batch.jobs_in_folder(moving, places, fixed, landmarks)
+        jobs, without = batch.jobs_in_folder(moving, places, fixed, landmarks)
+        if without:
+            names = ", ".join(path.name for path in without[:3]) + (", ..." if len(without) > 3 else "")
+            typer.echo(f"codegen: {len(without)} images have no landmarks and are left out: {names}", err=True)
     elif landmarks:
         raise ArgumentError(f"{moving} names the landmarks of its pairs", "leave --landmarks out")
     else:
@@ -150,7 +153,7 @@ def _many(
     for option, folder in (("--out", out), ("--field", field), ("--report", report)):
         if folder is not None:
             output.require_folder(folder, option, may_be_made=True)
-    batch.with_folders(places)
+    batch.make_folders(places)
     summary = (out / batch.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     with progress("Warping", len(jobs)) as advance:
         done = batch.run_all(jobs, options, summary, advance)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +61,12 @@ class Batch:
         return tuple(line for line in self.lines if line["status"] != "solved")
 
 
-def jobs_in_folder(folder: Path, places: Places, fixed: Path | None, landmarks: tuple[Path, ...]) -> list[Job]:
-    """The images of a folder that have landmark files of the same stem, or with `landmarks` all of its images.
+def jobs_in_folder(
+    folder: Path, places: Places, fixed: Path | None, landmarks: tuple[Path, ...]
+) -> tuple[list[Job], list[Path]]:
+    """The images of a folder with landmark files of the same stem, or with `landmarks` all of its images.
+
+    The second list are the images that are left out, because they have none.
 
     `a.png` belongs to `a.csv`, `a.tps`, `a.moving.pts` with `a.fixed.pts`, or `a.moving.mrk.json` with
     `a.fixed.mrk.json`. `fixed` is one image for all, or a folder with images of the same names. Raises ArgumentError
@@ -70,15 +74,19 @@ def jobs_in_folder(folder: Path, places: Places, fixed: Path | None, landmarks: 
     """
     suffixes = {suffix for known in KINDS.values() for suffix in known}
     images = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
-    jobs = []
+    jobs, without = [], []
     for image in images:
         own = landmarks or _landmarks_of(image)
-        if own and not (fixed is not None and fixed.is_file() and fixed.samefile(image)):
+        if fixed is not None and fixed.is_file() and fixed.samefile(image):
+            continue
+        if own:
             jobs.append(places.job(image, own, fixed / image.name if fixed is not None and fixed.is_dir() else fixed))
+        else:
+            without.append(image)
     if not jobs:
         finding = f"{folder} holds {len(images)} images, none with a landmark file of the same name"
         raise ArgumentError(finding, "name landmarks like images, such as a.png and a.csv, or give --landmarks")
-    return _distinct(jobs)
+    return _distinct(jobs), without
 
 
 def _landmarks_of(image: Path) -> tuple[Path, ...]:
@@ -232,7 +240,7 @@ def _write_summary(path: Path, lines: Iterable[Line]) -> None:
         writer.writerows(lines)
 
 
-def with_folders(places: Places) -> Places:
+def make_folders(places: Places) -> None:
     """Make the folders of the outputs; ArgumentError where the file system refuses."""
     for folder in (places.out, places.field, places.report):
         if folder is not None:
@@ -240,4 +248,3 @@ def with_folders(places: Places) -> Places:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise ArgumentError(f"{folder} cannot be made ({error.strerror})", "choose another folder") from error
-    return replace(places)

@@ -4,11 +4,11 @@ The map is smooth except at landmarks, where its second derivative grows like a 
 every `spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells around
 landmarks, and all in which the spline was found to err too much, are mapped exactly, pixel by pixel.
 
-What is proved and what is sampled: the error is measured, at every node, of the spline through every second node in
-each direction. The spline that is used has half that spacing and errs less (by 16 times for a smooth map), so the
-largest measured error outside the exact cells is reported as `bound`. That the spline of half the spacing is nowhere
-worse than the coarser one is at the nodes is not proved; `checked` is its error as it is found at the centres of the
-cells with the largest measured errors.
+What is proved and what is sampled: nothing is proved. The error of the spline through every second node in each
+direction is measured at all nodes, and a quarter of it is taken for the error of the spline through all of them, since
+halving the spacing divides the error of a cubic spline by four where second derivatives are bounded and no more is
+known, and by sixteen where the map is smooth. `bound` is the largest of these errors outside the cells that were mapped
+exactly, or the largest that was found at the centres of the worst cells, which is `checked`, if that is larger.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ Map: TypeAlias = Callable[[PointArray], PointArray]
 BOUND = 0.01
 """Largest error in pixels that a coarse grid may have where positions are not exact."""
 LARGEST, SMALLEST = 32, 2
+HALVING = 4.0
+"""The least factor by which half the spacing reduces the error of a cubic spline; see above."""
 CHECKED = 256
 """Cells at whose centres the spline is compared with exact positions."""
 
@@ -41,7 +43,7 @@ class Positions:
     """Where each pixel of a grid is mapped to, shape (h, w, 2), and how that was found.
 
     `spacing` is 1 where all pixels were mapped exactly; otherwise `exact` is the share of pixels that were, `bound` the
-    largest measured error of the others, and `checked` that at the centres of the worst cells, all in pixels.
+    largest estimated error of the others, and `checked` that found at the centres of the worst cells, all in pixels.
     """
 
     places: NDArray[np.float64]
@@ -101,9 +103,9 @@ class _Grid:
         return _Grid(shape, spacing, x, y, places)
 
     def errors(self) -> NDArray[np.float64]:
-        """How far the spline through every second node is from each node, shape (rows, columns), in pixels."""
+        """The spline's estimated error about each node, shape (rows, columns), in pixels."""
         coarse = spline(self.y[::2], self.x[::2], self.places[::2, ::2], self.y, self.x)
-        return np.asarray(np.linalg.norm(coarse - self.places, axis=-1))
+        return np.asarray(np.linalg.norm(coarse - self.places, axis=-1) / HALVING)
 
     def doubtful(self, errors: NDArray[np.float64], singular: PointArray, bound: float) -> NDArray[np.bool_]:
         """Cells that have a corner or a neighbour's corner of large error, or a singular point in them or beside."""

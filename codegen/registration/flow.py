@@ -61,7 +61,7 @@ class Flow:
     @property
     def momenta(self) -> NDArray[np.float64]:
         """The landmarks' initial momenta, shape (n, 2)."""
-        return self.path[0, 1]
+        return np.asarray(self.path[0, 1])
 
     def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
         """Where points of the disc, shape (n, 2), that are there at time `start` are at time `stop`.

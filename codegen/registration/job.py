@@ -20,12 +20,12 @@ from codegen import output
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
 from codegen.registration.alignment import Kind
 from codegen.registration.certificate import Certificate, certify
-from codegen.registration.flow import registration_module
 from codegen.registration.formats import Frames, read_landmarks
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
-from codegen.registration.leave_one_out import choose_sigma, leave_one_out
+from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.register import Registration, register
+from codegen.registration.solver import registration_module
 from codegen.registration.warp import Interpolation, warp_reported
 
 FIELDS = (".npz", ".nii.gz", ".nii", ".mha")
@@ -78,7 +78,7 @@ class Result:
     fixed: Image | None
     registration: Registration | None = None
     certificate: Certificate | None = None
-    left_out: Any = None
+    left_out: LeaveOneOut | None = None
     warped: Any = None
 
     @property
@@ -148,18 +148,21 @@ def _solved(
     record = _heading(job, options, len(pairs))
     record["seconds"] = seconds
     result = Result(record, pairs, moving, fixed)
-    shapes = {"shape": moving.shape[:2], "fixed_shape": (fixed or moving).shape[:2]}
-    method: dict[str, Any] = {"align": options.align, "scheme": options.scheme, "steps": options.steps}
+    shape = moving.shape[:2]
+    method: dict[str, Any] = {
+        "fixed_shape": (fixed or moving).shape[:2], "align": options.align, "scheme": options.scheme,
+        "steps": options.steps,
+    }  # fmt: skip
     try:
         with _timed(seconds, "solve"):
             sigma = options.sigma
             if sigma == "auto":
-                sigma = choose_sigma(pairs, **shapes, **method)
-            found = register(pairs, **shapes, **method, sigma=sigma)
+                sigma = choose_sigma(pairs, shape, **method)
+            found = register(pairs, shape, **method, sigma=sigma)
         with _timed(seconds, "certify"):
             certificate = certify(found)
         with _timed(seconds, "leave one out"):
-            left_out = _left_out(pairs, {**shapes, **method, "sigma": sigma})
+            left_out = _left_out(found, method)
     except RegistrationError as error:
         record |= {"status": "not converged", "message": str(error)}
         return result
@@ -178,12 +181,11 @@ def _solved(
     return Result(record, pairs, moving, fixed, found, certificate, left_out, warped)
 
 
-def _left_out(pairs: LandmarkPairs, arguments: dict[str, Any]) -> Any:
+def _left_out(found: Registration, method: dict[str, Any]) -> LeaveOneOut | None:
     """Errors of landmarks that are left out in turn; None where there are too few or too many."""
-    if not 2 <= len(pairs) <= MOST_LEFT_OUT:
+    if not 2 <= len(found.pairs) <= MOST_LEFT_OUT:
         return None
-    shape = arguments.pop("shape")
-    return leave_one_out(pairs, shape, **arguments)
+    return leave_one_out(found.pairs, found.shape, start=found, sigma=found.sigma, **method)
 
 
 def _heading(job: Job, options: Options, count: int) -> dict[str, Any]:
@@ -197,7 +199,7 @@ def _heading(job: Job, options: Options, count: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _findings(found: Registration, certificate: Certificate, left_out: Any) -> dict[str, Any]:
+def _findings(found: Registration, certificate: Certificate, left_out: LeaveOneOut | None) -> dict[str, Any]:
     """What the record says of a map; distances in pixels."""
     status = "solved" if certificate.passed else "folded" if certificate.folded else "inaccurate"
     summary: dict[str, Any] = {
@@ -231,8 +233,10 @@ def _write(job: Job, options: Options, result: Result) -> None:
         from codegen.registration.fields import displacement_field, write_field
 
         # The field that makes the image: from each of its pixels to where its value comes from.
-        shape = result.warped.shape[:2]
-        write_field(job.field, displacement_field(result.registration, shape, inverse=not options.inverse))
+        direction = "moving to fixed" if options.inverse else "fixed to moving"
+        spacing: Literal["auto"] | None = "auto" if options.coarse else None
+        field = displacement_field(result.registration, inverse=not options.inverse, spacing=spacing)
+        write_field(job.field, field, direction)
     source = result.fixed if options.inverse and result.fixed is not None else result.moving
     write_image(job.out, result.warped, source.profile)
 

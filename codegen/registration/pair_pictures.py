@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import matplotlib
 import numpy as np
+import scipy.ndimage
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -20,11 +21,13 @@ from codegen.registration.job import Result
 from codegen.registration.pairs import PointArray
 from codegen.registration.register import Registration
 
-LONGEST = 700
+LONGEST = 560
 """Pixels of the longer side of a picture on the page; larger images are thinned."""
-INCHES, DPI = 4.6, 150
+INCHES, DPI = 4.6, 125
 CELLS, FIELDS = 24, 8
 """Cells of the deformed grid along the longer side, and of the checkerboard."""
+COARSE = 80
+"""Points along each side at which it is looked up what lies outside, for pictures only."""
 MOST_NAMES = 60
 
 Shape: TypeAlias = tuple[int, ...]
@@ -57,7 +60,7 @@ def _input(title: str, pixels: Any, points: PointArray, names: tuple[str, ...], 
         _show(axes, pixels)
         _mark(axes, points, colour)
         for (x, y), name in zip(points[:MOST_NAMES], names):
-            axes.annotate(name[:12], (x, y), (3, 3), textcoords="offset points", fontsize=6, color=colour, zorder=3)
+            axes.annotate(name[:12], (x, y), (3, 3), textcoords="offset points", fontsize=7, color=colour, zorder=3)
 
     return _picture(title, f"With its {len(points)} landmarks.", pixels.shape, paint)
 
@@ -77,16 +80,22 @@ def _compared(result: Result, warped: Any) -> list[Picture]:
     found = [_picture("Warped", caption, warped.shape, paint)]
     if other is None:
         return found
-    one, two = (_grey(_thinned(pixels)) for pixels in (warped, other.pixels))
+    one, two = (_shown(_thinned(pixels)) for pixels in (warped, other.pixels))
+    if one.ndim != two.ndim:
+        one, two = _grey(one), _grey(two)
+    y, x = np.indices(one.shape[:2])
+    cell = max(one.shape) / FIELDS
+    first = (x // cell + y // cell) % 2 == 0
+    assert result.registration is not None
+    inside = _inside(result.registration, inverse, warped.shape, one.shape)
 
     def checkered(axes: Any) -> None:
-        y, x = np.indices(one.shape)
-        cell = max(one.shape) / FIELDS
-        _show(axes, np.where((x // cell + y // cell) % 2 == 0, one, two), warped.shape)
+        _show(axes, np.where(first if one.ndim == 2 else first[..., None], one, two), warped.shape)
 
     def difference(axes: Any) -> None:
-        shown = axes.imshow(one - two, extent=_extent(warped.shape), cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-        _bar(axes, shown, "warped − " + frame)
+        values = np.where(inside, _grey(one) - _grey(two), np.nan)
+        shown = axes.imshow(values, extent=_extent(warped.shape), cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+        _bar(axes, shown, f"warped − {frame}", (-1.0, -0.5, 0.0, 0.5, 1.0))
 
     return [
         *found,
@@ -95,6 +104,18 @@ def _compared(result: Result, warped: Any) -> list[Picture]:
             "Difference", f"Warped minus {frame}, as shares of the range of grey.", warped.shape, difference, True
         ),
     ]
+
+
+def _inside(registration: Registration, inverse: bool, shape: Shape, thin: Shape) -> NDArray[np.bool_]:
+    """Which pixels of a thinned picture of the result come from inside the source image: by a coarse grid."""
+    rows, columns = (np.linspace(0.0, length - 1.0, COARSE) for length in shape[:2])
+    places = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    carry = registration.map_points if inverse else registration.map_points_inverse
+    coarse = carry(places).reshape(COARSE, COARSE, 2)
+    fine = np.meshgrid(*(np.linspace(0.0, COARSE - 1.0, length) for length in thin[:2]), indexing="ij")
+    x, y = (scipy.ndimage.map_coordinates(coarse[..., k], fine, order=1) for k in (0, 1))
+    height, width = registration.fixed_shape if inverse else registration.shape
+    return np.asarray((x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5))
 
 
 def _grid(result: Result, registration: Registration) -> Picture:
@@ -117,7 +138,7 @@ def _grid(result: Result, registration: Registration) -> Picture:
 
     def paint(axes: Any) -> None:
         if result.warped is not None:
-            _show(axes, 0.5 + 0.5 * _grey(_thinned(result.warped)), target)
+            _show(axes, 0.5 + 0.5 * _grey(_shown(_thinned(result.warped))), target)
         axes.add_collection(matplotlib.collections.LineCollection(list(carried), colors=CRIMSON, linewidths=0.6))
         _frame(axes, target)
 
@@ -147,7 +168,7 @@ def _determinants(result: Result, registration: Registration) -> Picture:
         )  # fmt: skip
         _mark(axes, result.pairs.moving, "#303030")
         axes.plot(*least, marker="x", color=AMBER, markersize=7, markeredgewidth=2)
-        _bar(axes, shown, "det J")
+        _bar(axes, shown, "det J", [reach**share for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
 
     place = f"({least[0]:g}, {least[1]:g})"
     caption = f"Where areas of the moving image shrink (blue) and grow (red); least at the cross, {place}."
@@ -194,10 +215,11 @@ def _mark(axes: Any, points: PointArray, colour: str) -> None:
     axes.scatter(*points.T, s=size, c=colour, edgecolors="white", linewidths=0.6, zorder=2)
 
 
-def _bar(axes: Any, shown: Any, name: str) -> None:
-    bar = axes.figure.colorbar(shown, ax=axes, fraction=0.045, pad=0.02)
-    bar.ax.tick_params(labelsize=7)
-    bar.set_label(name, fontsize=8)
+def _bar(axes: Any, shown: Any, name: str, ticks: Sequence[float]) -> None:
+    bar = axes.figure.colorbar(shown, ax=axes, fraction=0.045, pad=0.02, ticks=ticks, format="%.3g")
+    bar.ax.minorticks_off()
+    bar.ax.tick_params(labelsize=8, length=2)
+    bar.set_label(name, fontsize=9)
     bar.outline.set_visible(False)
 
 
@@ -223,7 +245,6 @@ def _range(values: NDArray[np.float64]) -> tuple[float, float]:
     return (low, high) if high > low else (low, low + 1.0)
 
 
-def _grey(pixels: NDArray[Any]) -> NDArray[np.float64]:
-    """Luminance from 0 to 1 (ITU-R BT.601)."""
-    values = _shown(pixels)
+def _grey(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Luminance (ITU-R BT.601) of samples from 0 to 1."""
     return values @ np.array([0.299, 0.587, 0.114]) if values.ndim == 3 else values

@@ -57,11 +57,11 @@ def _sentence(text: str) -> str:
 
 def _subtitle(record: dict[str, Any]) -> str:
     """The files, by their names alone: a page may travel."""
-    names = [f"moving {Path(record['moving']).name}"]
-    names += [f"fixed {Path(record['fixed']).name}"] if record["fixed"] else []
-    names.append("landmarks " + " and ".join(Path(name).name for name in record["landmarks"]))
+    names = [f"moving: {Path(record['moving']).name}"]
+    names += [f"fixed: {Path(record['fixed']).name}"] if record["fixed"] else []
+    names.append("landmarks: " + " and ".join(Path(name).name for name in record["landmarks"]))
     if record["status"] == "solved":
-        names.append(f"written to {Path(record['out']).name}")
+        names.append(f"written to: {Path(record['out']).name}")
     return ", ".join(names)
 
 

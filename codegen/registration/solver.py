@@ -40,11 +40,10 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     from codegen.compiler import build
     from codegen.drivers.compilation import compilers
 
-    with compilers() as processes:
-        made = build(problem_file(), {"passive": "True"}, scheme=scheme)
-        machine_code = any((made.path.parent / "__pycache__").glob("*.carry_points-*.nbi"))
-        if not machine_code:
-            print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
+    made = build(problem_file(), {"passive": "True"}, scheme=scheme)
+    if not any((made.path.parent / "__pycache__").glob("*.carry_points-*.nbi")):
+        print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
+        with compilers() as processes:
             processes.compile(made.path)
     module = cast(FlowModule, load(made.path))
     if module.metadata["adaptive"]:

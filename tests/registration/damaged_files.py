@@ -22,8 +22,8 @@ from codegen.errors import ImageError, PointsError
 from codegen.registration.formats import Frames, parse_landmarks
 from codegen.registration.images import Limits, read_image
 
-TOKENS = (b"nan", b"1e999", b"-", b"\0", b"9" * 5000, b"[" * 5000, b'"', b"\n", b",", b"true", b"LM=999999999", b"\xff\xfe",
-          b"Infinity", b"point", b"=", b"{}", b"null", b"1_0", b"\r", b"0x10", "３".encode())  # fmt: skip
+TOKENS = (b"nan", b"1e999", b"-", b"\0", b"9" * 5000, b"[" * 5000, b'"', b"\n", b",", b"true", b"LM=999999999",
+          b"\xff\xfe", b"Infinity", b"point", b"=", b"{}", b"null", b"1_0", b"\r", b"0x10", "３".encode())  # fmt: skip
 
 
 def damaged(data: bytes, random: np.random.Generator) -> bytes:

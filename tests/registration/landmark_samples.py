@@ -29,7 +29,7 @@ def _markup(system: str, points: str, status: str = '"positionStatus": "defined"
     controls = ",".join(
         f'{{"id": "{k}", "label": "F-{k}", "description": "", "associatedNodeID": "", "position": [{place}], '
         '"orientation": [-1.0, -0.0, -0.0, -0.0, -1.0, -0.0, 0.0, 0.0, 1.0], "selected": true, "locked": false, '
-        f'"visibility": true, {status if k == 1 else status}}}'
+        f'"visibility": true, {status}}}'
         for k, place in enumerate(points.split(";"), 1)
     )
     return (
@@ -110,11 +110,11 @@ REFUSED = (
     ((("a.csv", "moving_x,moving_y,fixed_x,fixed_y\n1,2,3,nan\n"),), "a.csv:2: fixed_y is 'nan'"),
     ((("a.csv", "moving_x,moving_y,fixed_x,fixed_y\n1,2,3,1_0\n"),), "a.csv:2: fixed_y is '1_0'"),
     ((("a.csv", "moving_x,moving_y,fixed_x,fixed_y\n"),), "a.csv holds no landmarks"),
-    ((("a.csv", "moving_x,moving_y,fixed_x,fixed_y\n1,2,3,4\n1,2,5,6\n"),), "a.csv: moving landmarks 1 and 2 are at the"),
+    ((("a.csv", "moving_x,moving_y,fixed_x,fixed_y\n1,2,3,4\n1,2,5,6\n"),), "moving landmarks 1 and 2 are at"),
     ((("a.csv", '"Pt-0","true","1","2","3"\n'),), "a.csv:1: 'Pt-0,true,1,2,3' is no row of BigWarp"),
     ((("a.csv", '"Pt-0","true","1","2","Infinity","3"\n'),), "a.csv:1: fixed_x is 'Infinity'"),
     ((("a.csv", '"Pt-0","false","1","2","Infinity","Infinity"\n'),), "a.csv: none of its 1 landmarks is active"),
-    ((("a.csv", '"P","true","1","2","0","3","4","0"\n"Q","true","5","6","7","8","9","0"\n'),), "moving landmarks have z"),
+    ((("a.csv", '"P","true","1","2","0","3","4","0"\n"Q","true","5","6","7","8","9","0"\n'),), "landmarks have z"),
     ((("a.pts", "point\n1\n1 2\n"),), "one of a pair of files"),
     ((("fixed.pts", "point\n1\n1 2\n"), ("moving.pts", "point\n1\n1 2\n")), "fixed.pts is given for the moving image"),
     ((("a.pts", "point\n3\n1 2\n"), ("b.pts", "point\n1\n1 2\n")), "a.pts says 3 points and holds 1"),
@@ -128,7 +128,7 @@ REFUSED = (
     ((("a.tps", "LM=1\n1 2\nLM=2\n1 2\n3 4\n"),), "1 moving landmarks, but 2 fixed"),
     ((("a.mrk.json", "{"), ("b.mrk.json", "{}")), "a.mrk.json:1: no JSON"),
     ((("a.mrk.json", "{}"), ("b.mrk.json", "{}")), "a.mrk.json holds no point lists"),
-    ((("a.json", '{"markups": [{"controlPoints": [{"position": [1, 2]}]}]}'), ("b.json", "{}")), "control point 1 is at"),
+    ((("a.json", '{"markups": [{"controlPoints": [{"position": [1, 2]}]}]}'), ("b.json", "{}")), "point 1 is at"),
     ((("a.json", '{"markups": [{"coordinateSystem": "XYZ", "controlPoints": []}]}'), ("b.json", "{}")), "'XYZ'"),
     ((("a.doc", "1"),), "a.doc: unknown kind of landmark file"),
     ((("a.csv", "moving_x,\0"), ("b.csv", "")), "a.csv is complete, and 2 were given"),

@@ -80,7 +80,7 @@ def test_specimens_are_chosen_by_the_names_of_the_images():
     pairs = parse_landmarks(data, frames=Frames((10, 10), (10, 10), "s3.jpg", "folder/s1.jpg"))
     assert pairs.moving.tolist() == [[3.0, 6.0]]
     assert pairs.fixed.tolist() == [[1.0, 8.0]]
-    with pytest.raises(PointsError, match="5 specimens, and their IMAGE= lines do not name 's3.jpg' and 's9.jpg'"):
+    with pytest.raises(PointsError, match=r"5 specimens, and their IMAGE= lines do not name 's3\.jpg' and 's9\.jpg'"):
         parse_landmarks(data, frames=Frames((10, 10), (10, 10), "s3.jpg", "s9.jpg"))
     two = [("two.tps", "".join(blocks[:2]).encode())]
     assert parse_landmarks(two, frames=Frames((10, 10), (10, 10), "s1.jpg", "x.jpg")).moving.tolist() == [[1.0, 8.0]]
@@ -91,7 +91,9 @@ def test_points_that_are_not_placed_are_left_out_in_both_lists_and_labels_match(
     moving, fixed = (json.loads(text) for _, text in sample.files)
     moving["markups"][0]["controlPoints"][1]["positionStatus"] = "undefined"
     fixed["markups"][0]["controlPoints"].reverse()
-    pairs = parse_landmarks([(f"{name}.json", json.dumps(text).encode()) for name, text in (("a", moving), ("b", fixed))])
+    pairs = parse_landmarks(
+        [(f"{name}.json", json.dumps(text).encode()) for name, text in (("a", moving), ("b", fixed))]
+    )
     assert pairs.names == ("F-1", "F-3")
     np.testing.assert_array_equal(pairs.fixed, np.array(sample.fixed)[[0, 2]])
 
