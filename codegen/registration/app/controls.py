@@ -57,6 +57,7 @@ class Controls:
         narrow = {"margin": 0, "width": 145, "stylesheets": [STYLE]}
         self.align = pn.widgets.Select(name="Alignment first", options=ALIGNMENTS, **narrow)
         self.sigma = pn.widgets.FloatInput(name="May miss by, pixels", value=0.0, start=0.0, step=0.5, **narrow)
+        self.choose = button("Choose it", "Take the distance with which landmarks that are left out are met best")
         self.scheme = pn.widgets.Select(name="Scheme", options=list(SCHEMES), **narrow)
         self.interpolation = pn.widgets.Select(name="Interpolation", options=list(INTERPOLATIONS), **narrow)
         self.save_image = button("Warped image")
@@ -79,7 +80,8 @@ def _table() -> pn.widgets.Tabulator:
     return pn.widgets.Tabulator(
         pd.DataFrame({name: [] for name in ("number", "name", *places, *errors)}),
         show_index=False, disabled=True, selectable=1, height=236, sizing_mode="stretch_width", layout="fit_columns",
-        titles=titles, groups=groups, formatters=dict.fromkeys(places, right) | dict.fromkeys(errors, fine), theme="simple",
+        titles=titles, groups=groups, theme="simple",
+        formatters=dict.fromkeys(places, right) | dict.fromkeys(errors, fine),
         text_align=dict.fromkeys((*places, *errors), "right"), margin=0, pagination=None, header_filters=False,
         widths={"number": 44, "name": 90}, hidden_columns=["name"],
         configuration={"columnDefaults": {"resizable": False, "minWidth": 56}}, stylesheets=[_TABLE_STYLE],

@@ -7,13 +7,16 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from codegen.errors import LandmarkError
+from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.app.session import Task
-from codegen.registration.app.solving import frame, grid
+from codegen.registration.app.solving import arguments, frame, grid
+from codegen.registration.certificate import certify
+from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import write_image
 from codegen.registration.register import Registration, register
@@ -36,17 +39,21 @@ def registered(task: Task) -> Registration:
     """The registration from the landmarks alone, whatever was found while dragging; LandmarkError without pairs."""
     if not task.work.pairs:
         raise LandmarkError("there are no landmarks", "click in an image to add a pair")
-    settings = task.work.settings
-    return register(
-        task.work.landmarks(), task.moving.shape, fixed_shape=task.fixed.shape, align=settings.align,  # type: ignore[arg-type]
-        sigma=settings.sigma, scheme=settings.scheme,
-    )  # fmt: skip
+    shapes, method = arguments(task)
+    return register(task.work.landmarks(), **shapes, **method)
 
 
 def warped_image(task: Task) -> Download:
-    """The moving image in the frame of the fixed one, all pixels exact, with the type of its samples."""
-    settings = task.work.settings
-    pixels = warp(task.moving.pixels, registered(task), interpolation=settings.interpolation)  # type: ignore[arg-type]
+    """The moving image in the frame of the fixed one, all pixels exact, with the type of its samples.
+
+    RegistrationError where the map folds or is not inverted well: nobody should take such an image home.
+    """
+    registration = registered(task)
+    certificate = certify(registration)
+    if not certificate.passed:
+        raise RegistrationError(certificate.message, "look for landmarks out of place, or let them miss by some pixels")
+    interpolation: Any = task.work.settings.interpolation
+    pixels = warp(task.moving.pixels, registration, interpolation=interpolation)
     suffix, kind = (".tif", "image/tiff") if task.moving.kind == "TIFF" else (".png", "image/png")
     data = _written(suffix, lambda path: write_image(path, pixels, task.moving.profile))
     return Download(f"{task.moving.stem}_warped{suffix}", kind, data)
@@ -54,8 +61,6 @@ def warped_image(task: Task) -> Download:
 
 def field(task: Task) -> Download:
     """The displacements from fixed to moving at every pixel of the fixed image, .npz."""
-    from codegen.registration.fields import displacement_field, write_field
-
     values = displacement_field(registered(task), task.fixed.shape, inverse=True)
     data = _written(".npz", lambda path: write_field(path, values))
     return Download(f"{task.moving.stem}_displacement_fixed_to_moving.npz", "application/octet-stream", data)

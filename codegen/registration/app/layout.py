@@ -28,17 +28,21 @@ class Layout:
         self._message = _html("", visible=False, sizing_mode="stretch_width")
         self._status = _html("")
         self._help = _html(HELP, sizing_mode="stretch_width")
+        self._note = _html("", visible=False)
         self._canvases = _box(gap="10px")
         header = _bar(_html("<h1>Image registration by landmarks</h1>"), self._status, justify_content="space-between")
         opening = _bar(*view.openers.values(), view.load_landmarks, c.example)
-        left = _card("Pairs, in pixels", _bar(c.undo, c.redo, c.delete, c.clear), c.table, kind="wide")
+        left = _card("Pairs, in pixels", _bar(c.undo, c.redo, c.delete, c.clear), c.table, self._note, kind="wide")
         saving = _card(
             "Download", _bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format)
         )  # fmt: skip
         middle = _stack(_card("View", _bar(c.mode), _bar(c.grid, c.points, c.live), c.time))
-        right = _stack(_card("Registration", _bar(c.align, c.sigma), _bar(c.scheme, c.interpolation)), saving)
+        methods = _bar(c.align, c.scheme, c.interpolation)
+        distances = _box(c.sigma, c.choose, gap="6px", align_items="end")
+        right = _stack(_card("Registration", methods, distances), saving)
+        lower = _box(left, middle, right, gap="10px")
         self.root = pn.Column(
-            view.browser, header, opening, self._help, self._message, self._canvases, _box(left, middle, right, gap="10px"),
+            view.browser, header, opening, self._help, self._message, self._canvases, lower,
             css_classes=["page"], sizing_mode="stretch_width", stylesheets=[STYLE],
         )  # fmt: skip
 
@@ -57,6 +61,10 @@ class Layout:
         """Say what went wrong, or nothing any more."""
         self._message.object = f'<div role="alert">{escape(text)}</div>' if text else ""
         self._message.visible = bool(text)
+
+    def note(self, text: str) -> None:
+        """A remark on the pairs, or none."""
+        self._note.object, self._note.visible = f"<p>{escape(text)}</p>", bool(text)
 
     def status(self, parts: list[str], folds: bool | None = None) -> None:
         """One line on the present registration, and whether it folds if that is known."""

@@ -40,8 +40,8 @@ def serve(
 ) -> Any:
     """Serve the page until it is interrupted; further values go to `panel.serve`.
 
-    Images are read once, before anything is served: raises ImageError and ArgumentError, the latter also for a port that
-    is in use.
+    Images are read once, before anything is served: raises ImageError and ArgumentError, the latter
+    also for a port that is in use.
     """
     _require_free(port)
     opened = session_of(images)

@@ -13,10 +13,13 @@ from scipy.ndimage import map_coordinates
 
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Task
+from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
 from codegen.registration.register import Registration, register
 
 COARSE, COARSER = 8.0, 16.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
+MOST_LEFT_OUT = 60
+"""With more landmarks, leaving out each in turn takes longer than anyone waits."""
 PORTIONS, PAUSE = 20, 0.01
 """The certificate is computed in portions with pauses of so many seconds, which a dragged point may use."""
 GRID_LINES = 16
@@ -58,7 +61,7 @@ class Certified:
     det_max: float
     folded: int
     round_trip: float
-    left_out: Array | None  # pixels, one of each landmark; None with fewer than three
+    left_out: LeaveOneOut | None
 
 
 def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
@@ -67,16 +70,8 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
     if not work.pairs:
         return None
     steps = previous.steps if wanted.hasty and previous is not None else None
-    return register(
-        work.landmarks(),
-        wanted.task.moving.shape,
-        fixed_shape=wanted.task.fixed.shape,
-        align=work.settings.align,  # type: ignore[arg-type]
-        sigma=work.settings.sigma,
-        scheme=work.settings.scheme,
-        steps=steps,
-        start=previous,
-    )
+    shapes, method = arguments(wanted.task)
+    return register(work.landmarks(), **shapes, **method, steps=steps, start=previous)
 
 
 def shown(wanted: Wanted, previous: Registration | None, known: Registration | None = None) -> Shown:
@@ -192,18 +187,23 @@ def _points(x: Array, y: Array) -> Array:
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def left_out(wanted: Wanted, registration: Registration) -> Array | None:
-    """How far off each landmark is, in pixels, by the registration of all others; None with fewer than three."""
-    if len(registration.pairs) < 3:
+def left_out(wanted: Wanted, registration: Registration) -> LeaveOneOut | None:
+    """How far off each landmark is by the registration of all others; None for few pairs, and for very many."""
+    if not 3 <= len(registration.pairs) <= MOST_LEFT_OUT:
         return None
-    try:
-        from codegen.registration.leave_one_out import leave_one_out
-    except ImportError:
-        return None
+    shapes, method = arguments(wanted.task)
+    return leave_one_out(registration.pairs, **shapes, **method, start=registration)
 
-    settings = wanted.task.work.settings
-    result: Any = leave_one_out(
-        registration.pairs, wanted.task.moving.shape, fixed_shape=wanted.task.fixed.shape, align=settings.align,
-        sigma=settings.sigma, scheme=settings.scheme,
-    )  # fmt: skip
-    return np.asarray(getattr(result, "errors", result))
+
+def chosen_sigma(task: Task) -> float:
+    """The distance by which landmarks may miss for which those that are left out are met best, in pixels."""
+    shapes, method = arguments(task)
+    method.pop("sigma")
+    return choose_sigma(task.work.landmarks(), **shapes, **method)
+
+
+def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What `register` is given beside the landmarks: the shapes of the images, and how to go about it."""
+    settings = task.work.settings
+    shapes = {"shape": task.moving.shape, "fixed_shape": task.fixed.shape}
+    return shapes, {"align": settings.align, "sigma": settings.sigma, "scheme": settings.scheme}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from sys import stderr
 from typing import Any
@@ -27,7 +28,7 @@ from codegen.registration.app.worker import Deliver, Worker, slow
 from codegen.registration.formats import parse_landmarks
 
 QUICK = ("click moving", "click fixed", "draw")
-SLOW = ("save", "warped_image", "field", "landmarks", "animation", "certify")
+SLOW = ("save", "sigma", "warped_image", "field", "landmarks", "animation", "certify")
 IMAGES = ".png,.jpg,.jpeg,.tif,.tiff"
 LANDMARKS = ".csv,.pts,.tps,.json,.txt"
 MOST_LANDMARK_BYTES = 8 << 20
@@ -81,6 +82,7 @@ class View:
             c.example: self._example,
         }.items():  # fmt: skip
             widget.on_click(lambda _, act=act: self.do(act))
+        c.choose.on_click(lambda _: self._choose_sigma())
         for widget in (c.align, c.sigma, c.scheme, c.interpolation):
             widget.param.watch(lambda _: self.do(self._set), "value")
         for widget in (c.grid, c.time):
@@ -168,6 +170,16 @@ class View:
             self.do(acts[key])
         elif key == "deselect":
             self._choose(None)
+
+    def _choose_sigma(self) -> None:
+        """Ask for the best sigma, which takes a while."""
+        self.layout.status(["choosing the distance …"])
+        settings = self.session.work.settings
+
+        def take(sigma: float) -> None:
+            self.do(lambda: self.session.set(replace(settings, sigma=round(sigma, 3))))
+
+        self.slow.ask("sigma", partial(solving.chosen_sigma, self.session.task()), take, self.fail)
 
     def _set(self) -> None:
         c = self.controls
@@ -272,10 +284,13 @@ class View:
         if self.shown is not None and self.shown.registration is not None:
             residuals = self.shown.registration.residuals
         current = self.certified if self.certified and self.certified.revision == self.session.revision else None
+        left_out = current.left_out if current else None
         number = self.session.number(self.session.selected or 0)
         named = any(pair.name not in ("", str(k + 1)) for k, pair in enumerate(self.session.work.pairs))
         self.controls.table.hidden_columns = [] if named else ["name"]
-        self.controls.table.value = table_rows(self.session.work, residuals, current.left_out if current else None)
+        self.controls.table.value = table_rows(self.session.work, residuals, left_out.errors if left_out else None)
+        outliers = ", ".join(str(k + 1) for k in sorted(left_out.outliers)) if left_out else ""
+        self.layout.note(f"Worth a second look, because the others do not predict them: {outliers}" if outliers else "")
         self.controls.table.selection = [number - 1] if number else []
 
     def _show_settings(self) -> None:
