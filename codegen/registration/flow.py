@@ -33,7 +33,8 @@ class FlowModule(Protocol):
 
     solve_case: Callable[..., Any]
     make_case: Callable[..., Any]
-    trajectory: Callable[[Any, Any], tuple[int, Any, Any]]
+    momenta_of: Callable[..., NDArray[np.float64]]
+    momentum_matrix: Callable[..., None]
     stages_of: Callable[[Any, Any], NDArray[np.float64]]
     carry: Callable[..., tuple[PointArray, Any]]
     POINTS: int
@@ -59,9 +60,12 @@ class Flow:
         return len(self.path) - 1
 
     @property
-    def momenta(self) -> NDArray[np.float64]:
-        """The landmarks' initial momenta, shape (n, 2)."""
-        return np.asarray(self.path[0, 1])
+    def velocities(self) -> NDArray[np.float64]:
+        """The landmarks' velocities at the start, H_pp p, shape (n, 2)."""
+        places, momenta = self.path[0]
+        matrix = np.empty((len(places), len(places)))
+        self.module.momentum_matrix(self.path[0], self.case.own, self.case.parameters, matrix)
+        return np.asarray(matrix @ momenta)
 
     def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
         """Where points of the disc, shape (n, 2), that are there at time `start` are at time `stop`.

@@ -18,6 +18,7 @@ import numpy as np
 
 from codegen import output
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
+from codegen.registration import fields
 from codegen.registration.alignment import Kind
 from codegen.registration.certificate import Certificate, certify
 from codegen.registration.formats import Frames, read_landmarks
@@ -28,7 +29,6 @@ from codegen.registration.register import Registration, register
 from codegen.registration.solver import registration_module
 from codegen.registration.warp import Interpolation, warp_reported
 
-FIELDS = (".npz", ".nii.gz", ".nii", ".mha")
 MOST_LEFT_OUT = 100
 """Of more landmarks, none is left out in turn: it would take as many registrations."""
 
@@ -112,8 +112,10 @@ def require_writable(job: Job, options: Options) -> None:
     require_kind(job.out)
     output.require_folder(job.out.absolute().parent, "--out")
     if job.field is not None:
-        if not job.field.name.lower().endswith(FIELDS):
-            raise ArgumentError(f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(FIELDS)}")
+        if not job.field.name.lower().endswith(fields.KINDS):
+            raise ArgumentError(
+                f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(fields.KINDS)}"
+            )
         output.require_folder(job.field.absolute().parent, "--field")
     if job.report is not None:
         output.require_writable(job.report, (".html",), "--report")
@@ -230,13 +232,11 @@ def _strict(value: Any) -> Any:
 def _write(job: Job, options: Options, result: Result) -> None:
     assert result.registration is not None
     if job.field is not None:
-        from codegen.registration.fields import displacement_field, write_field
-
         # The field that makes the image: from each of its pixels to where its value comes from.
         direction = "moving to fixed" if options.inverse else "fixed to moving"
         spacing: Literal["auto"] | None = "auto" if options.coarse else None
-        field = displacement_field(result.registration, inverse=not options.inverse, spacing=spacing)
-        write_field(job.field, field, direction)
+        field = fields.displacement_field(result.registration, inverse=not options.inverse, spacing=spacing)
+        fields.write_field(job.field, field, direction)
     source = result.fixed if options.inverse and result.fixed is not None else result.moving
     write_image(job.out, result.warped, source.profile)
 

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.register import TOLERANCE, Registration, in_steps, register
+from codegen.registration.register import Registration, in_steps, register
 
+ENOUGH = 0.1
+"""Error of a map, in pixels, below which its steps are many enough to predict landmarks with."""
 OUTLIER = 3.5
 """Modified z-score of outliers: Iglewicz and Hoaglin (1993), How to detect and handle outliers."""
-SIGMAS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+SIGMAS = (0.0, 0.01, 0.03, 0.1, 0.3)
 """Values of sigma that are compared, as fractions of the radius of the frame."""
 
 
@@ -48,23 +50,24 @@ def leave_one_out(
     shape: Sequence[int],
     *,
     steps: int | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = ENOUGH,
     start: Registration | None = None,
     **options: Any,
 ) -> LeaveOneOut:
     """Register once with all landmarks and once without each; arguments are those of `register`.
 
-    Registrations without a landmark take as many steps as that with all of them, and start from its momenta. `start`
-    is that registration, if it is known already.
+    Without `steps`, as many are taken as leave an error of the map below `tolerance` pixels, here a larger one than
+    `register` has, because errors of prediction are of the order of pixels.
     """
     count = len(pairs)
     errors = np.full(count, np.nan)
     if count > 1:
-        full = start if start is not None else register(pairs, shape, steps=steps, tolerance=tolerance, **options)
+        full = register(pairs, shape, steps=steps, tolerance=tolerance, start=start, **options)
+        velocities = full.flow.velocities
     for k in range(count if count > 1 else 0):
         kept = Matching.of(pairs.without(k), shape, **options)
         try:
-            found = in_steps(kept, full.steps if steps is None else steps, np.delete(full.flow.momenta, k, axis=0))
+            found = in_steps(kept, full.steps, np.delete(velocities, k, axis=0))
         except RegistrationError:
             continue
         errors[k] = np.linalg.norm(found.map_points(pairs.moving[k : k + 1]) - pairs.fixed[k])
@@ -102,12 +105,12 @@ def compare_sigmas(
     *,
     candidates: Sequence[float] | None = None,
     steps: int | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = ENOUGH,
     **options: Any,
 ) -> SigmaChoice:
     """Compare values of sigma by the root mean square of their leave-one-out errors, and take the best.
 
-    `candidates` are in pixels, by default 0 and fractions of the frame's radius up to 1. Other arguments are those of
+    `candidates` are in pixels, by default 0 and fractions of the frame's radius. Other arguments are those of
     `register`. Raises LandmarkError where fewer than three landmarks leave nothing to compare, RegistrationError where
     no candidate can be registered.
     """
@@ -124,7 +127,7 @@ def compare_sigmas(
             smoother = register(pairs, shape, steps=steps, tolerance=tolerance, start=smoother, **own)
         except RegistrationError:
             continue
-        found = leave_one_out(pairs, shape, start=smoother, **own)
+        found = leave_one_out(pairs, shape, steps=steps, tolerance=tolerance, start=smoother, **own)
         if np.isfinite(found.errors).all():
             known[sigma] = found.root_mean_square
     if not known:

@@ -14,7 +14,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.flow import Flow
 from codegen.registration.frame import MARGIN, Frame, corners
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
 
@@ -56,20 +56,29 @@ class Matching:
         frame = Frame.around(np.vstack([corners(other_shape), pairs.fixed, *moved]), margin)
         return cls(pairs, moving_shape, other_shape, alignment, frame, float(sigma), scheme)
 
-    def solve(self, steps: int, momenta: NDArray[np.float64] | None = None) -> tuple[Flow, Any]:
+    @property
+    def ends(self) -> tuple[PointArray, PointArray]:
+        """Where the landmarks start in the disc, after the alignment, and where they are to arrive."""
+        return self.frame.to_disc(self.alignment.apply(self.pairs.moving)), self.frame.to_disc(self.pairs.fixed)
+
+    def solve(self, steps: int, velocities: NDArray[np.float64] | None = None) -> tuple[Flow, Any]:
         """The motion that carries the landmarks in so many steps, and the generated solver's account of it.
 
-        It starts from initial `momenta`, shape (n, 2), if there are any, and climbs its ladder of attempts where that
-        fails. Raises RegistrationError, naming the landmarks that are hardest, when no attempt succeeds.
+        Guessed `velocities` at the start, shape (n, 2), give it first momenta; where there are none, or they fail, it
+        climbs its ladder of attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt
+        succeeds.
         """
-        module, frame = registration_module(self.scheme), self.frame
-        start, target = frame.to_disc(self.alignment.apply(self.pairs.moving)), frame.to_disc(self.pairs.fixed)
+        module = registration_module(self.scheme)
+        start, target = self.ends
         try:
-            case = module.make_case(start, target, steps, sigma=self.sigma * frame.scale)
+            case = module.make_case(start, target, steps, sigma=self.sigma * self.frame.scale)
         except ValueError as error:
             raise LandmarkError(str(error), "correct the landmarks, or the arguments") from error
         with quiet_single_thread():
-            solution = None if momenta is None else module.solve_case(case, momenta)
+            solution = None
+            if velocities is not None:
+                momenta = module.momenta_of(case.start, velocities, case.own, case.parameters)
+                solution = module.solve_case(case, momenta)
             if solution is None or solution.status != "solved":
                 solution = module.solve_case(case)
             if solution.status != "solved":

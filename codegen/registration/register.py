@@ -155,19 +155,24 @@ def register(
         from codegen.registration.leave_one_out import choose_sigma
 
         sigma = choose_sigma(
-            pairs, shape, fixed_shape=fixed_shape, align=align, scheme=scheme, steps=steps, tolerance=tolerance,
-            margin=margin,
-        )  # fmt: skip
+            pairs, shape, fixed_shape=fixed_shape, align=align, scheme=scheme, steps=steps, margin=margin
+        )
     matching = Matching.of(
         pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, scheme=scheme, margin=margin
     )
-    momenta = None if start is None or len(start.pairs) != len(pairs) else start.flow.momenta
-    return in_steps(matching, steps, momenta) if steps is not None else _refined(matching, tolerance, momenta)
+    velocities = None if start is None or len(start.pairs) != len(pairs) else _guess(matching, start)
+    return in_steps(matching, steps, velocities) if steps is not None else _refined(matching, tolerance, velocities)
 
 
-def in_steps(matching: Matching, steps: int, momenta: NDArray[np.float64] | None = None) -> Registration:
-    """The registration in a given number of steps, solved from initial momenta if there are any."""
-    flow, solution = matching.solve(steps, momenta)
+def _guess(matching: Matching, known: Registration) -> NDArray[np.float64]:
+    """Velocities at the start from those of nearly the same landmarks: what differs is taken for a straight way."""
+    (start, target), (known_start, known_target) = matching.ends, known.matching.ends
+    return np.asarray(known.flow.velocities + (target - start) - (known_target - known_start))
+
+
+def in_steps(matching: Matching, steps: int, velocities: NDArray[np.float64] | None = None) -> Registration:
+    """The registration in a given number of steps, from guessed velocities at the start if there are any."""
+    flow, solution = matching.solve(steps, velocities)
     rung = solution.attempts[-1].split(":")[0]
     found = Registration(matching, flow, np.empty(0), np.nan, np.nan, solution.status, rung, solution.message)
     probe = _probe(matching)
@@ -182,13 +187,13 @@ def _probe(matching: Matching) -> PointArray:
     return np.vstack([matching.pairs.moving, coarse_grid(matching.shape)])
 
 
-def _refined(matching: Matching, tolerance: float, momenta: NDArray[np.float64] | None) -> Registration:
+def _refined(matching: Matching, tolerance: float, velocities: NDArray[np.float64] | None) -> Registration:
     """Double the steps until the map no longer changes, and keep the smallest number whose error is small enough."""
     if not tolerance > 0.0:
         raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
-    coarse, probe = _first(matching, momenta), _probe(matching)
+    coarse, probe = _first(matching, velocities), _probe(matching)
     while True:
-        fine = in_steps(matching, 2 * coarse.steps, coarse.flow.momenta)
+        fine = in_steps(matching, 2 * coarse.steps, coarse.flow.velocities)
         change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
         # Halving the steps divides the error by `gain`, so the change is all of the coarse map's error but this part.
         gain = 2.0 ** float(fine.flow.module.metadata["order"])
@@ -200,12 +205,12 @@ def _refined(matching: Matching, tolerance: float, momenta: NDArray[np.float64] 
         coarse = fine
 
 
-def _first(matching: Matching, momenta: NDArray[np.float64] | None) -> Registration:
+def _first(matching: Matching, velocities: NDArray[np.float64] | None) -> Registration:
     """The registration in as few steps as there is one; the last failure where there is none."""
     steps = FIRST_STEPS
     while True:
         try:
-            return in_steps(matching, steps, momenta)
+            return in_steps(matching, steps, velocities)
         except RegistrationError:
             if 2 * steps > MOST_FIRST_STEPS:
                 raise

@@ -16,15 +16,14 @@ def carry_points(points, h, first, last, stages, own, parameters, carried, jacob
     `jacobians`, shape (n, d, d), gets the derivatives of that map, unless it is empty. Times are in steps.
     """
     count, square = points.shape[0], DIMENSION * DIMENSION
-    places, rates, older = np.empty(DIMENSION * BLOCK), np.empty(DIMENSION * BLOCK), np.empty(DIMENSION * BLOCK)
+    places, velocities = np.empty(DIMENSION * BLOCK), np.empty((4, DIMENSION * BLOCK))
     tangents = np.empty(square * BLOCK if jacobians.size > 0 else 0)
     for start in range(0, count, BLOCK):
         for m in range(BLOCK):
             row = min(start + m, count - 1)
             for a in range(DIMENSION):
                 places[a * BLOCK + m] = points[row, a]
-        rates[:] = 0.0
-        older[:] = 0.0
+        velocities[:] = 0.0
         for e in range(tangents.size):
             tangents[e] = 1.0 if (e // BLOCK) % (DIMENSION + 1) == 0 else 0.0
         low, high = min(first, last), max(first, last)
@@ -33,7 +32,7 @@ def carry_points(points, h, first, last, stages, own, parameters, carried, jacob
             k = begin + turn if last > first else end - 1 - turn
             share = min(high, k + 1.0) - max(low, float(k))
             step = h * share if last > first else -h * share
-            passive_step(k, step, stages, own, parameters, places, tangents, rates, older)
+            passive_step(k, step, stages, own, parameters, places, tangents, velocities, turn)
         for m in range(min(BLOCK, count - start)):
             for a in range(DIMENSION):
                 carried[start + m, a] = places[a * BLOCK + m]

@@ -10,7 +10,8 @@ from codegen.runtime.example_pairs import DIMENSION
 from codegen.runtime.example_passive import BLOCK
 
 MOST = 30  # iterations of Newton's method
-SETTLED = 1e-16  # a change of a place, in units of length, that is not made any more
+SETTLED = 1e-15  # a change of a place, in units of length, that is not made any more
+NEAR = 3e-5  # a change after which the derivative at hand serves for another iteration
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -70,12 +71,34 @@ def moved_places(places, changes):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def has_settled(change, previous):
-    """Whether another iteration would change nothing, as changes decrease quadratically: by change^2/previous^2.
+def extrapolated(velocities, known, guess):
+    """Fill `guess` with what follows the last `known` of equally spaced velocities, the latest of which is the first.
 
-    The largest changes of a block may belong to different points, for which a factor of a hundred makes up.
+    Then make room for another one in their place.
     """
-    return change <= SETTLED or (previous < np.inf and 100.0 * change * (change / previous) ** 2 <= SETTLED)
+    for m in range(DIMENSION * BLOCK):
+        a, b, c, d = velocities[0, m], velocities[1, m], velocities[2, m], velocities[3, m]
+        if known < 2:
+            guess[m] = a
+        elif known == 2:
+            guess[m] = 2.0 * a - b
+        elif known == 3:
+            guess[m] = 3.0 * (a - b) + c
+        else:
+            guess[m] = 4.0 * (a + c) - 6.0 * b - d
+        velocities[1, m], velocities[2, m], velocities[3, m] = a, b, c
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def has_settled(change, previous, is_chord):
+    """Whether another iteration would change next to nothing.
+
+    Changes decrease quadratically, the next one is about change^3/previous^2; after an iteration with the derivative of
+    the one before, it is 2 change^2/previous. The largest changes of a block may belong to different points, for which
+    there is a factor of ten.
+    """
+    ratio = change / previous
+    return change <= SETTLED or (previous < np.inf and 10.0 * change * (2.0 if is_chord else ratio) * ratio <= SETTLED)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -12,6 +12,7 @@ from codegen.runtime.example_passive import BLOCK, passive_gradient, passive_vel
 from codegen.runtime.passive_newton import (
     MOST,
     eliminated,
+    extrapolated,
     has_settled,
     moved_places,
     times,
@@ -20,18 +21,18 @@ from codegen.runtime.passive_newton import (
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def passive_step(k, h, stages, own, parameters, places, tangents, rates, older):
+def passive_step(k, h, stages, own, parameters, places, tangents, velocities, known):
     """Move a block of points along step k, or backwards if h is negative; its `tangents` as well if there are any.
 
-    `rates` holds the mean velocity of the last step, and gets that of this one; `older` that of the step before.
+    `velocities`, shape (4, d*BLOCK), holds the means of as many `known` steps before, and gets that of this one.
     """
     size = DIMENSION * DIMENSION * BLOCK
     derivative, products, after = np.empty(size), np.empty(size), np.empty(DIMENSION * BLOCK)
-    first = k * POINTS
+    first, rates = k * POINTS, velocities[0]
     if h < 0.0:
+        extrapolated(velocities, known, after)
         for m in range(DIMENSION * BLOCK):
-            after[m] = places[m] + h * (2.0 * rates[m] - older[m])
-            older[m] = rates[m]
+            after[m] = places[m] + h * after[m]
         inverse_places(places, -h, first, stages, own, parameters, after, rates, derivative)
         for m in range(DIMENSION * BLOCK):
             places[m] = after[m]
@@ -101,7 +102,7 @@ def inverse_places(places, h, first, stages, own, parameters, before, rates, der
             changes[m] = (places[m] - before[m]) - h * rates[m]
         eliminated(derivative, changes, 1)
         change = moved_places(before, changes)
-        if has_settled(change, previous):
+        if has_settled(change, previous, False):
             return
         previous = change
     without_unsettled(before, changes)

@@ -11,7 +11,9 @@ from codegen.runtime.example_pairs import DIMENSION, POINTS, SUBSTEPS
 from codegen.runtime.example_passive import BLOCK, passive_gradient, passive_velocity
 from codegen.runtime.passive_newton import (
     MOST,
+    NEAR,
     eliminated,
+    extrapolated,
     has_settled,
     moved_places,
     shifted_unit,
@@ -21,21 +23,20 @@ from codegen.runtime.passive_newton import (
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def passive_step(k, h, stages, own, parameters, places, tangents, rates, older):
+def passive_step(k, h, stages, own, parameters, places, tangents, velocities, known):
     """Move a block of points along step k, or backwards if h is negative; its `tangents` as well if there are any.
 
-    `rates` and `older` hold the velocities of the last two substeps, and get those of this one.
+    `velocities`, shape (4, d*BLOCK), holds those of as many `known` steps before, and gets those of this one.
     """
     backwards, size = h < 0.0, DIMENSION * DIMENSION * BLOCK
     gradients, matrices, products = np.empty(size), np.empty(size), np.empty(size)
-    middle, guess = np.empty(DIMENSION * BLOCK), np.empty(DIMENSION * BLOCK)
+    middle, guess, rates = np.empty(DIMENSION * BLOCK), np.empty(DIMENSION * BLOCK), velocities[0]
     for turn in range(POINTS):
         s = POINTS - 1 - turn if backwards else turn
         step, weight = h * SUBSTEPS[s][0], 1.0 - SUBSTEPS[s][1] if backwards else SUBSTEPS[s][1]
         z = stages[k * POINTS + s]
+        extrapolated(velocities, known if POINTS == 1 else 1, guess)
         for m in range(DIMENSION * BLOCK):
-            guess[m] = 2.0 * rates[m] - older[m] if POINTS == 1 else rates[m]
-            older[m] = rates[m]
             middle[m] = places[m] + step * weight * guess[m]
         if weight > 0.0:
             implicit_places(places, step * weight, z, own, parameters, middle, guess, gradients, matrices)
@@ -61,16 +62,22 @@ def passive_step(k, h, stages, own, parameters, places, tangents, rates, older):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def implicit_places(places, step, z, own, parameters, middle, rates, gradients, matrices):
-    """Solve middle = places + step V(middle) by Newton's method from the guess in `middle`."""
-    changes, previous = np.empty(DIMENSION * BLOCK), np.inf
+    """Solve middle = places + step V(middle) by Newton's method from the guess in `middle`.
+
+    Once the places are near, velocities alone are evaluated, and the derivative of the iteration before serves again.
+    """
+    changes, previous, is_chord = np.empty(DIMENSION * BLOCK), np.inf, False
     for _ in range(MOST):
-        passive_gradient(middle, z, own, parameters, rates, gradients)
+        if is_chord:
+            passive_velocity(middle, z, own, parameters, rates)
+        else:
+            passive_gradient(middle, z, own, parameters, rates, gradients)
         shifted_unit(gradients, -step, matrices)
         for m in range(DIMENSION * BLOCK):
             changes[m] = (places[m] - middle[m]) + step * rates[m]
         eliminated(matrices, changes, 1)
         change = moved_places(middle, changes)
-        if has_settled(change, previous):
+        if has_settled(change, previous, is_chord):
             return
-        previous = change
+        is_chord, previous = change < NEAR and (not is_chord or change < 1e-3 * previous), change
     without_unsettled(middle, changes)

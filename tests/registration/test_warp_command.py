@@ -72,7 +72,8 @@ def test_the_image_is_what_the_core_makes_of_it_and_the_record_says_how(files):
     assert read_image(out).pixels.shape == (26, 28, 3)
     seen = record["summary"]
     assert record["steps"] == registration.steps
-    assert record["residual"] == pytest.approx(max(seen["residuals"])) < 1e-6
+    assert record["residual"] == max(seen["residuals"])
+    assert record["residual"] < 1e-6
     assert 0.0 < seen["det_min"] < 1.0 < seen["det_max"]
     assert (seen["folded"], seen["first_fold"], seen["names"]) == (0, None, list(pairs.names))
     assert seen["round_trip"] < 1e-8
@@ -163,7 +164,7 @@ def test_where_no_map_is_found_the_status_is_1_and_the_report_shows_the_images(f
     out, report = files / "out.png", files / "out.html"
     out.write_bytes(b"old")
     done = run(files / "moving.png", "--landmarks", files / "swapped.csv", "--out", out, "--report", report, "--json",
-               "--steps", 1, expect=1)  # fmt: skip
+               "--steps", 1, "--align", "none", expect=1)  # fmt: skip
     record = json.loads(done.stdout)
     assert record["status"] == "not converged"
     assert "landmarks 1 and 2" in record["message"]
