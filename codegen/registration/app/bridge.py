@@ -109,6 +109,6 @@ class Browser(JSComponent):  # type: ignore[misc]
         if isinstance(message, dict) and isinstance(message.get("key"), str):
             self._pressed(message["key"])
 
-    def save(self, download: Download) -> None:
+    def hand_over(self, download: Download) -> None:
         """Let the browser save a file that exists in memory only."""
         self._send_msg({"name": download.name, "kind": download.kind, "data": download.data})

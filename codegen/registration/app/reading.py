@@ -49,4 +49,5 @@ def session_of(images: Sequence[Path]) -> Session:
         return example()
     if len(images) > 2:
         raise ArgumentError(f"{len(images)} images were given", "give one, or a moving and a fixed one")
-    return Session(*(picture_at(path) for path in images))
+    moving, *fixed = map(picture_at, images)
+    return Session(moving, fixed[0] if fixed else None)

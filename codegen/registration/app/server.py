@@ -72,7 +72,7 @@ def _view(session: Session, store: Store | None = None, token: str = "") -> View
     served = document is not None and document.session_context is not None
 
     def deliver(act: Callable[[], None]) -> None:
-        if served:
+        if document is not None and served:
             document.add_next_tick_callback(act)
         else:  # a notebook has no event loop of its own to wait for
             act()

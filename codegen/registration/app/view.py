@@ -25,7 +25,7 @@ from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Shown, Wanted
 from codegen.registration.app.state import Place, Settings, Side
 from codegen.registration.app.worker import Deliver, Worker, slow
-from codegen.registration.formats import parse_landmarks
+from codegen.registration.formats import Frames, parse_landmarks
 
 QUICK = ("click moving", "click fixed", "draw")
 SLOW = ("save", "sigma", "warped_image", "field", "landmarks", "animation", "certify")
@@ -81,17 +81,20 @@ class View:
             c.undo: self.session.undo, c.redo: self.session.redo, c.clear: self.session.clear, c.delete: self._delete,
             c.example: self._example,
         }.items():  # fmt: skip
-            widget.on_click(lambda _, act=act: self.do(act))
+            widget.on_click(partial(self._do, act))
         c.choose.on_click(lambda _: self._choose_sigma())
-        for widget in (c.align, c.sigma, c.scheme, c.interpolation):
-            widget.param.watch(lambda _: self.do(self._set), "value")
-        for widget in (c.grid, c.time):
-            widget.param.watch(lambda _: self.draw(), "value")
+        for choice in (c.align, c.sigma, c.scheme, c.interpolation):
+            choice.param.watch(self._set, "value")
+        for choice in (c.grid, c.time):
+            choice.param.watch(lambda _: self.draw(), "value")
         c.mode.param.watch(lambda _: self._compare(), "value")
         c.points.param.watch(lambda event: self.result.show_points(event.new), "value")
         for widget, kind in {c.save_image: "warped_image", c.save_field: "field", c.save_gif: "animation",
                              c.save_landmarks: "landmarks"}.items():  # fmt: skip
-            widget.on_click(lambda _, kind=kind: self.export(kind))
+            widget.on_click(partial(self._export, kind))
+
+    def _do(self, act: Callable[[], Any], event: Any) -> None:
+        self.do(act)
 
     def do(self, act: Callable[[], Any]) -> None:
         """Do something to the session that ends in itself, and show what became of it; errors become a message."""
@@ -181,11 +184,11 @@ class View:
 
         self.slow.ask("sigma", partial(solving.chosen_sigma, self.session.task()), take, self.fail)
 
-    def _set(self) -> None:
+    def _set(self, event: Any) -> None:
         c = self.controls
         if not self._writing:
-            sigma = float(c.sigma.value or 0.0)
-            self.session.set(Settings(c.align.value, sigma, c.scheme.value, c.interpolation.value))
+            settings = Settings(c.align.value, float(c.sigma.value or 0.0), c.scheme.value, c.interpolation.value)
+            self.do(partial(self.session.set, settings))
 
     # --- images and landmark files --------------------------------------------------------------------------------
 
@@ -204,13 +207,16 @@ class View:
         shapes = self._frames()
         self.do(lambda: self.session.load(parse_landmarks([(name, data)], frames=shapes)))
 
-    def _frames(self) -> exports.Frames:
-        return exports.Frames(self.session.moving.shape, self.session.picture("fixed").shape)
+    def _frames(self) -> Frames:
+        return Frames(self.session.moving.shape, self.session.picture("fixed").shape)
 
     def _example(self) -> None:
         made = example()
         self.session.replace(made.moving, made.fixed, made.work)
         self._show_images()
+
+    def _export(self, kind: str, event: Any) -> None:
+        self.export(kind)
 
     def export(self, kind: str) -> None:
         """Make a file beside the event loop and let the browser save it."""
@@ -226,7 +232,7 @@ class View:
         def made(result: Any) -> None:
             self._tell()
             for download in result if isinstance(result, tuple) else (result,):
-                self.browser.save(download)
+                self.browser.hand_over(download)
 
         self.slow.ask(kind, jobs[kind], made, self.fail)
 
@@ -306,7 +312,9 @@ class View:
 
     def draw(self, hasty: bool = False) -> None:
         """Register the present pairs beside the event loop, and show what comes of it."""
-        wanted = Wanted(self.session.task(), float(self.controls.time.value), bool(self.controls.grid.value), hasty)
+        wanted = Wanted(
+            self.session.task(), float(self.controls.time.value or 0.0), bool(self.controls.grid.value), hasty
+        )
         previous, known = self.session.registration, None
         if self.shown is not None and not self.shown.wanted.hasty and not hasty:
             same = self.shown.wanted.task.revision == wanted.task.revision

@@ -146,6 +146,10 @@ def homologous() -> dict[str, tuple[float, float]]:
     def belly(x: float) -> tuple[float, float]:
         return x, float(profile(np.array(x)))
 
+    def tip(number: int) -> tuple[float, float]:
+        x, y = fins()[number][0][-19]
+        return float(x), float(y)
+
     return {
         "snout": (0.0, 0.0),
         "corner of the mouth": (0.075, 0.04),
@@ -157,17 +161,17 @@ def homologous() -> dict[str, tuple[float, float]]:
         "brow": back(0.15),
         "highest point of the back": back(0.48),
         "front of the back fin": back(0.74),
-        "tip of the back fin": tuple(fins()[1][0][len(fins()[1][0]) - 1 - 18]),
+        "tip of the back fin": tip(1),
         "end of the back fin": back(0.91),
         "chin": belly(0.15),
         "lowest point of the belly": belly(0.48),
         "front of the belly fin": belly(0.74),
-        "tip of the belly fin": tuple(fins()[2][0][len(fins()[2][0]) - 1 - 18]),
+        "tip of the belly fin": tip(2),
         "end of the belly fin": belly(0.91),
         "upper tip of the tail": (1.195, -0.15),
         "middle of the tail": (1.145, 0.0),
         "lower tip of the tail": (1.195, 0.15),
-    }  # type: ignore[dict-item]
+    }
 
 
 def main(folder: Path) -> None:
