@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from codegen.app_command import app
 from codegen.errors import ArgumentError
 from codegen.terminal import OneLineErrors, console, one_line, progress, working
 from codegen.warp_command import warp
@@ -321,6 +322,7 @@ def stress(
 
 
 main.command()(warp)
+main.command()(app)
 
 
 def _build(
