@@ -56,7 +56,13 @@ def _urgency(line: Line) -> tuple[bool, float]:
 def _row(line: Line, page: Path | None) -> Row:
     values = {name: number(float(line[name])) if line[name] else "–" for name in _NUMBERS}
     outliers = len(line["outliers"].split(";")) if line["outliers"] else 0
-    cells = (line["count"], line["steps"], *values.values(), str(outliers) if line["det_min"] else "–", line["seconds"])
+    cells = (
+        line["count"],
+        line["steps"],
+        *values.values(),
+        str(outliers) if line["det_min"] else "–",
+        number(float(line["seconds"] or 0)),
+    )
     solved = line["status"] == "solved"
     href = urllib.parse.quote(page.name) if page is not None and page.is_file() else ""
     return Row(Path(line["moving"]).name, href, line["status"], "" if solved else line["message"], cells)
