@@ -66,10 +66,12 @@ def folding(count: int, repeat: int) -> None:
     rows = list[tuple[str, float, int, float, int, int, float, float]]()
     for name, points in named:
         pairs = in_pixels(points, SIDE)
-        found = register(pairs, (SIDE, SIDE))
+        found = register(pairs, (SIDE, SIDE), tolerance=0.05)
         ours, theirs = certify(found), thin_plate_determinants(pairs, SIDE)
         folded = int((theirs <= 0.0).sum())
         rows.append((name, ours.det_min, ours.folded, theirs.min(), folded, found.steps, ours.round_trip, found.error))
+        CONSOLE.print(f"{len(rows)}/{len(named)} {name}: det J {ours.det_min:.4f}, thin plate {theirs.min():.4f}, "
+                      f"{found.steps} steps")  # fmt: skip
     shown = Table("pairs", "least det J", "folded maps", "folded pixels", "thin plate: least det J", "folded maps",
                   "folded share of pixels", title=f"{SIDE} x {SIDE} pixels")  # fmt: skip
     for name, part in ((rows[0][0], rows[:1]), (f"{count} random pairs of ktch", rows[1:])):
