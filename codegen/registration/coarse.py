@@ -1,8 +1,8 @@
 """Positions of all pixels from a coarse grid: cubic splines between exactly mapped points, with a measured error.
 
 The map is smooth except at landmarks, where its second derivative grows like a logarithm. So it is mapped exactly at
-every `spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells around
-landmarks, and all in which the spline was found to err too much, are mapped exactly, pixel by pixel.
+every `spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells in
+which the spline was found to err too much, about landmarks a quarter of that, are mapped exactly, pixel by pixel.
 
 What is proved and what is sampled: nothing is proved. The error of the spline through every second node in each
 direction is measured at all nodes, and a quarter of it is taken for the error of the spline through all of them, since
@@ -34,6 +34,8 @@ BOUND = 0.01
 LARGEST, SMALLEST = 32, 2
 HALVING = 4.0
 """The least factor by which half the spacing reduces the error of a cubic spline; see above."""
+SINGULAR = 4.0
+"""How many times smaller an error must be about a landmark, where it varies within a cell."""
 CHECKED = 256
 """Cells at whose centres the spline is compared with exact positions."""
 
@@ -111,17 +113,24 @@ class _Grid:
         return np.asarray(np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING)
 
     def doubtful(self, errors: NDArray[np.float64], singular: PointArray, bound: float) -> NDArray[np.bool_]:
-        """Cells that have a corner or a neighbour's corner of large error, or a singular point in them or beside."""
-        large = ~(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1] <= bound)
-        cells = np.floor(singular / self.spacing).astype(int)
-        inside = ((cells >= 0) & (cells < large.shape[::-1])).all(axis=1)
-        large[cells[inside, 1], cells[inside, 0]] = True
+        """Cells with a corner of large error, or a singular point and an error that is not small; and neighbours."""
+        at_cells = _at_cells(errors)
+        large = ~(at_cells <= bound)
+        columns, rows = np.floor(singular / self.spacing).astype(int).T
+        inside = (rows >= 0) & (rows < large.shape[0]) & (columns >= 0) & (columns < large.shape[1])
+        rows, columns = rows[inside], columns[inside]
+        large[rows, columns] |= ~(maximum_filter(at_cells, 3)[rows, columns] <= bound / SINGULAR)
         return np.asarray(binary_dilation(large, np.ones((3, 3))))
 
     def pixels(self, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The pixels that lie in cells."""
         wide = np.repeat(np.repeat(cells, self.spacing, axis=0), self.spacing, axis=1)
         return np.asarray(wide[: self.shape[0], : self.shape[1]])
+
+
+def _at_cells(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The largest error at a corner of each cell."""
+    return np.asarray(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1])
 
 
 def _nodes(length: int, spacing: int) -> NDArray[np.float64]:
@@ -150,8 +159,7 @@ def _completed(function: Map, grid: _Grid, singular: PointArray, bound: float) -
     rows, columns = np.nonzero(grid.pixels(doubtful))
     if rows.size:
         places[rows, columns] = function(np.stack([columns, rows], axis=1).astype(float))
-    at_cells = maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1]
-    remaining = np.where(doubtful, 0.0, at_cells)
+    remaining = np.where(doubtful, 0.0, _at_cells(errors))
     checked = _checked(function, grid, remaining)
     found = max(float(remaining.max()), checked)
     return Positions(places, grid.spacing, rows.size / (height * width), found, checked)
