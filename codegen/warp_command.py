@@ -157,8 +157,8 @@ def _many(
     summary = (out / batch.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     if report is not None:
         batch.require_free(jobs, report / batch_report.NAME)
-    with progress("Warping", len(jobs)) as advance:
-        done = batch.run_all(jobs, options, summary, advance)
+    with progress("Warping", len(jobs)) as told:
+        done = batch.run_all(jobs, options, summary, told)
     if report is not None:
         batch_report.write_batch_report(report, done, [job.report for job in jobs])
     if json:

@@ -165,13 +165,17 @@ def require_free(jobs: Iterable[Job], path: Path) -> None:
 
 
 def run_all(
-    jobs: Sequence[Job], options: Options, summary: Path, advance: Callable[[], None], run_one: Any = run
+    jobs: Sequence[Job], options: Options, summary: Path, told: Callable[[int, str], None], run_one: Any = run
 ) -> Batch:
-    """Do all jobs that are not done yet; a pair that fails leaves a line that says why. Writes the summary."""
+    """Do all jobs that are not done yet; a pair that fails leaves a line that says why. Writes the summary.
+
+    `told` is told how many pairs are done and which one is next.
+    """
     earlier = {line["out"]: line for line in _read_summary(summary)}
     lines: list[Line] = []
     unchanged = 0
     for number, job in enumerate(jobs):
+        told(number, job.moving.name)
         key = _key(job, options)
         line = earlier.get(str(job.out), {})
         if key and line.get("key") == key and line.get("status") == "solved" and all(p.is_file() for p in job.written):
@@ -181,7 +185,6 @@ def run_all(
             lines.append(_done(job, options, key, run_one))
             pending = [earlier[str(later.out)] for later in jobs[number + 1 :] if str(later.out) in earlier]
             _write_summary(summary, [*lines, *pending])
-        advance()
     _write_summary(summary, lines)
     return Batch(tuple(lines), unchanged)
 

@@ -44,6 +44,10 @@ def stand_in(job, options, record=None):
     return Result(record, None, None, None)
 
 
+def _silent(done, text):
+    """Nobody watches."""
+
+
 def test_files_of_one_stem_belong_together(folder, tmp_path):
     jobs, without = jobs_in_folder(folder, Places(tmp_path / "out", tmp_path / "f", tmp_path / "r"), None, ())
     assert [job.moving.name for job in jobs] == ["a.png", "b.jpg", "c.TIF", "d.png"]
@@ -69,11 +73,11 @@ def test_one_fixed_image_and_one_landmark_file_may_serve_all(folder, tmp_path):
 
 def test_bad_pairs_do_not_stop_the_others(folder, tmp_path):
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
-    advanced = []
-    done = run_all(jobs, Options(), tmp_path / "summary.csv", lambda: advanced.append(1), stand_in)
+    told = []
+    done = run_all(jobs, Options(), tmp_path / "summary.csv", lambda done, text: told.append((done, text)), stand_in)
     assert [line["status"] for line in done.lines] == ["solved", "wrong input", "not converged", "defect"]
     assert len(done.failed) == 3
-    assert len(advanced) == 4
+    assert told == [(0, "a.png"), (1, "b.jpg"), (2, "c.TIF"), (3, "d.png")]
     with (tmp_path / "summary.csv").open(newline="") as file:
         assert [*csv.DictReader(file)] == [*done.lines]
     assert "b is damaged; give another" in done.lines[1]["message"]
@@ -91,7 +95,7 @@ def test_only_what_changed_is_done_again(folder, tmp_path):
     def again(options=Options()):  # noqa: B008
         seen.clear()
         jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
-        return run_all([job for job in jobs if job.moving.stem in "ac"], options, summary, lambda: None, counting)
+        return run_all([job for job in jobs if job.moving.stem in "ac"], options, summary, _silent, counting)
 
     assert again().unchanged == 0
     assert again().unchanged == 1
@@ -111,7 +115,7 @@ def test_an_interrupted_batch_keeps_what_it_did_and_what_was_done_before(folder,
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
     jobs = [jobs[0], jobs[2]]
     summary = tmp_path / "summary.csv"
-    run_all(jobs, Options(), summary, lambda: None, stand_in)
+    run_all(jobs, Options(), summary, _silent, stand_in)
 
     def interrupted(job, options):
         if job.moving.stem == "c":
@@ -119,9 +123,9 @@ def test_an_interrupted_batch_keeps_what_it_did_and_what_was_done_before(folder,
         return stand_in(job, options)
 
     with pytest.raises(KeyboardInterrupt):
-        run_all(jobs, Options(sigma=2.0), summary, lambda: None, interrupted)
+        run_all(jobs, Options(sigma=2.0), summary, _silent, interrupted)
     assert [line["out"] for line in batch._read_summary(summary)] == [str(job.out) for job in jobs]
-    assert run_all(jobs, Options(sigma=2.0), summary, lambda: None, stand_in).unchanged == 1
+    assert run_all(jobs, Options(sigma=2.0), summary, _silent, stand_in).unchanged == 1
 
 
 def test_tables_name_their_pairs(tmp_path):
