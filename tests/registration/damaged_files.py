@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import SimpleITK  # noqa: F401  loaded before memory is measured, as the other libraries are
 import tifffile
 from landmark_samples import SAMPLES, SHAPE
 from PIL import Image as Pillow
