@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from codegen.app_command import app
 from codegen.errors import ArgumentError
 from codegen.terminal import OneLineErrors, console, one_line, progress, working
+from codegen.warp_command import warp
 
 if TYPE_CHECKING:
     from codegen.compiler import Build
@@ -317,6 +319,10 @@ def stress(
     if failed:
         typer.echo(f"codegen: {len(failed)} of {len(rows)} rows failed; see {out / 'stress.html'}", err=True)
         raise typer.Exit(1)
+
+
+main.command()(warp)
+main.command()(app)
 
 
 def _build(

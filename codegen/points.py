@@ -57,7 +57,7 @@ def read_points(path: Path, dimension: int) -> PointSet:
         raise PointsError(f"{path}: the columns are {','.join(header)[:100]}", remedy)
     if len(rows) == 1:
         raise PointsError(f"{path} holds no points", "give one row for every point")
-    table = np.array([_numbers(path, number, row, header) for number, row in rows[1:]])
+    table = np.array([finite_numbers(path, number, row, header) for number, row in rows[1:]])
     place = {name: table[:, index] for index, name in enumerate(header)}
     start, target = (np.stack([place[name] for name in names], axis=1) for names in _halves(columns))
     sigma = place.get("sigma", np.zeros(len(table)))
@@ -87,19 +87,20 @@ def _require_size(path: Path, dimension: int) -> None:
         )
 
 
-def _numbers(path: Path, line: int, row: list[str], header: list[str]) -> list[float]:
+def finite_numbers(file: Path | str, line: int, row: Sequence[str], header: Sequence[str]) -> list[float]:
+    """The numbers of one line of a file; PointsError names the file, the line and the column of what is none."""
     if len(row) != len(header):
         raise PointsError(
-            f"{path}:{line}: {len(row)} values for {len(header)} columns",
-            "give as many values as columns, start and target in one row",
+            f"{file}:{line}: {len(row)} values for {len(header)} columns",
+            f"give {','.join(header)} in every row",
         )
     numbers = []
     for name, text in zip(header, row, strict=True):
         try:
-            number = float(text)
+            number = math.nan if "_" in text else float(text)
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise PointsError(f"{path}:{line}: {name} is {text.strip()[:30]!r}", "give finite numbers")
+            raise PointsError(f"{file}:{line}: {name} is {text.strip()[:30]!r}", "give finite numbers")
         numbers.append(number)
     return numbers

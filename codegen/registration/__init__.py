@@ -6,7 +6,9 @@ points have shape (n, 2). Forward is from the moving image to the fixed one.
 
 from codegen.registration.alignment import Alignment, align
 from codegen.registration.certificate import Certificate, certify
+from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.frame import Frame
+from codegen.registration.leave_one_out import LeaveOneOut, SigmaChoice, choose_sigma, compare_sigmas, leave_one_out
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.register import Registration, register
 from codegen.registration.warp import WarpReport, warp, warp_reported
@@ -16,11 +18,18 @@ __all__ = [
     "Certificate",
     "Frame",
     "LandmarkPairs",
+    "LeaveOneOut",
     "Registration",
+    "SigmaChoice",
     "WarpReport",
     "align",
     "certify",
+    "choose_sigma",
+    "compare_sigmas",
+    "displacement_field",
+    "leave_one_out",
     "register",
     "warp",
     "warp_reported",
+    "write_field",
 ]

@@ -14,18 +14,14 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ModuleError, NumericsError
-from codegen.load import load
 from codegen.registration.pairs import PointArray
 
-PROBLEM = "image_registration.py"
 THREADED = 400_000
 """Velocities that one landmark gives to one point, from which on a second thread is worth its start."""
 
@@ -37,28 +33,12 @@ class FlowModule(Protocol):
 
     solve_case: Callable[..., Any]
     make_case: Callable[..., Any]
-    trajectory: Callable[[Any, Any], tuple[int, Any, Any]]
+    momenta_of: Callable[..., NDArray[np.float64]]
+    momentum_matrix: Callable[..., None]
     stages_of: Callable[[Any, Any], NDArray[np.float64]]
     carry: Callable[..., tuple[PointArray, Any]]
     POINTS: int
     BLOCK: int
-
-
-def problem_file() -> Path:
-    """The problem whose module registers images: beside this file where it is installed, or in a checkout."""
-    folder = Path(__file__).parent
-    for candidate in (folder / "problem" / PROBLEM, folder.parents[1] / "problems" / PROBLEM):
-        if candidate.is_file():
-            return candidate
-    raise ModuleError(f"{PROBLEM} is missing from the installation", "install the package again")
-
-
-@cache
-def registration_module(scheme: str = "midpoint") -> FlowModule:
-    """The generated module of a scheme, derived when it is needed for the first time."""
-    from codegen.compiler import build
-
-    return require_passive(load(build(problem_file(), {"passive": "True"}, scheme=scheme).path))
 
 
 def require_passive(module: Any) -> FlowModule:
@@ -86,6 +66,14 @@ class Flow:
     def steps(self) -> int:
         """The number of steps N."""
         return len(self.path) - 1
+
+    @property
+    def velocities(self) -> NDArray[np.float64]:
+        """The landmarks' velocities at the start, H_pp p, shape (n, 2)."""
+        places, momenta = self.path[0]
+        matrix = np.empty((len(places), len(places)))
+        self.module.momentum_matrix(self.path[0], self.case.own, self.case.parameters, matrix)
+        return np.asarray(matrix @ momenta)
 
     def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
         """Where points of the disc, shape (n, 2), that are there at time `start` are at time `stop`.

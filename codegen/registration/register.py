@@ -4,51 +4,84 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.drivers.scaled import quiet_single_thread
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration.alignment import Alignment, Kind, align
-from codegen.registration.flow import Flow, registration_module
-from codegen.registration.frame import MARGIN, Frame, coarse_grid, corners
+from codegen.registration.alignment import Alignment, Kind
+from codegen.registration.flow import Flow
+from codegen.registration.frame import MARGIN, Frame, coarse_grid
+from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
+from codegen.registration.solver import DEFAULT_SCHEME
 
 TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
 ROUND_TRIP = 1e-8
 """Largest distance in pixels at which a point may come back from the way forwards and backwards."""
-FIRST_STEPS, MOST_STEPS = 5, 320
+FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 5, 40, 320
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
     """A map from the moving image to the fixed one, and its inverse: alignment, then flow.
 
-    `shape` and `fixed_shape` are (height, width) of both images. `residuals` are the distances, in pixels of the fixed
-    image, between where moving landmarks arrive and the fixed ones, shape (n,). `error` estimates how far the map is
-    from that of infinitely many steps, in pixels, NaN where steps were given. `round_trip` is the farthest from where
-    it was, in pixels, that a point of a coarse grid or a landmark comes back. `rung` says which of the solver's
-    attempts succeeded, and `message` how.
+    `residuals` are the distances, in pixels of the fixed image, between where moving landmarks arrive and the fixed
+    ones, shape (n,). `error` estimates how far the map is from that of infinitely many steps, in pixels, NaN where
+    steps were given. `round_trip` is the farthest from where it was, in pixels, that a landmark or a point of a coarse
+    grid comes back. `rung` says which of the solver's attempts succeeded, and `message` how.
     """
 
-    pairs: LandmarkPairs
-    shape: tuple[int, int]
-    fixed_shape: tuple[int, int]
-    alignment: Alignment
-    frame: Frame
+    matching: Matching
     flow: Flow
-    sigma: float
-    scheme: str
-    steps: int
     residuals: NDArray[np.float64]
     error: float
     round_trip: float
     status: str
     rung: str
     message: str
+
+    @property
+    def pairs(self) -> LandmarkPairs:
+        """The landmarks."""
+        return self.matching.pairs
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the moving image."""
+        return self.matching.shape
+
+    @property
+    def fixed_shape(self) -> tuple[int, int]:
+        """Height and width of the fixed image."""
+        return self.matching.fixed_shape
+
+    @property
+    def alignment(self) -> Alignment:
+        """The similarity or affine map that comes before the flow."""
+        return self.matching.alignment
+
+    @property
+    def frame(self) -> Frame:
+        """The disc in which the flow moves points."""
+        return self.matching.frame
+
+    @property
+    def sigma(self) -> float:
+        """How far landmarks may miss, in pixels."""
+        return self.matching.sigma
+
+    @property
+    def scheme(self) -> str:
+        """The name of the scheme that makes the flow's steps."""
+        return self.matching.scheme
+
+    @property
+    def steps(self) -> int:
+        """The number of the flow's steps."""
+        return self.flow.steps
 
     def map_points(self, xy: Any) -> PointArray:
         """Moving to fixed, points in pixels of shape (n, 2)."""
@@ -101,8 +134,8 @@ def register(
     *,
     fixed_shape: Sequence[int] | None = None,
     align: Kind = "similarity",
-    sigma: float = 0.0,
-    scheme: str = "midpoint",
+    sigma: float | Literal["auto"] = 0.0,
+    scheme: str = DEFAULT_SCHEME,
     steps: int | None = None,
     tolerance: float = TOLERANCE,
     margin: float = MARGIN,
@@ -110,124 +143,75 @@ def register(
 ) -> Registration:
     """Find the map that carries the moving landmarks to the fixed ones.
 
-    `shape` is (height, width, ...) of the moving image, `fixed_shape` that of the fixed one where it differs. `sigma`,
-    in pixels, is how far landmarks may miss: zero means that they are met exactly. Without `steps` as many are taken
-    as leave an error of the map below `tolerance` pixels. The solver starts from an earlier registration, `start`, of as
-    many landmarks, as when a landmark is dragged.
+    `shape` is (height, width, ...) of the moving image, `fixed_shape` that of the fixed one where it differs. With a
+    `sigma`, in pixels, landmarks may miss for the sake of a smoother map, by sigma^2/radius times their final momenta;
+    zero means that they are met exactly, "auto" takes the sigma with the least leave-one-out error. Without `steps` as
+    many are taken as leave an error of the map below `tolerance` pixels. The solver starts from an earlier
+    registration, `start`, of as many landmarks, as when a landmark is dragged.
 
     Raises LandmarkError when the landmarks cannot be used, RegistrationError when no solution is found.
     """
-    problem = _problem(pairs, shape, fixed_shape, align, sigma, scheme, margin)
-    if steps is not None:
-        return _solved(problem, steps, _momenta(start, pairs))
-    return _refined(problem, tolerance, _momenta(start, pairs))
+    if sigma == "auto":
+        from codegen.registration.leave_one_out import choose_sigma
+
+        sigma = choose_sigma(
+            pairs, shape, fixed_shape=fixed_shape, align=align, scheme=scheme, steps=steps, margin=margin
+        )
+    matching = Matching.of(
+        pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, scheme=scheme, margin=margin
+    )
+    velocities = None if start is None or len(start.pairs) != len(pairs) else _guess(matching, start)
+    return in_steps(matching, steps, velocities) if steps is not None else _refined(matching, tolerance, velocities)
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What is to be registered, whatever the number of steps."""
-
-    pairs: LandmarkPairs
-    shape: tuple[int, int]
-    fixed_shape: tuple[int, int]
-    alignment: Alignment
-    frame: Frame
-    sigma: float
-    scheme: str
+def _guess(matching: Matching, known: Registration) -> NDArray[np.float64]:
+    """Velocities at the start from those of nearly the same landmarks: what differs is taken for a straight way."""
+    (start, target), (known_start, known_target) = matching.ends, known.matching.ends
+    return np.asarray(known.flow.velocities + (target - start) - (known_target - known_start))
 
 
-def _problem(
-    pairs: LandmarkPairs,
-    shape: Sequence[int],
-    fixed_shape: Sequence[int] | None,
-    kind: Kind,
-    sigma: float,
-    scheme: str,
-    margin: float,
-) -> _Problem:
-    moving_shape = _extent(shape)
-    other_shape = moving_shape if fixed_shape is None else _extent(fixed_shape)
-    alignment = align(pairs, kind)
-    covered = [
-        corners(other_shape), alignment.apply(corners(moving_shape)), pairs.fixed, alignment.apply(pairs.moving)
-    ]  # fmt: skip
-    frame = Frame.around(np.vstack(covered), margin)
-    if not 0.0 <= sigma < np.inf:
-        raise LandmarkError(f"sigma is {sigma!r}", "give a distance in pixels that is not negative")
-    return _Problem(pairs, moving_shape, other_shape, alignment, frame, float(sigma), scheme)
+def in_steps(matching: Matching, steps: int, velocities: NDArray[np.float64] | None = None) -> Registration:
+    """The registration in a given number of steps, from guessed velocities at the start if there are any."""
+    flow, solution = matching.solve(steps, velocities)
+    rung = solution.attempts[-1].split(":")[0]
+    found = Registration(matching, flow, np.empty(0), np.nan, np.nan, solution.status, rung, solution.message)
+    probe = _probe(matching)
+    there = found.map_points(probe)
+    back = np.linalg.norm(found.map_points_inverse(there) - probe, axis=1).max()
+    residuals = np.linalg.norm(there[: len(matching.pairs)] - matching.pairs.fixed, axis=1)
+    return replace(found, residuals=residuals, round_trip=float(back))
 
 
-def _extent(shape: Sequence[int]) -> tuple[int, int]:
-    height, width = (int(length) for length in tuple(shape)[:2])
-    if height < 1 or width < 1:
-        raise LandmarkError(f"the image's shape is {tuple(shape)}", "give its height and width in pixels")
-    return height, width
+def _probe(matching: Matching) -> PointArray:
+    """The points at which maps are compared: moving landmarks, then a coarse grid over the moving image."""
+    return np.vstack([matching.pairs.moving, coarse_grid(matching.shape)])
 
 
-def _momenta(previous: Registration | None, pairs: LandmarkPairs) -> NDArray[np.float64] | None:
-    return None if previous is None or len(previous.pairs) != len(pairs) else previous.flow.path[0, 1]
-
-
-def _refined(problem: _Problem, tolerance: float, guess: NDArray[np.float64] | None) -> Registration:
+def _refined(matching: Matching, tolerance: float, velocities: NDArray[np.float64] | None) -> Registration:
     """Double the steps until the map no longer changes, and keep the smallest number whose error is small enough."""
     if not tolerance > 0.0:
         raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
-    coarse = _solved(problem, FIRST_STEPS, guess)
-    probe = np.vstack([coarse_grid(problem.shape), problem.pairs.moving])
+    coarse, probe = _first(matching, velocities), _probe(matching)
     while True:
-        fine = _solved(problem, 2 * coarse.steps, coarse.flow.path[0, 1])
-        gain = 2.0 ** float(fine.flow.module.metadata["order"])
+        fine = in_steps(matching, 2 * coarse.steps, coarse.flow.velocities)
         change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
-        if change * gain / (gain - 1.0) <= tolerance:
-            return replace(coarse, error=change * gain / (gain - 1.0))
-        if change / (gain - 1.0) <= tolerance or 2 * fine.steps > MOST_STEPS:
+        # Halving the steps divides the error by `gain`, so the change is all of the coarse map's error but this part.
+        gain = 2.0 ** float(fine.flow.module.metadata["order"])
+        for found, error in ((coarse, change * gain / (gain - 1.0)), (fine, change / (gain - 1.0))):
+            if error <= tolerance and found.round_trip <= ROUND_TRIP:
+                return replace(found, error=error)
+        if 2 * fine.steps > MOST_STEPS:
             return replace(fine, error=change / (gain - 1.0))
         coarse = fine
 
 
-def _solved(problem: _Problem, steps: int, guess: NDArray[np.float64] | None) -> Registration:
-    flow, solution = _flow(problem, steps, guess)
-    rung = solution.attempts[-1].split(":")[0]
-    found = Registration(
-        **vars(problem), flow=flow, steps=steps, residuals=np.empty(0), error=np.nan, round_trip=np.nan,
-        status=solution.status, rung=rung, message=solution.message,
-    )  # fmt: skip
-    residuals = np.linalg.norm(found.map_points(problem.pairs.moving) - problem.pairs.fixed, axis=1)
-    probe = np.vstack([coarse_grid(problem.shape), problem.pairs.moving])
-    back = np.linalg.norm(found.map_points_inverse(found.map_points(probe)) - probe, axis=1).max()
-    return replace(found, residuals=residuals, round_trip=float(back))
-
-
-def _flow(problem: _Problem, steps: int, guess: NDArray[np.float64] | None) -> tuple[Flow, Any]:
-    """The solved motion of the landmarks; RegistrationError when there is none."""
-    module, frame, pairs = registration_module(problem.scheme), problem.frame, problem.pairs
-    start, target = frame.to_disc(problem.alignment.apply(pairs.moving)), frame.to_disc(pairs.fixed)
-    try:
-        case = module.make_case(start, target, steps, sigma=problem.sigma * frame.scale)
-    except ValueError as error:
-        raise LandmarkError(str(error), "correct the landmarks, or the arguments") from error
-    with quiet_single_thread():
-        solution = None if guess is None else module.solve_case(case, guess)
-        if solution is None or solution.status != "solved":
-            solution = module.solve_case(case)
-        if solution.status != "solved":
-            raise RegistrationError(_failure(problem, solution.message), _REMEDY)
-        _, path, points = module.trajectory(case, solution.p[0])
-    return Flow(module, case, path, points), solution
-
-
-_REMEDY = "allow for a sigma, take more steps, or leave out landmarks that are close together and move apart"
-
-
-def _failure(problem: _Problem, message: str) -> str:
-    """What is reported of landmarks that no motion was found for: the two whose distance changes most."""
-    before, after = problem.alignment.apply(problem.pairs.moving), problem.pairs.fixed
-    if len(before) < 2:
-        return message
-    i, j = np.triu_indices(len(before), 1)
-    apart, moved = np.linalg.norm(before[i] - before[j], axis=1), (after - before)[i] - (after - before)[j]
-    worst = int(np.argmax(np.linalg.norm(moved, axis=1) / apart))
-    names = problem.pairs.names
-    one, other = names[i[worst]], names[j[worst]]
-    x, y = problem.pairs.moving[i[worst]]
-    return f"{message.split(';')[0]} (hardest are landmarks {one} and {other}, near ({x:.1f}, {y:.1f}))"
+def _first(matching: Matching, velocities: NDArray[np.float64] | None) -> Registration:
+    """The registration in as few steps as there is one; the last failure where there is none."""
+    steps = FIRST_STEPS
+    while True:
+        try:
+            return in_steps(matching, steps, velocities)
+        except RegistrationError:
+            if 2 * steps > MOST_FIRST_STEPS:
+                raise
+        steps *= 2

@@ -11,7 +11,8 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ImageError
-from codegen.registration.frame import pixel_grid
+from codegen.registration.coarse import BOUND, Positions, Spacing, map_grid
+from codegen.registration.pairs import PointArray
 from codegen.registration.register import Registration
 
 Interpolation: TypeAlias = Literal["nearest", "linear", "cubic"]
@@ -20,9 +21,14 @@ ORDERS: dict[str, int] = {"nearest": 0, "linear": 1, "cubic": 3}
 
 @dataclass(frozen=True)
 class WarpReport:
-    """How positions were found: exactly at every pixel, or on every `spacing`-th with an error of at most `bound`."""
+    """How positions were found: at every pixel, or from every `spacing`-th and a share of the others, `exact`.
+
+    `bound` is the largest error, in pixels, of a position that was interpolated; see `codegen.registration.coarse`.
+    `outside` counts the pixels of the result that come from outside the image.
+    """
 
     spacing: int
+    exact: float
     bound: float
     outside: int
 
@@ -34,18 +40,23 @@ def warp(
     interpolation: Interpolation = "linear",
     inverse: bool = False,
     shape: Sequence[int] | None = None,
-    spacing: int | Literal["auto"] | None = None,
+    spacing: Spacing = None,
+    bound: float = BOUND,
     fill: float = 0.0,
     time: float = 1.0,
 ) -> NDArray[Any]:
     """The moving image in the frame of the fixed one, or with `inverse` the fixed image in that of the moving one.
 
     `pixels` has shape (height, width) or (height, width, channels); what is returned has the dtype of `pixels` and
-    the size `shape`, by default that of the other image. Pixels that come from outside the image are `fill`.
+    the size `shape`, by default that of the other image. Pixels that come from outside the image are `fill`. With a
+    `spacing`, a number of pixels or "auto", positions are interpolated from a coarse grid where that errs by less than
+    `bound` pixels. `time` is that of `Registration.positions`.
+
+    Raises ImageError for an array that is no image, ArgumentError for an unknown interpolation or spacing.
     """
     return warp_reported(
-        pixels, registration, interpolation=interpolation, inverse=inverse, shape=shape, spacing=spacing, fill=fill,
-        time=time,
+        pixels, registration, interpolation=interpolation, inverse=inverse, shape=shape, spacing=spacing, bound=bound,
+        fill=fill, time=time,
     )[0]  # fmt: skip
 
 
@@ -56,7 +67,8 @@ def warp_reported(
     interpolation: Interpolation = "linear",
     inverse: bool = False,
     shape: Sequence[int] | None = None,
-    spacing: int | Literal["auto"] | None = None,
+    spacing: Spacing = None,
+    bound: float = BOUND,
     fill: float = 0.0,
     time: float = 1.0,
 ) -> tuple[NDArray[Any], WarpReport]:
@@ -64,10 +76,27 @@ def warp_reported(
     image = np.asarray(pixels)
     _require_image(image, interpolation)
     default = registration.shape if inverse else registration.fixed_shape
-    height, width = (int(length) for length in tuple(default if shape is None else shape)[:2])
-    sources = registration.positions(time, pixel_grid((height, width)), inverse=not inverse)
-    warped, outside = sample(image, sources.reshape(height, width, 2), ORDERS[interpolation], fill)
-    return warped, WarpReport(1, 0.0, outside)
+    found = sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
+    warped, outside = sample(image, found.places, ORDERS[interpolation], fill)
+    return warped, WarpReport(found.spacing, found.exact, found.bound, outside)
+
+
+def sources(
+    registration: Registration,
+    shape: Sequence[int],
+    inverse: bool = False,
+    spacing: Spacing = None,
+    bound: float = BOUND,
+    time: float = 1.0,
+) -> Positions:
+    """Where each pixel of a warped image comes from: of the fixed frame by the inverse map, or the other way about."""
+    pairs = registration.pairs
+    singular = pairs.moving if inverse else registration.positions(time, pairs.moving)
+
+    def function(xy: PointArray) -> PointArray:
+        return registration.positions(time, xy, inverse=not inverse)
+
+    return map_grid(function, shape, singular, spacing, bound)
 
 
 def sample(image: NDArray[Any], sources: NDArray[np.float64], order: int, fill: float) -> tuple[NDArray[Any], int]:
@@ -77,23 +106,28 @@ def sample(image: NDArray[Any], sources: NDArray[np.float64], order: int, fill: 
     the value at the edge.
     """
     height, width = image.shape[:2]
-    x, y = sources[..., 0], sources[..., 1]
-    inside = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
-    places = np.stack([np.clip(y, 0.0, height - 1.0), np.clip(x, 0.0, width - 1.0)])
-    warped = np.empty((*inside.shape, *image.shape[2:]), image.dtype)
+    places = np.moveaxis(sources[..., ::-1], -1, 0).copy()
+    limits = ((places[0], height), (places[1], width))
+    outside = np.zeros(sources.shape[:2], np.bool_)
+    for place, length in limits:
+        outside |= ~((place >= -0.5) & (place <= length - 0.5))
+        np.clip(place, 0.0, length - 1.0, out=place)
+    warped = np.empty((*outside.shape, *image.shape[2:]), image.dtype)
     for channel in np.ndindex(image.shape[2:]):
         layer = (slice(None), slice(None), *channel)
         values = scipy.ndimage.map_coordinates(
             image[layer], places, order=order, mode="nearest", output=image.dtype if order == 0 else np.float64
         )
-        warped[layer] = np.where(inside, as_type(values, image.dtype), as_type(np.float64(fill), image.dtype))
-    return warped, int(inside.size - inside.sum())
+        warped[layer] = as_type(values, image.dtype)
+    if outside.any():
+        warped[outside] = as_type(np.float64(fill), image.dtype)
+    return warped, int(outside.sum())
 
 
 def as_type(values: Any, dtype: np.dtype[Any]) -> Any:
     """Values of another type: rounded to the nearest integer and clipped to what the type holds."""
     if values.dtype == dtype or not np.issubdtype(dtype, np.integer):
-        return values.astype(dtype)
+        return values.astype(dtype, copy=False)
     limits = np.iinfo(dtype)
     return np.clip(np.rint(values), limits.min, limits.max).astype(dtype)
 

@@ -1,0 +1,31 @@
+"""The command `codegen app`: the web page of image registration, on this machine only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from codegen.terminal import working
+
+# Nothing of codegen.registration may be imported before the command runs: it brings numba.
+
+Images = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="[IMAGE]...", help="A moving and a fixed image, or one to be bent. [default: an example]"),
+]
+
+
+def app(
+    images: Images = None,
+    port: Annotated[int, typer.Option(min=1024, max=65535, help="Port on localhost.")] = 5006,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Open no browser; print the address.")] = False,
+) -> None:
+    """Register images in the browser: click pairs of points, drag them, see the warp; Ctrl+C ends it."""
+    from codegen.registration import app as page
+
+    with working("Preparing the solver"):
+        page.prepare(images or [])
+    typer.echo(f"http://localhost:{port} (Ctrl+C ends it)")
+    page.serve(images or [], port, show=not no_browser)

@@ -1,0 +1,108 @@
+"""How the page is laid out: figures beside each other, or one below the other on narrow windows."""
+
+from __future__ import annotations
+
+from html import escape
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import panel as pn
+
+if TYPE_CHECKING:
+    from codegen.registration.app.view import View
+
+STYLE = (files("codegen.registration.app") / "style.css").read_text()
+_KEYS = (
+    "<kbd>Ctrl Z</kbd> undo, <kbd>Ctrl Shift Z</kbd> redo, <kbd>Delete</kbd> removes the highlighted pair, "
+    "<kbd>Ctrl</kbd> + wheel zooms, dragging beside the points shifts."
+)
+HELP = f"<p><b>Click</b> in either image to add a pair, and <b>drag</b> its two points to the same feature. {_KEYS}</p>"
+HELP_ALONE = f"<p><b>Click</b> to add a point, then <b>drag</b> it in the warped image, which follows. {_KEYS}</p>"
+
+
+class Layout:
+    """The arrangement of a view's widgets, and the places for messages."""
+
+    def __init__(self, view: View) -> None:
+        c = view.controls
+        self._message = _html("", visible=False, sizing_mode="stretch_width")
+        self._status = _html("")
+        self._help = _html(HELP, sizing_mode="stretch_width")
+        self._note = _html("", visible=False)
+        self._canvases = _box(gap="10px")
+        header = _bar(_html("<h1>Image registration by landmarks</h1>"), self._status, justify_content="space-between")
+        opening = _bar(*view.openers.values(), view.load_landmarks, c.example)
+        left = _card("Pairs, in pixels", _bar(c.undo, c.redo, c.delete, c.clear), c.table, self._note, kind="wide")
+        saving = _card(
+            "Download", _bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format)
+        )  # fmt: skip
+        middle = _stack(_card("View", _bar(c.mode), _bar(c.grid, c.points, c.live), c.time))
+        methods = _bar(c.align, c.scheme, c.interpolation)
+        distances = _box(c.sigma, c.choose, gap="6px", align_items="end")
+        right = _stack(_card("Registration", methods, distances), saving)
+        lower = _box(left, middle, right, gap="10px")
+        self.root = pn.Column(
+            view.browser, header, opening, self._help, self._message, self._canvases, lower,
+            css_classes=["page"], sizing_mode="stretch_width", stylesheets=[STYLE],
+        )  # fmt: skip
+
+    def show_canvases(self, view: View) -> None:
+        """Put figures for the present images into the page."""
+        alone = view.session.fixed is None
+        moving, fixed = view.session.moving, view.session.picture("fixed")
+        shown = [_figure(f"Moving: {moving.name}", _extent(moving.shape), view.canvases["moving"].figure, alone)]
+        if not alone:
+            shown.append(_figure(f"Fixed: {fixed.name}", _extent(fixed.shape), view.canvases["fixed"].figure))
+        shown.append(_figure("Warped", "moving to fixed; points can be dragged here, too", view.result.figure, alone))
+        self._canvases.objects = shown
+        self._help.object = HELP_ALONE if alone else HELP
+
+    def message(self, text: str) -> None:
+        """Say what went wrong, or nothing any more."""
+        self._message.object = f'<div role="alert">{escape(text)}</div>' if text else ""
+        self._message.visible = bool(text)
+
+    def note(self, text: str) -> None:
+        """A remark on the pairs, or none."""
+        self._note.object, self._note.visible = f"<p>{escape(text)}</p>", bool(text)
+
+    def status(self, parts: list[str], folds: bool | None = None) -> None:
+        """One line on the present registration, and whether it folds if that is known."""
+        text = " · ".join(escape(part) for part in parts)
+        if folds is not None:
+            text = f'<b class="{"bad" if folds else "good"}">{"folds" if folds else "no folding"}</b> {text}'
+        self._status.object = f'<div class="status">{text}</div>'
+
+
+def _html(text: str, **values: Any) -> pn.pane.HTML:
+    return pn.pane.HTML(text, margin=0, stylesheets=[STYLE], **values)
+
+
+def _box(*contents: Any, **values: Any) -> pn.FlexBox:
+    return pn.FlexBox(*contents, margin=0, sizing_mode="stretch_width", stylesheets=[STYLE], **values)
+
+
+def _bar(*widgets: Any, **values: Any) -> pn.FlexBox:
+    return _box(*widgets, gap="6px", align_items="center", css_classes=["bar"], **values)
+
+
+def _card(title: str, *contents: Any, kind: str = "plain") -> pn.Column:
+    heading = _html(f"<h2>{escape(title)}</h2>")
+    return pn.Column(
+        heading, *contents, css_classes=["card", kind], margin=0, sizing_mode="stretch_width", stylesheets=[STYLE]
+    )
+
+
+def _stack(*cards: Any) -> pn.Column:
+    return pn.Column(*cards, css_classes=["stack"], margin=0, stylesheets=[STYLE])
+
+
+def _figure(title: str, note: str, figure: Any, alone: bool = False) -> pn.Column:
+    heading = _html(f"<h2>{escape(title)} <small>{escape(note)}</small></h2>", sizing_mode="stretch_width")
+    picture = pn.pane.Bokeh(figure, sizing_mode="scale_width", margin=0)
+    kinds = ["card", "figure", *(["alone"] if alone else [])]
+    return pn.Column(heading, picture, css_classes=kinds, margin=0, stylesheets=[STYLE])
+
+
+def _extent(shape: tuple[int, int]) -> str:
+    return f"{shape[1]} × {shape[0]} px"

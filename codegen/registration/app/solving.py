@@ -1,0 +1,209 @@
+"""What is computed for the screen: the registration, the warped preview, the grid, and what certifies them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import sleep
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from codegen.registration.app.picture import Picture
+from codegen.registration.app.session import Task
+from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
+from codegen.registration.register import Registration, register
+
+COARSE, COARSER = 8.0, 16.0
+"""The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
+MOST_LEFT_OUT = 60
+"""With more landmarks, leaving out each in turn takes longer than anyone waits."""
+PORTIONS, PAUSE = 20, 0.01
+"""The certificate is computed in portions with pauses of so many seconds, which a dragged point may use."""
+GRID_LINES = 16
+"""Squares of the drawn grid along the longer side."""
+LINE_POINTS = 49
+
+Array = NDArray[np.float64]
+Lines = tuple[list[Array], list[Array]]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A task, and what of it is to be shown."""
+
+    task: Task
+    time: float = 1.0
+    grid: bool = False
+    hasty: bool = False  # while dragging: nearest pixels, and no search for the number of steps
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The answer: `registration` is None without pairs. `image` is RGBA of the fixed image's preview."""
+
+    wanted: Wanted
+    registration: Registration | None
+    image: NDArray[np.uint8]
+    grid: Lines
+    carried: Array  # where the landmarks are before time 1, (n, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Certified:
+    """What takes longer: factors of area on a coarse grid over the fixed image, and how well landmarks predict."""
+
+    revision: int
+    areas: Array
+    det_min: float
+    det_max: float
+    folded: int
+    round_trip: float
+    left_out: LeaveOneOut | None
+
+
+def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
+    """The registration of a task, from that of a moment ago; None without pairs. Raises the errors of `register`."""
+    work = wanted.task.work
+    if not work.pairs:
+        return None
+    steps = previous.steps if wanted.hasty and previous is not None else None
+    shapes, method = arguments(wanted.task)
+    return register(work.landmarks(), **shapes, **method, steps=steps, start=previous)
+
+
+def shown(wanted: Wanted, previous: Registration | None, known: Registration | None = None) -> Shown:
+    """Register, unless the registration is known, and draw."""
+    registration = known if known is not None else found(wanted, previous)
+    image = frame(wanted.task, registration, wanted.time, smooth=not wanted.hasty)
+    lines = grid(wanted.task.moving, registration, wanted.time) if wanted.grid else ([], [])
+    carried = np.empty((0, 2))
+    if registration is not None and wanted.time < 1.0:
+        carried = registration.positions(wanted.time, registration.pairs.moving)
+    return Shown(wanted, registration, image, lines, carried)
+
+
+def frame(task: Task, registration: Registration | None, time: float, smooth: bool = True) -> NDArray[np.uint8]:
+    """The moving preview at a time along the flow, as RGBA of the size of the fixed preview; transparent outside."""
+    x, y = sources(task.fixed, registration, time, COARSE if smooth else COARSER)
+    return sampled(task.moving, x, y, smooth)
+
+
+def sources(
+    picture: Picture, registration: Registration | None, time: float, spacing: float = COARSE
+) -> tuple[Array, Array]:
+    """Where the pixels of a preview come from: x and y in pixels of the moving image, shape (h, w) each."""
+    coarse_x, coarse_y = picture.preview_places(spacing)
+    fine_x, fine_y = picture.preview_places()
+    places = np.stack(np.meshgrid(coarse_x, coarse_y), axis=-1)
+    if registration is not None:
+        flat = registration.positions(time, places.reshape(-1, 2), inverse=True)
+        places = flat.reshape(places.shape)
+    along, down = _weights(coarse_x, fine_x), _weights(coarse_y, fine_y)
+    return down @ places[..., 0] @ along.T, down @ places[..., 1] @ along.T
+
+
+def _weights(coarse: Array, fine: Array) -> Array:
+    """The matrix of linear interpolation from some places to others in their range."""
+    if len(coarse) == 1:
+        return np.ones((len(fine), 1))
+    k = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
+    share = (fine - coarse[k]) / (coarse[k + 1] - coarse[k])
+    weights = np.zeros((len(fine), len(coarse)))
+    rows = np.arange(len(fine))
+    weights[rows, k], weights[rows, k + 1] = 1.0 - share, share
+    return weights
+
+
+def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
+    """A preview at places in pixels of its image, as RGBA; nothing where they are outside."""
+    source = picture.screen
+    height, width = source.shape[:2]
+    u, v = (x + 0.5) / picture.reduction - 0.5, (y + 0.5) / picture.reduction - 0.5
+    inside = (np.abs(u - (width - 1) / 2) <= width / 2) & (np.abs(v - (height - 1) / 2) <= height / 2)
+    if smooth:
+        result = np.empty((*x.shape, 4), np.uint8)
+        places = np.stack([np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)])
+        for channel in range(4):
+            values = map_coordinates(source[..., channel].astype(np.float32), places, order=1, mode="nearest")
+            result[..., channel] = np.rint(values)
+        result[~inside] = 0
+        return result
+    row = np.clip(np.rint(v), 0, height - 1).astype(np.intp)
+    column = np.clip(np.rint(u), 0, width - 1).astype(np.intp)
+    packed = source.view(np.uint32).reshape(-1).take(row * width + column)
+    return np.asarray(np.where(inside, packed, np.uint32(0))[..., None]).view(np.uint8)
+
+
+def grid(picture: Picture, registration: Registration | None, time: float) -> Lines:
+    """Lines of a square grid on the moving image, carried by the flow up to a time: lists of x and of y."""
+    height, width = picture.shape
+    size = max(height, width) / GRID_LINES
+    columns, rows = max(1, round(width / size)), max(1, round(height / size))
+    u, v = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
+    along, down = np.linspace(-0.5, width - 0.5, LINE_POINTS), np.linspace(-0.5, height - 0.5, LINE_POINTS)
+    lines = [np.column_stack([np.full(LINE_POINTS, at), down]) for at in u]
+    lines += [np.column_stack([along, np.full(LINE_POINTS, at)]) for at in v]
+    if registration is not None:
+        carried = registration.positions(time, np.vstack(lines))
+        lines = np.split(carried, len(lines))
+    return [line[:, 0] for line in lines], [line[:, 1] for line in lines]
+
+
+def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bool]) -> Certified | None:
+    """The extremes of det J on the moving preview's pixels, areas for the map, and leave-one-out errors.
+
+    None as soon as it is `stale`, because something else is wanted by now.
+    """
+    areas = area_map(wanted.task.fixed, registration)
+    x, y = wanted.task.moving.preview_places()
+    parts = []
+    for points in np.array_split(_points(x, y), PORTIONS):
+        sleep(PAUSE)
+        if stale():
+            return None
+        parts.append(registration.determinant(points))
+    determinants = np.concatenate(parts)
+    return Certified(
+        wanted.task.revision,
+        areas,
+        float(determinants.min()),
+        float(determinants.max()),
+        int((~(determinants > 0.0)).sum()),
+        registration.round_trip,
+        left_out(wanted, registration),
+    )
+
+
+def area_map(picture: Picture, registration: Registration) -> Array:
+    """How much larger things have become where they arrive: det J of moving to fixed, on every eighth preview pixel."""
+    x, y = picture.preview_places(COARSE)
+    return np.asarray(1.0 / registration.determinant(_points(x, y), inverse=True)).reshape(len(y), len(x))
+
+
+def _points(x: Array, y: Array) -> Array:
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def left_out(wanted: Wanted, registration: Registration) -> LeaveOneOut | None:
+    """How far off each landmark is by the registration of all others; None for few pairs, and for very many."""
+    if not 3 <= len(registration.pairs) <= MOST_LEFT_OUT:
+        return None
+    shapes, method = arguments(wanted.task)
+    return leave_one_out(registration.pairs, **shapes, **method, start=registration)
+
+
+def chosen_sigma(task: Task) -> float:
+    """The distance by which landmarks may miss for which those that are left out are met best, in pixels."""
+    shapes, method = arguments(task)
+    method.pop("sigma")
+    return choose_sigma(task.work.landmarks(), **shapes, **method)
+
+
+def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What `register` is given beside the landmarks: the shapes of the images, and how to go about it."""
+    settings = task.work.settings
+    shapes = {"shape": task.moving.shape, "fixed_shape": task.fixed.shape}
+    return shapes, {"align": settings.align, "sigma": settings.sigma, "scheme": settings.scheme}

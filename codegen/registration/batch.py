@@ -1,0 +1,261 @@
+"""Many registrations: the pairs of a folder or of a table, one after the other, whatever becomes of each.
+
+The summary, a table with one line for each pair, is written anew after every pair. A pair is not done again when the
+summary says that it was solved from the same files with the same options, and its outputs are still there.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from codegen import __version__
+from codegen.errors import ArgumentError, CodegenError
+from codegen.output import replacing
+from codegen.registration.images.header import KINDS
+from codegen.registration.job import Job, Options, run
+from codegen.terminal import one_line
+
+SUMMARY = "summary.csv"
+COLUMNS = (
+    "moving", "fixed", "landmarks", "out", "status", "message", "count", "align", "sigma", "steps", "residual",
+    "det_min", "det_max", "folded", "round_trip", "leave_one_out", "outliers", "seconds", "key",
+)  # fmt: skip
+MOST_PAIRS = 100_000
+_SINGLE, _DOUBLE = (".csv", ".tps"), (".pts", ".mrk.json")
+
+Line = dict[str, str]
+"""One line of the summary: texts under COLUMNS."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the outputs of a batch go: folders, which are made where they are missing."""
+
+    out: Path | None = None
+    field: Path | None = None
+    report: Path | None = None
+
+    def job(self, moving: Path, landmarks: tuple[Path, ...], fixed: Path | None, out: Path | None = None) -> Job:
+        """The job of one pair; its outputs are named after the moving image unless `out` names the image."""
+        out = out or (self.out or Path()) / moving.name
+        field = self.field / f"{out.stem}.npz" if self.field is not None else None
+        report = self.report / f"{out.stem}.html" if self.report is not None else None
+        return Job(moving, landmarks, out, fixed, field, report)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What a batch did: a line for every pair, and how many of them were solved before and left alone."""
+
+    lines: tuple[Line, ...]
+    unchanged: int
+
+    @property
+    def failed(self) -> tuple[Line, ...]:
+        """The lines of pairs that were not solved."""
+        return tuple(line for line in self.lines if line["status"] != "solved")
+
+
+def jobs_in_folder(
+    folder: Path, places: Places, fixed: Path | None, landmarks: tuple[Path, ...]
+) -> tuple[list[Job], list[Path]]:
+    """The images of a folder with landmark files of the same stem, or with `landmarks` all of its images.
+
+    The second list are the images that are left out, because they have none.
+
+    `a.png` belongs to `a.csv`, `a.tps`, `a.moving.pts` with `a.fixed.pts`, or `a.moving.mrk.json` with
+    `a.fixed.mrk.json`. `fixed` is one image for all, or a folder with images of the same names. Raises ArgumentError
+    where there is no pair, or where it is not clear which files belong together.
+    """
+    suffixes = {suffix for known in KINDS.values() for suffix in known}
+    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+    jobs, without = [], []
+    for image in images:
+        own = landmarks or _landmarks_of(image)
+        if fixed is not None and fixed.is_file() and fixed.samefile(image):
+            continue
+        if own:
+            jobs.append(places.job(image, own, fixed / image.name if fixed is not None and fixed.is_dir() else fixed))
+        else:
+            without.append(image)
+    if not jobs:
+        finding = f"{folder} holds {len(images)} images, none with a landmark file of the same name"
+        raise ArgumentError(finding, "name landmarks like images, such as a.png and a.csv, or give --landmarks")
+    return _distinct(jobs), without
+
+
+def _landmarks_of(image: Path) -> tuple[Path, ...]:
+    """The landmark files that belong to an image; none where there are none."""
+    found = [(path,) for path in (image.with_name(image.stem + suffix) for suffix in _SINGLE) if path.is_file()]
+    pairs = (
+        tuple(image.with_name(f"{image.stem}.{side}{suffix}") for side in ("moving", "fixed")) for suffix in _DOUBLE
+    )
+    candidates: list[tuple[Path, ...]] = [*found, *(pair for pair in pairs if all(path.is_file() for path in pair))]
+    if len(candidates) > 1:
+        names = " and ".join(files[0].name for files in candidates)
+        raise ArgumentError(f"{image.parent}: {names} both belong to {image.name}", "leave one of them in the folder")
+    return candidates[0] if candidates else ()
+
+
+def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
+    """The pairs of a table with the columns moving and landmarks, and optionally fixed and out.
+
+    Names are relative to the table's folder; two landmark files of one pair are separated by a semicolon. Raises
+    ArgumentError, naming the line, for what is no such table.
+    """
+    jobs = []
+    for line, row in _rows(table):
+        moving, names = row.get("moving", ""), [name for name in row.get("landmarks", "").split(";") if name.strip()]
+        if not moving or len(names) not in (1, 2):
+            raise ArgumentError(f"{table}:{line}: an image and its landmarks are missing", "fill moving and landmarks")
+        out = table.parent / row["out"] if row.get("out") else None
+        if out is None and places.out is None:
+            raise ArgumentError(f"{table}:{line}: there is no place for the result", "fill out, or give --out FOLDER")
+        other = table.parent / row["fixed"] if row.get("fixed") else fixed
+        files = tuple(table.parent / name.strip() for name in names)
+        jobs.append(places.job(table.parent / moving, files, other, out))
+    if not jobs:
+        raise ArgumentError(f"{table} holds no pairs", "give one row for every pair")
+    return _distinct(jobs)
+
+
+def _rows(table: Path) -> Iterable[tuple[int, dict[str, str]]]:
+    """Lines of the table by their columns, with line numbers."""
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            header = set(reader.fieldnames or ())
+            if not {"moving", "landmarks"} <= header <= {"moving", "landmarks", "fixed", "out"}:
+                finding = f"{table}: the columns are {','.join(map(str, reader.fieldnames or ()))[:100] or 'missing'}"
+                raise ArgumentError(finding, "name them moving,fixed,landmarks,out in the first line")
+            for row in reader:
+                if None in row or None in row.values():
+                    finding = f"{table}:{reader.line_num}: not as many values as columns"
+                    raise ArgumentError(finding, "give moving,fixed,landmarks,out, empty where there is none")
+                if reader.line_num > MOST_PAIRS:
+                    raise ArgumentError(f"{table} holds more than {MOST_PAIRS} lines", "give several tables")
+                yield reader.line_num, {name: value.strip() for name, value in row.items()}
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ArgumentError(f"{table} cannot be read ({one_line(str(error), 100)})", "give a table as text") from error
+
+
+def _distinct(jobs: list[Job]) -> list[Job]:
+    """Refuse pairs whose outputs have the same name: the later would replace the earlier."""
+    seen: dict[Path, Job] = {}
+    for job in jobs:
+        for path in job.written:
+            other = seen.setdefault(path.absolute(), job)
+            if other is not job:
+                finding = f"{other.moving} and {job.moving} would both be written to {path}"
+                raise ArgumentError(finding, "give images different names, or an out for each in a table")
+    return jobs
+
+
+def require_free(jobs: Iterable[Job], path: Path) -> None:
+    """Refuse a pair whose page would take the name of the page about all pairs."""
+    for job in jobs:
+        if path.absolute() in (place.absolute() for place in job.written):
+            finding = f"{path} is the page about all pairs, and that of {job.moving}"
+            raise ArgumentError(finding, "rename the image, or give it another out in a table")
+
+
+def run_all(
+    jobs: Sequence[Job], options: Options, summary: Path, told: Callable[[int, str], None], run_one: Any = run
+) -> Batch:
+    """Do all jobs that are not done yet; a pair that fails leaves a line that says why. Writes the summary.
+
+    `told` is told how many pairs are done and which one is next.
+    """
+    earlier = {line["out"]: line for line in _read_summary(summary)}
+    lines: list[Line] = []
+    unchanged = 0
+    for number, job in enumerate(jobs):
+        told(number, job.moving.name)
+        key = _key(job, options)
+        line = earlier.get(str(job.out), {})
+        if key and line.get("key") == key and line.get("status") == "solved" and all(p.is_file() for p in job.written):
+            unchanged += 1
+            lines.append(line)
+        else:
+            lines.append(_done(job, options, key, run_one))
+            pending = [earlier[str(later.out)] for later in jobs[number + 1 :] if str(later.out) in earlier]
+            _write_summary(summary, [*lines, *pending])
+    _write_summary(summary, lines)
+    return Batch(tuple(lines), unchanged)
+
+
+def _done(job: Job, options: Options, key: str, run_one: Any) -> Line:
+    """The line of a pair that was just tried."""
+    try:
+        return line_of(run_one(job, options).record, key)
+    except CodegenError as error:
+        status, message = "wrong input", str(error)
+    except MemoryError:
+        status, message = "out of memory", "there is not enough memory for this pair; give smaller images"
+    except Exception as error:  # one pair must not end a night's work; it is reported and the exit status is 1
+        status, message = "defect", f"{type(error).__name__}: {error}; this is a defect of codegen, please report it"
+    empty = {"summary": {}, "seconds": {}, "landmarks": [str(path) for path in job.landmarks]}
+    named = {"moving": str(job.moving), "fixed": str(job.fixed or ""), "out": str(job.out)}
+    return line_of({**empty, **named, "status": status, "message": message}, "")
+
+
+def line_of(record: Mapping[str, Any], key: str) -> Line:
+    """The line of the summary for a record of a job; empty where a pair has no such number."""
+    seen = {**record, **record["summary"]}
+    errors = seen.get("leave_one_out") or []
+    values: dict[str, Any] = {name: seen.get(name) for name in COLUMNS}
+    values |= {
+        "landmarks": ";".join(record["landmarks"]),
+        "message": one_line(record["message"], 300),
+        "count": record["summary"].get("landmarks"),
+        "leave_one_out": sorted(errors)[len(errors) // 2] if errors and None not in errors else None,
+        "outliers": ";".join(seen.get("outliers") or []),
+        "seconds": round(sum(record["seconds"].values()), 3),
+        "key": key,
+    }
+    return {name: "" if value is None else str(value) for name, value in values.items()}
+
+
+def _key(job: Job, options: Options) -> str:
+    """A hash of everything that the outputs depend on; empty where a file cannot be read."""
+    digest = hashlib.sha256(repr((__version__, sorted(asdict(options).items()), len(job.landmarks))).encode())
+    for path in job.read:
+        try:
+            with path.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+        except OSError:
+            return ""
+        digest.update(path.name.encode())  # TPS files name images
+    return digest.hexdigest()[:32]
+
+
+def _read_summary(path: Path) -> list[Line]:
+    """The lines of an earlier run; none where the file is not one of ours."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            return list(reader) if tuple(reader.fieldnames or ()) == COLUMNS else []
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return []
+
+
+def _write_summary(path: Path, lines: Iterable[Line]) -> None:
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=COLUMNS)
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+def make_folders(places: Places) -> None:
+    """Make the folders of the outputs; ArgumentError where the file system refuses."""
+    for folder in (places.out, places.field, places.report):
+        if folder is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise ArgumentError(f"{folder} cannot be made ({error.strerror})", "choose another folder") from error

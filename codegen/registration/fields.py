@@ -1,0 +1,95 @@
+"""Displacement fields: where each pixel goes, or comes from, as arrays and as files that other programs read.
+
+A field on the fixed frame, made with `inverse=True`, is what resampling programs such as ITK expect: added to the place
+of a fixed pixel, it gives the place in the moving image at which to look. Files of NIfTI and MetaImage have one voxel a
+pixel, of size 1, with the origin at the centre of the top-left pixel, and vectors (x, y) in pixels; axes are ITK's,
+that is x to the left of the patient and y to the back, so that no sign changes between the array and ITK.
+"""
+
+from __future__ import annotations
+
+import gzip
+import importlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.errors import ArgumentError, ExtraError, ImageError
+from codegen.output import replacing
+from codegen.registration.coarse import Spacing, map_grid
+from codegen.registration.frame import pixel_grid
+from codegen.registration.register import Registration
+
+KINDS = (".npz", ".nii", ".nii.gz", ".mha")
+_VECTOR = "vector"  # the NIfTI intent whose components ITK takes as they are
+
+
+def displacement_field(
+    registration: Registration,
+    shape: Sequence[int] | None = None,
+    inverse: bool = False,
+    *,
+    spacing: Spacing = None,
+) -> NDArray[np.float64]:
+    """What the map adds to the place of each pixel of the moving image, shape (h, w, 2): (dx, dy) in pixels.
+
+    With `inverse`, what the inverse map adds to the place of each pixel of the fixed image. `shape` is by default that
+    of the image; `spacing` allows for interpolation, as in `codegen.registration.coarse`.
+    """
+    default = registration.fixed_shape if inverse else registration.shape
+    height, width = (int(length) for length in tuple(default if shape is None else shape)[:2])
+    function = registration.map_points_inverse if inverse else registration.map_points
+    singular = registration.pairs.fixed if inverse else registration.pairs.moving
+    found = map_grid(function, (height, width), singular, spacing)
+    return np.asarray(found.places - pixel_grid((height, width)).reshape(height, width, 2))
+
+
+def write_field(path: Path | str, field: NDArray[np.float64], direction: str = "") -> None:
+    """Write a displacement field, shape (h, w, 2), as .npz, .nii, .nii.gz or .mha; `direction` is noted in the file.
+
+    Raises ArgumentError for another kind of file or a place that cannot be written, ExtraError when the library is
+    missing (nibabel for NIfTI, SimpleITK for MetaImage), ImageError for an array that is no field.
+    """
+    path, values = Path(path), np.asarray(field, dtype=np.float64)
+    if values.ndim != 3 or values.shape[2] != 2:
+        raise ImageError(f"the displacement field has shape {values.shape}", "give (height, width, 2)")
+    kind = next((kind for kind in reversed(KINDS) if path.name.lower().endswith(kind)), None)
+    if kind is None:
+        raise ArgumentError(f"{path}: unknown kind of displacement field", f"let it end in {', '.join(KINDS)}")
+    writer = {".npz": _write_npz, ".mha": _write_meta}.get(kind, _write_nifti)
+    with replacing(path) as temporary:
+        writer(temporary, values, direction)
+
+
+def _write_npz(path: Path, field: NDArray[np.float64], direction: str) -> None:
+    np.savez_compressed(path, displacement=field, direction=np.array(direction))
+
+
+def _write_nifti(path: Path, field: NDArray[np.float64], direction: str) -> None:
+    nibabel = _library("nibabel")
+    # Axes x, y, z, t, component; NIfTI's x and y run against ITK's.
+    data = np.ascontiguousarray(field.transpose(1, 0, 2)[:, :, None, None, :])
+    image = nibabel.Nifti1Image(data, np.diag([-1.0, -1.0, 1.0, 1.0]))
+    image.header.set_intent(_VECTOR)
+    image.header["descrip"] = f"displacement {direction}".strip().encode()[:79]
+    content = image.to_bytes()
+    path.write_bytes(gzip.compress(content, 6) if path.suffix.lower() == ".gz" else content)
+
+
+def _write_meta(path: Path, field: NDArray[np.float64], direction: str) -> None:
+    itk = _library("SimpleITK")
+    image = itk.GetImageFromArray(np.ascontiguousarray(field), isVector=True)
+    if direction:
+        image.SetMetaData("Comment", f"displacement {direction}")
+    itk.WriteImage(image, str(path), useCompression=True)
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        remedy = "install the extra: pip install 'variational-codegen[fields]'"
+        raise ExtraError(f"{name}, which writes this kind of file, is not installed", remedy) from error

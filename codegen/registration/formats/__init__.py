@@ -1,0 +1,125 @@
+"""Landmark files: read and written in the formats of this package and of the field's programs.
+
+A format is one file of this folder and one line of FORMATS. Whatever a file says, LandmarkPairs are in pixels, with the
+origin at the centre of the top-left pixel, x to the right and y down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from codegen.errors import PointsError
+from codegen.output import replacing
+from codegen.registration.formats import bigwarp, elastix, plain, slicer, tps
+from codegen.registration.formats.base import MOST_BYTES, Format, Frames, Source
+from codegen.registration.pairs import LandmarkPairs
+
+FORMATS: dict[str, Format] = {
+    form.name: form for form in (plain.FORMAT, bigwarp.FORMAT, elastix.FORMAT, tps.FORMAT, slicer.FORMAT)
+}
+
+__all__ = [
+    "FORMATS",
+    "Format",
+    "Frames",
+    "Source",
+    "landmark_texts",
+    "parse_landmarks",
+    "read_landmarks",
+    "write_landmarks",
+]
+
+
+def read_landmarks(*paths: Path, frames: Frames | None = None, name: str | None = None) -> LandmarkPairs:
+    """Read a landmark file, or a moving and a fixed one where the format keeps them apart (elastix, Slicer).
+
+    `name` is a key of FORMATS; without it the suffix and the beginning of the text decide. TPS files need the shapes
+    of both images in `frames`. Raises PointsError, naming the file and the line, for whatever cannot be read, and for
+    files of more than 8 MB or 10 000 landmarks.
+    """
+    contents = []
+    for path in map(Path, paths):
+        try:
+            with path.open("rb") as file:
+                contents.append((str(path), file.read(MOST_BYTES + 1)))
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise PointsError(f"{path} cannot be read ({reason})", "give a landmark file") from error
+    return parse_landmarks(contents, frames=frames, name=name)
+
+
+def parse_landmarks(
+    contents: Sequence[tuple[str, bytes]], *, frames: Frames | None = None, name: str | None = None
+) -> LandmarkPairs:
+    """The same from file names, whose suffixes count, and contents: one pair, or the moving and then the fixed one."""
+    if not contents:
+        raise PointsError("there is no landmark file", "give one, or a moving and a fixed one")
+    for file, data in contents:
+        if len(data) > MOST_BYTES:
+            raise PointsError(f"{file} is larger than {MOST_BYTES >> 20} MB", "give a file of landmarks alone")
+    form = _format(name) if name is not None else _guessed(*contents[0])
+    sources = [Source(file, _decoded(file, data, form)) for file, data in contents]
+    if len(sources) != form.files:
+        given = f"{sources[0].name} is one of a pair of files" if form.files == 2 else f"{sources[0].name} is complete"
+        remedy = "give the moving and then the fixed file" if form.files == 2 else f"give one file of {form.title}"
+        raise PointsError(f"{given}, and {len(sources)} were given", remedy)
+    return form.parse(sources, frames or Frames())
+
+
+def write_landmarks(*paths: Path, pairs: LandmarkPairs, frames: Frames | None = None, name: str | None = None) -> None:
+    """Write a landmark file, or a moving and a fixed one; the suffix names the format where `name` does not.
+
+    Every file is replaced as a whole or left as it was. Raises PointsError where the format asks for two paths, or for
+    the shapes of the images (TPS).
+    """
+    form = _format(name) if name is not None else _of_suffix(str(paths[0]))[0]
+    texts = form.compose(pairs, frames or Frames())
+    if len(paths) != len(texts):
+        raise PointsError(f"{form.title} takes {len(texts)} files, and {len(paths)} were given", "name as many")
+    for path, text in zip(paths, texts):
+        with replacing(Path(path)) as temporary:
+            temporary.write_bytes(text.encode("utf-8"))
+
+
+def landmark_texts(pairs: LandmarkPairs, name: str, frames: Frames | None = None) -> tuple[str, ...]:
+    """What a file of the format holds, or a moving and a fixed one."""
+    return _format(name).compose(pairs, frames or Frames())
+
+
+def _format(name: str) -> Format:
+    if name not in FORMATS:
+        raise PointsError(f"{name[:40]!r} is no landmark format", f"use {', '.join(FORMATS)}")
+    return FORMATS[name]
+
+
+def _of_suffix(file: str) -> list[Format]:
+    found = [form for form in FORMATS.values() if Path(file).suffix.lower() in form.suffixes]
+    if not found:
+        known = ", ".join(sorted({suffix for form in FORMATS.values() for suffix in form.suffixes}))
+        raise PointsError(f"{file}: unknown kind of landmark file", f"let its name end in one of {known}")
+    return found
+
+
+def _guessed(file: str, data: bytes) -> Format:
+    """The format that the suffix allows and the beginning of the text shows, or the only one that is allowed."""
+    candidates = _of_suffix(file)
+    if not data.strip():
+        raise PointsError(f"{file} is empty", "give at least one landmark")
+    begin = data[:2000].decode("utf-8-sig", errors="replace")
+    found = [form for form in candidates if form.recognises(begin)]
+    if not found and len(candidates) > 1:
+        titles = " nor ".join(form.title for form in candidates)
+        remedy = f"name the columns {','.join(plain.COLUMNS)} in the first line"
+        raise PointsError(f"{file}:1: it begins neither like {titles}", remedy)
+    return (found or candidates)[0]
+
+
+def _decoded(file: str, data: bytes, form: Format) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        if form.encoding is not None and b"\0" not in data:
+            return data.decode(form.encoding)
+        line = data[: error.start].count(b"\n") + 1
+        raise PointsError(f"{file}:{line} is no text in UTF-8", "save it as text in UTF-8") from error

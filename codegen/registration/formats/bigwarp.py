@@ -1,0 +1,64 @@
+"""BigWarp's landmark table: name, whether it is active, the moving point, the fixed (target) point; no header.
+
+Rows have 6 fields in the plane and 8 in space, all in quotation marks. A point that was not set is Infinity, and its
+row is not active. Coordinates are in the units of the images, which are pixels where they were not calibrated, with
+the origin at the centre of the top-left pixel and y down, as here. Source: what `LandmarkTableModel` of BigWarp 9.4
+(github.com/saalfeldlab/bigwarp) reads and writes.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+from codegen.errors import PointsError
+from codegen.points import finite_numbers
+from codegen.registration.formats.base import Format, Frames, Source, in_plane, is_missing, made, rows, text_of
+from codegen.registration.pairs import LandmarkPairs
+
+AXES = {6: "xy", 8: "xyz"}
+
+
+def recognises(text: str) -> bool:
+    """Whether the second field of the first line says true or false."""
+    try:
+        fields = next(csv.reader([text.lstrip().split("\n", 1)[0][:1000]]), [])
+    except csv.Error:
+        return False
+    return len(fields) > 1 and fields[1].strip().lower() in ("true", "false")
+
+
+def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+    """Read the active rows; PointsError names the file and the line."""
+    (source,) = sources
+    moving, fixed, names, inactive = [], [], [], 0
+    for line, fields in rows(source):
+        if len(fields) not in AXES or fields[1].lower() not in ("true", "false"):
+            finding = f"{source.name}:{line}: {','.join(fields)[:60]!r} is no row of BigWarp"
+            raise PointsError(finding, "give a name, true or false, the moving point and the fixed point in every row")
+        if fields[1].lower() == "false" or all(map(is_missing, fields[2:])):
+            inactive += 1
+            continue
+        axes = AXES[len(fields)]
+        header = [f"{image}_{axis}" for image in ("moving", "fixed") for axis in axes]
+        numbers = finite_numbers(source.name, line, fields[2:], header)
+        moving.append(numbers[: len(axes)])
+        fixed.append(numbers[len(axes) :])
+        names.append(fields[0])
+    if not moving and inactive:
+        raise PointsError(f"{source.name}: none of its {inactive} landmarks is active", "set both points of some")
+    before, after = in_plane(source.name, "moving", moving), in_plane(source.name, "fixed", fixed)
+    return made(sources, before, after, names)
+
+
+def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+    """The table in the plane, every row active."""
+    file = io.StringIO(newline="")
+    writer = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
+    for before, after, name in zip(pairs.moving, pairs.fixed, pairs.names):
+        writer.writerow([name, "true", *map(text_of, (*before, *after))])
+    return (file.getvalue(),)
+
+
+FORMAT = Format("bigwarp", "BigWarp CSV", (".csv",), 1, recognises, parse, compose)

@@ -1,0 +1,74 @@
+"""Point files of elastix, one for each image: `point` or `index`, the number of points, then one point in a line.
+
+`index` counts pixels. `point` is in the coordinates of the image file, which are pixels where the image has spacing 1
+and origin 0, as PNG, JPEG and plain TIFF files have in elastix. Without a keyword points are indices, as before elastix
+3.5. Sources: elastix manual, section 4.2 (option -def), and elastix's `TransformixInputPointFileReader`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from codegen.errors import PointsError
+from codegen.points import finite_numbers
+from codegen.registration.formats.base import (
+    Format,
+    Frames,
+    Source,
+    in_plane,
+    made,
+    require_count,
+    require_order,
+    text_of,
+)
+from codegen.registration.pairs import LandmarkPairs, PointArray
+
+REMEDY = "give point or index, the number of points, then two coordinates in each line"
+
+
+def recognises(text: str) -> bool:
+    """Whether the first word is point, index or a number of points."""
+    first = text[:1000].split(maxsplit=1)[:1]
+    return bool(first) and (first[0].lower() in ("point", "index") or first[0].isdigit())
+
+
+def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+    """Read the moving and the fixed file; PointsError names the file and the line."""
+    require_order(sources)
+    moving, fixed = (_points(source, what) for source, what in zip(sources, ("moving", "fixed")))
+    return made(sources, moving, fixed)
+
+
+def _points(source: Source, what: str) -> list[tuple[float, float]]:
+    lines = [(number, line.split()) for number, line in enumerate(source.text.split("\n"), 1) if line.strip()]
+    if lines and lines[0][1][0].lower() in ("point", "index"):
+        number, words = lines.pop(0)
+        if len(words) > 1:
+            lines.insert(0, (number, words[1:]))
+    if not lines or len(lines[0][1]) != 1 or not lines[0][1][0].isdecimal() or len(lines[0][1][0]) > 9:
+        line = lines[0][0] if lines else 1
+        raise PointsError(f"{source.name}:{line}: there is no number of points", REMEDY)
+    count = int(lines.pop(0)[1][0])
+    require_count(source.name, count)
+    if len(lines) != count:
+        raise PointsError(f"{source.name} says {count} points and holds {len(lines)}", "correct the number of points")
+    dimension = len(lines[0][1]) if lines else 2
+    if dimension not in (2, 3):
+        raise PointsError(f"{source.name}:{lines[0][0]}: a point has {dimension} coordinates", REMEDY)
+    points = [finite_numbers(source.name, line, words, "xyz"[:dimension]) for line, words in lines]
+    return in_plane(source.name, what, points)
+
+
+def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+    """The moving and the fixed file; names are not kept, the format has none."""
+    return _text(pairs.moving), _text(pairs.fixed)
+
+
+def _text(points: PointArray) -> str:
+    lines = [" ".join(map(text_of, point)) for point in np.asarray(points)]
+    return "\n".join(["point", str(len(lines)), *lines, ""])
+
+
+FORMAT = Format("elastix", "elastix points", (".pts", ".txt"), 2, recognises, parse, compose)

@@ -1,0 +1,56 @@
+"""The plain table of this package: `moving_x,moving_y,fixed_x,fixed_y` in pixels, and optionally `name`.
+
+The origin is the centre of the top-left pixel, x to the right, y down. Columns may come in any order.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+from codegen.errors import PointsError
+from codegen.points import finite_numbers
+from codegen.registration.formats.base import Format, Frames, Source, made, rows, text_of
+from codegen.registration.pairs import LandmarkPairs
+
+COLUMNS = ("moving_x", "moving_y", "fixed_x", "fixed_y")
+
+
+def recognises(text: str) -> bool:
+    """Whether the first line that is not empty names a column of this table."""
+    first = text.lstrip().split("\n", 1)[0].lower()
+    return "moving_" in first or "fixed_" in first
+
+
+def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+    """Read the table; PointsError names the file and the line."""
+    (source,) = sources
+    table = rows(source)
+    header = next((fields for _, fields in table), [])
+    if sorted(set(header) - {"name"}) != sorted(COLUMNS) or len(set(header)) < len(header):
+        finding = f"{source.name}: the columns are {','.join(header)[:100] or 'missing'}"
+        raise PointsError(finding, f"name the columns {','.join(COLUMNS)} in the first line")
+    place = [header.index(name) for name in COLUMNS]
+    points, names = [], []
+    for line, fields in table:
+        if len(fields) != len(header):
+            finding = f"{source.name}:{line}: {len(fields)} values for {len(header)} columns"
+            raise PointsError(finding, f"give {','.join(header)} in every row")
+        points.append(finite_numbers(source.name, line, [fields[k] for k in place], COLUMNS))
+        names += [fields[header.index("name")]] if "name" in header else []
+    return made(sources, [row[:2] for row in points], [row[2:] for row in points], names)
+
+
+def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+    """The table; with a column of names only where they are not 1, 2, ..."""
+    named = pairs.names != tuple(str(k + 1) for k in range(len(pairs)))
+    file = io.StringIO(newline="")
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([*COLUMNS, *(["name"] if named else [])])
+    for before, after, name in zip(pairs.moving, pairs.fixed, pairs.names):
+        writer.writerow([*map(text_of, (*before, *after)), *([name] if named else [])])
+    return (file.getvalue(),)
+
+
+FORMAT = Format("csv", "plain CSV", (".csv", ".txt"), 1, recognises, parse, compose)

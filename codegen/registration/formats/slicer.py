@@ -1,0 +1,112 @@
+"""Point lists of 3D Slicer (.mrk.json), one for each image.
+
+Slicer places an image file without spacing such that its pixels are at x = column, y = row in the LPS system, 1 mm
+apart, so LPS positions are pixels and RAS positions have the opposite signs. Points that are not placed yet
+(`positionStatus` other than `defined`) are left out. Where both lists use the same labels, each once, points are
+matched by label, otherwise by order. Source: markups-schema-v1.0.3.json of Slicer and its developer guide, "Markups".
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import PointsError
+from codegen.registration.formats.base import Format, Frames, Source, in_plane, made, require_count, require_order
+from codegen.registration.pairs import LandmarkPairs, PointArray
+
+SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#"
+SIGNS = {"LPS": 1.0, "RAS": -1.0}
+REMEDY = "save a point list of 3D Slicer as .mrk.json"
+
+
+def recognises(text: str) -> bool:
+    """Whether the text begins like a JSON object."""
+    return text.lstrip()[:1] == "{"
+
+
+def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+    """Read the moving and the fixed file; PointsError names the file and the control point."""
+    require_order(sources)
+    (labels, moving), (others, fixed) = (_points(source, what) for source, what in zip(sources, ("moving", "fixed")))
+    if len(moving) != len(fixed):
+        finding = f"{sources[0].name} holds {len(moving)} points and {sources[1].name} {len(fixed)}"
+        raise PointsError(finding, "give every point in both images")
+    if set(labels) == set(others) and len(set(labels)) == len(labels):
+        fixed = [fixed[others.index(label)] for label in labels] if labels != others else fixed
+    both = [k for k in range(len(moving)) if moving[k] is not None and fixed[k] is not None]
+    before = in_plane(sources[0].name, "moving", [moving[k] for k in both])  # type: ignore[misc]
+    after = in_plane(sources[1].name, "fixed", [fixed[k] for k in both])  # type: ignore[misc]
+    names = [labels[k] or str(k + 1) for k in both]
+    return made(sources, before, after, names)
+
+
+def _points(source: Source, what: str) -> tuple[list[str], list[tuple[float, ...] | None]]:
+    """Labels, and positions or None where a point is not placed."""
+    markup = _point_list(source)
+    system = markup.get("coordinateSystem", "LPS")
+    if not isinstance(system, str) or system not in SIGNS:
+        raise PointsError(f"{source.name}: the coordinate system is {str(system)[:30]!r}", "use LPS or RAS")
+    units = markup.get("coordinateUnits", "mm")
+    if (units[0] if isinstance(units, list) and units else units) != "mm":
+        raise PointsError(f"{source.name}: coordinates are in {str(units)[:30]}", "save them in mm, one for each pixel")
+    controls = markup["controlPoints"]
+    require_count(source.name, len(controls))
+    labels, positions = [], []
+    for number, control in enumerate(controls, 1):
+        if not isinstance(control, dict):
+            raise PointsError(f"{source.name}: control point {number} is no object", REMEDY)
+        labels.append(str(control.get("label", ""))[:200])
+        placed = control.get("positionStatus", "defined") == "defined" and control.get("position") is not None
+        positions.append(_position(source, number, control["position"], SIGNS[system]) if placed else None)
+    return labels, positions
+
+
+def _point_list(source: Source) -> dict[str, Any]:
+    """The one list of points that the file holds."""
+    try:
+        content = json.loads(source.text)
+    except json.JSONDecodeError as error:
+        raise PointsError(f"{source.name}:{error.lineno}: no JSON ({error.msg})", REMEDY) from error
+    except (ValueError, RecursionError) as error:
+        raise PointsError(f"{source.name} cannot be read as JSON ({type(error).__name__})", REMEDY) from error
+    markups = content.get("markups") if isinstance(content, dict) else None
+    lists = [item for item in markups if isinstance(item, dict)] if isinstance(markups, list) else []
+    lists = [item for item in lists if isinstance(item.get("controlPoints"), list)]
+    if len(lists) != 1:
+        raise PointsError(f"{source.name} holds {len(lists) or 'no'} point lists", f"{REMEDY}, one in a file")
+    return lists[0]
+
+
+def _position(source: Source, number: int, position: Any, sign: float) -> tuple[float, ...]:
+    good = isinstance(position, list) and len(position) == 3
+    good = good and all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e300 for x in position)
+    if not good or not all(map(math.isfinite, position)):
+        finding = f"{source.name}: control point {number} is at {str(position)[:60]}"
+        raise PointsError(finding, "give three finite numbers as its position")
+    x, y, z = map(float, position)
+    return sign * x, sign * y, z
+
+
+def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+    """The moving and the fixed list, in LPS."""
+    return _text("moving", pairs.moving, pairs.names), _text("fixed", pairs.fixed, pairs.names)
+
+
+def _text(name: str, points: PointArray, labels: Sequence[str]) -> str:
+    controls = [
+        {"id": str(k), "label": label, "position": [float(x), float(y), 0.0], "positionStatus": "defined"}
+        for k, (label, (x, y)) in enumerate(zip(labels, np.asarray(points)), 1)
+    ]
+    markup = {
+        "type": "Fiducial", "name": name, "coordinateSystem": "LPS", "coordinateUnits": "mm",
+        "controlPoints": controls,
+    }  # fmt: skip
+    return json.dumps({"@schema": SCHEMA, "markups": [markup]}, indent=1) + "\n"
+
+
+FORMAT = Format("slicer", "3D Slicer point lists", (".json",), 2, recognises, parse, compose)

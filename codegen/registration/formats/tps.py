@@ -1,0 +1,157 @@
+"""TPS files of tpsDig: two specimens of one file, or those whose IMAGE= names the moving and the fixed image.
+
+A specimen is `LM=n`, n lines `x y`, and lines such as `IMAGE=`, `ID=` and `SCALE=`. Its y points up from the lower edge
+of the image, so the heights of both images must be known. The origin is taken to be the centre of the lower-left
+pixel; the format's documents leave that open by half a pixel. Coordinates are pixels: `SCALE=` says how long a pixel is
+and is not applied. A landmark given as NA is missing and left out in both images. Outlines (`CURVES=`, `POINTS=`) are
+no landmarks and left out; names are not kept, the format has none. Source: F. J. Rohlf, tpsDig help, "Data files".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import PureWindowsPath
+
+import numpy as np
+
+from codegen.errors import PointsError
+from codegen.points import finite_numbers
+from codegen.registration.formats.base import Format, Frames, Source, made, require_count, text_of
+from codegen.registration.pairs import LandmarkPairs, PointArray
+
+REMEDY = "give LM=, as many lines x y, and IMAGE= for the moving and for the fixed image"
+
+
+@dataclass
+class _Specimen:
+    """Points as they stand in the file, None where one is missing, and what IMAGE= and ID= say."""
+
+    points: list[tuple[float, float] | None] = field(default_factory=list)
+    image: str = ""
+    identity: str = ""
+
+
+def recognises(text: str) -> bool:
+    """Whether the text begins with a number of landmarks."""
+    return text.lstrip()[:2].lower() == "lm"
+
+
+def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
+    """Read two specimens; PointsError names the file and the line, or the image whose height is not known."""
+    (source,) = sources
+    specimens = list(_specimens(source))
+    moving, fixed = _chosen(source, specimens, frames)
+    if len(moving.points) != len(fixed.points):
+        finding = f"{source.name}: {len(moving.points)} moving landmarks, but {len(fixed.points)} fixed ones"
+        raise PointsError(finding, "give every landmark in both images, NA where it is missing")
+    both = [(before, after) for before, after in zip(moving.points, fixed.points) if before and after]
+    heights = _heights(source.name, frames)
+    before, after = (_turned(np.array([pair[side] for pair in both]), heights[side]) for side in (0, 1))
+    names = [str(k) for k, pair in enumerate(zip(moving.points, fixed.points), 1) if all(pair)]
+    return made(sources, before, after, names)
+
+
+def _specimens(source: Source) -> Iterator[_Specimen]:
+    text = source.text.replace("\r\n", "\n").replace("\r", "\n")
+    lines = ((k, line.strip()) for k, line in enumerate(text.split("\n"), 1))
+    specimen: _Specimen | None = None
+    for number, line in lines:
+        if not line:
+            continue
+        key, equals, value = (part.strip() for part in line.partition("="))
+        key = key.upper()
+        if not equals:
+            raise PointsError(f"{source.name}:{number}: {line[:40]!r} stands outside a list of points", REMEDY)
+        if key == "LM3":
+            raise PointsError(f"{source.name}:{number}: landmarks in space", "give landmarks in the plane, LM=")
+        if key == "LM":
+            if specimen is not None:
+                yield specimen
+            specimen = _Specimen(list(_points(source, number, value, lines)))
+        elif key == "POINTS":
+            for _ in _points(source, number, value, lines):
+                pass
+        elif specimen is not None and key == "IMAGE":
+            specimen.image = value
+        elif specimen is not None and key == "ID":
+            specimen.identity = value
+    if specimen is not None:
+        yield specimen
+
+
+def _points(
+    source: Source, number: int, count: str, lines: Iterator[tuple[int, str]]
+) -> Iterator[tuple[float, float] | None]:
+    """As many points as the line says, taken from the lines that follow."""
+    if not (count.isdecimal() and len(count) < 10):
+        raise PointsError(f"{source.name}:{number}: {count[:30]!r} is no number of points", REMEDY)
+    require_count(source.name, int(count))
+    for _ in range(int(count)):
+        line, text = next(((k, text) for k, text in lines if text), (0, ""))
+        if not text:
+            raise PointsError(
+                f"{source.name}: {count} points are announced in line {number}, and it ends before", REMEDY
+            )
+        words = text.split()
+        if len(words) == 2 and "NA" in (word.upper() for word in words):
+            yield None
+        else:
+            x, y = finite_numbers(source.name, line, words, "xy")
+            yield x, y
+
+
+def _chosen(source: Source, specimens: Sequence[_Specimen], frames: Frames) -> tuple[_Specimen, _Specimen]:
+    """The specimens of the two images: by IMAGE= where it names both, the first and the second of two otherwise."""
+    named = [_of_image(source, specimens, name) for name in (frames.moving_name, frames.fixed_name)]
+    if named[0] is not None and named[1] is not None and named[0] is not named[1]:
+        return named[0], named[1]
+    if len(specimens) == 2:
+        if named[0] is specimens[1] or named[1] is specimens[0]:
+            return specimens[1], specimens[0]
+        return specimens[0], specimens[1]
+    wanted = " and ".join(repr(name) for name in (frames.moving_name, frames.fixed_name) if name) or "the images"
+    raise PointsError(
+        f"{source.name} holds {len(specimens)} specimens, and their IMAGE= lines do not name {wanted}",
+        "give two specimens, first the moving one, or name both images in IMAGE= lines",
+    )
+
+
+def _of_image(source: Source, specimens: Sequence[_Specimen], name: str) -> _Specimen | None:
+    """The specimen of an image file, without regard to its folder and to capitals."""
+    wanted = PureWindowsPath(name).name.lower()
+    found = [entry for entry in specimens if wanted and PureWindowsPath(entry.image).name.lower() == wanted]
+    if len(found) > 1:
+        raise PointsError(
+            f"{source.name} has {len(found)} specimens with IMAGE={name}", "leave one of them in the file"
+        )
+    return found[0] if found else None
+
+
+def _heights(name: str, frames: Frames) -> tuple[int, int]:
+    if frames.moving_shape is None or frames.fixed_shape is None:
+        which = "moving" if frames.moving_shape is None else "fixed"
+        finding = f"{name}: y points up in TPS files, and the height of the {which} image is not known"
+        raise PointsError(finding, f"give the {which} image, or its shape")
+    return frames.moving_shape[0], frames.fixed_shape[0]
+
+
+def _turned(points: PointArray, height: int) -> PointArray:
+    """From the lower-left to the top-left pixel, or back."""
+    return np.column_stack((points[:, 0], height - 1 - points[:, 1])) if len(points) else points
+
+
+def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
+    """Two specimens, first the moving one; PointsError when the height of an image is not known."""
+    heights = _heights("landmarks", frames)
+    lines = []
+    sides = zip((pairs.moving, pairs.fixed), heights, (frames.moving_name, frames.fixed_name))
+    for k, (points, height, image) in enumerate(sides):
+        lines.append(f"LM={len(points)}")
+        lines += [" ".join(map(text_of, point)) for point in _turned(points, height)]
+        lines += [f"IMAGE={' '.join(image.split())}"] if image else []
+        lines.append(f"ID={k}")
+    return ("\n".join([*lines, ""]),)
+
+
+FORMAT = Format("tps", "tpsDig TPS", (".tps",), 1, recognises, parse, compose, encoding="latin-1")

@@ -1,0 +1,88 @@
+"""What the first bytes of an image file say, read before anything is decoded, and errors of decoders as ImageError."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from codegen.errors import CodegenError, ImageError
+
+KINDS = {"PNG": (".png",), "JPEG": (".jpg", ".jpeg"), "TIFF": (".tif", ".tiff")}
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+
+# Frames of JPEG (ITU-T T.81, table B.1): SOF0 to SOF15 without DHT, JPG and DAC; markers without a length.
+_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_BARE = frozenset(range(0xD0, 0xD9)) | {0x01, 0xFF}
+
+
+@dataclass(frozen=True)
+class Header:
+    """Kind of file, size in pixels, bits of a sample and stored samples of a pixel."""
+
+    kind: str
+    width: int
+    height: int
+    bits: int
+    samples: int
+
+
+@contextmanager
+def readable(name: str) -> Iterator[None]:
+    """Errors of decoders, of which there are many kinds for damaged files, as one ImageError."""
+    try:
+        yield
+    except CodegenError:
+        raise
+    except MemoryError as error:
+        raise ImageError(f"{name} does not fit into memory", "give a smaller image") from error
+    except Exception as error:  # decoders raise nearly everything for damaged files
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise ImageError(f"{name} is damaged or no image ({reason})", "give a whole PNG, JPEG or TIFF file") from error
+
+
+def header_of(name: str, data: bytes) -> Header:
+    """Read the header; ImageError when the bytes begin like no PNG, JPEG or TIFF file."""
+    if data.startswith(_PNG):
+        return _png(name, data)
+    if data.startswith(b"\xff\xd8\xff"):
+        return _jpeg(name, data)
+    if data.startswith(_TIFF):
+        from codegen.registration.images.by_tifffile import header
+
+        return header(name, data)
+    what = "is empty" if not data else "is no PNG, JPEG or TIFF file"
+    raise ImageError(f"{name} {what}", "convert it to PNG, JPEG or TIFF")
+
+
+def _png(name: str, data: bytes) -> Header:
+    """The IHDR chunk, which comes first (PNG specification, 11.2.2)."""
+    if len(data) < 33 or data[12:16] != b"IHDR" or zlib.crc32(data[12:29]) != struct.unpack(">I", data[29:33])[0]:
+        raise ImageError(f"{name} has a damaged header", "give a whole PNG file")
+    width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
+    return Header("PNG", width, height, bits, _PNG_CHANNELS.get(colour, 0))
+
+
+def _jpeg(name: str, data: bytes) -> Header:
+    """The frame header (ITU-T T.81, B.2.2), which follows any number of other segments."""
+    place = 2
+    while place + 4 <= len(data):
+        marker = data[place + 1]
+        if data[place] != 0xFF:
+            break
+        if marker in _BARE:
+            place += 1 if marker == 0xFF else 2
+            continue
+        (length,) = struct.unpack(">H", data[place + 2 : place + 4])
+        if marker in _FRAMES and place + 10 <= len(data):
+            bits, height, width, samples = struct.unpack(">BHHB", data[place + 4 : place + 10])
+            return Header("JPEG", width, height, bits, samples)
+        if length < 2 or marker == 0xDA:
+            break
+        place += 2 + length
+    raise ImageError(f"{name} has no frame header", "give a whole JPEG file")

@@ -1,0 +1,111 @@
+"""What is to be matched, whatever the number of steps: landmarks, their alignment, the frame; and its solution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.drivers.scaled import quiet_single_thread
+from codegen.errors import LandmarkError, RegistrationError
+from codegen.registration.alignment import Alignment, Kind, align
+from codegen.registration.flow import Flow
+from codegen.registration.frame import MARGIN, Frame, corners
+from codegen.registration.pairs import LandmarkPairs, PointArray
+from codegen.registration.solver import DEFAULT_SCHEME, registration_module
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """Landmarks to be carried to their places by an alignment and a flow in the frame.
+
+    `shape` and `fixed_shape` are (height, width) of the moving and the fixed image; `sigma`, in pixels, says how far
+    landmarks may miss.
+    """
+
+    pairs: LandmarkPairs
+    shape: tuple[int, int]
+    fixed_shape: tuple[int, int]
+    alignment: Alignment
+    frame: Frame
+    sigma: float
+    scheme: str
+
+    @classmethod
+    def of(
+        cls,
+        pairs: LandmarkPairs,
+        shape: Sequence[int],
+        *,
+        fixed_shape: Sequence[int] | None = None,
+        align: Kind = "similarity",
+        sigma: float = 0.0,
+        scheme: str = DEFAULT_SCHEME,
+        margin: float = MARGIN,
+    ) -> Matching:
+        """Align the landmarks and lay the frame around both images; LandmarkError when something is unusable."""
+        moving_shape = _extent(shape)
+        other_shape = moving_shape if fixed_shape is None else _extent(fixed_shape)
+        if not 0.0 <= sigma < np.inf:
+            raise LandmarkError(f"sigma is {sigma!r}", "give a distance in pixels that is not negative")
+        alignment = _aligned(pairs, align)
+        moved = [alignment.apply(corners(moving_shape)), alignment.apply(pairs.moving)]
+        frame = Frame.around(np.vstack([corners(other_shape), pairs.fixed, *moved]), margin)
+        return cls(pairs, moving_shape, other_shape, alignment, frame, float(sigma), scheme)
+
+    @property
+    def ends(self) -> tuple[PointArray, PointArray]:
+        """Where the landmarks start in the disc, after the alignment, and where they are to arrive."""
+        return self.frame.to_disc(self.alignment.apply(self.pairs.moving)), self.frame.to_disc(self.pairs.fixed)
+
+    def solve(self, steps: int, velocities: NDArray[np.float64] | None = None) -> tuple[Flow, Any]:
+        """The motion that carries the landmarks in so many steps, and the generated solver's account of it.
+
+        Guessed `velocities` at the start, shape (n, 2), give it first momenta; where there are none, or they fail, it
+        climbs its ladder of attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt
+        succeeds.
+        """
+        module = registration_module(self.scheme)
+        start, target = self.ends
+        try:
+            case = module.make_case(start, target, steps, sigma=self.sigma * self.frame.scale)
+        except ValueError as error:
+            raise LandmarkError(str(error), "correct the landmarks, or the arguments") from error
+        with quiet_single_thread():
+            solution = None
+            if velocities is not None:
+                momenta = module.momenta_of(case.start, velocities, case.own, case.parameters)
+                solution = module.solve_case(case, momenta)
+            if solution is None or solution.status != "solved":
+                solution = module.solve_case(case)
+            if solution.status != "solved":
+                remedy = "allow for a sigma, take more steps, or leave out landmarks that are close and move apart"
+                raise RegistrationError(self._failure(solution.message), remedy)
+        path = np.stack([solution.q, solution.p], axis=1)
+        return Flow(module, case, path, module.stages_of(case, path)), solution
+
+    def _failure(self, message: str) -> str:
+        """What is reported of landmarks that no motion was found for: the two whose distance changes most."""
+        before, after = self.alignment.apply(self.pairs.moving), self.pairs.fixed
+        said = message.split(";")[0]
+        if len(before) < 2:
+            return said
+        i, j = np.triu_indices(len(before), 1)
+        apart = np.linalg.norm(before[i] - before[j], axis=1)
+        worst = int(np.argmax(np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart))
+        one, other = (self.pairs.names[k[worst]] for k in (i, j))
+        x, y = self.pairs.moving[i[worst]]
+        return f"{said} (hardest are landmarks {one} and {other}, near ({x:.1f}, {y:.1f}))"
+
+
+_aligned = align  # a parameter of `Matching.of` has that name
+
+
+def _extent(shape: Sequence[int]) -> tuple[int, int]:
+    height, width = (int(length) for length in tuple(shape)[:2])
+    if height < 1 or width < 1:
+        raise LandmarkError(f"the image's shape is {tuple(shape)}", "give its height and width in pixels")
+    return height, width

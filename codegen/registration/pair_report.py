@@ -1,0 +1,87 @@
+"""One page about one pair: pictures, certificate and landmarks, in an HTML file that needs no other."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from codegen import __version__
+from codegen.output import replacing
+from codegen.registration import pair_pictures as pictures
+from codegen.registration.job import Result
+from codegen.registration.warp_text import number, rows
+
+COLUMNS = ("landmark", "moving x", "moving y", "fixed x", "fixed y", "residual", "left out", "")
+MOST_ROWS = 2_000
+"""Landmarks beyond are left out of the table, which says so."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """The cells of a landmark under COLUMNS, and whether it stands out."""
+
+    cells: tuple[str, ...]
+    outlier: bool
+
+
+def write_report(path: Path, result: Result) -> None:
+    """Write the page; ArgumentError where the file system refuses."""
+    text = render(result)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def render(result: Result) -> str:
+    """The text of the page, of a registration that succeeded or failed."""
+    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
+    template = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).get_template("pair.html.j2")
+    record = result.record
+    return template.render(
+        title=f"{Path(record['moving']).name}, {record['direction']}", subtitle=_subtitle(record),
+        passed=result.passed, status=record["status"], message=_sentence(record["message"]), facts=rows(record),
+        pictures=pictures.of(result), columns=COLUMNS, rows=_rows(result), environment=_environment(record),
+    )  # fmt: skip
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + "." if text else ""
+
+
+def _subtitle(record: dict[str, Any]) -> str:
+    """The files, by their names alone: a page may travel."""
+    names = [f"moving: {Path(record['moving']).name}"]
+    names += [f"fixed: {Path(record['fixed']).name}"] if record["fixed"] else []
+    names.append("landmarks: " + " and ".join(Path(name).name for name in record["landmarks"]))
+    if record["status"] == "solved":
+        names.append(f"written to: {Path(record['out']).name}")
+    return ", ".join(names)
+
+
+def _rows(result: Result) -> list[Row]:
+    pairs = result.pairs
+    residuals = result.registration.residuals if result.registration is not None else np.full(len(pairs), np.nan)
+    left_out = result.left_out.errors if result.left_out is not None else np.full(len(pairs), np.nan)
+    outliers = set(result.left_out.outliers) if result.left_out is not None else set()
+    made = []
+    for k in range(min(len(pairs), MOST_ROWS)):
+        places = [f"{value:.2f}" for value in (*pairs.moving[k], *pairs.fixed[k])]
+        errors = [number(float(residuals[k])), number(float(left_out[k]))]
+        cells = (pairs.names[k], *places, *errors, "outlier" if k in outliers else "")
+        made.append(Row(cells, k in outliers))
+    if len(pairs) > MOST_ROWS:
+        made.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(COLUMNS) - 1)), False))
+    return made
+
+
+def _environment(record: dict[str, Any]) -> str:
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
+    seconds = ", ".join(f"{name} {value:.3g} s" for name, value in record["seconds"].items())
+    return f"codegen {__version__}, Python {platform.python_version()}, {versions}. {seconds}."

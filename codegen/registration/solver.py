@@ -1,0 +1,63 @@
+"""The generated solver of registrations: where its problem is found, and how it is built, compiled and kept.
+
+The problem file is in `problems/` of a checkout, and beside this file where the package is installed from a wheel. The
+module that is derived from it goes to the build cache ($CODEGEN_CACHE_DIR, or a folder in the user's cache directory),
+and its machine code beside it, so that only the first registration on a machine has to wait for either.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import ModuleError, SchemeError
+from codegen.load import load
+from codegen.registration.flow import FlowModule, require_passive
+
+PROBLEM = "image_registration.py"
+DEFAULT_SCHEME = "midpoint"
+
+
+def problem_file() -> Path:
+    """The file of the problem whose module registers images; ModuleError when it is missing."""
+    here = Path(__file__).parent
+    for candidate in (here / "problem" / PROBLEM, here.parents[1] / "problems" / PROBLEM):
+        if candidate.is_file():
+            return candidate
+    raise ModuleError(f"{PROBLEM} is missing from the installation", "install the package again")
+
+
+@cache
+def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
+    """The generated module of a scheme, derived and compiled when it is needed for the first time on a machine.
+
+    That takes about half a minute and is announced on stderr. Raises SchemeError for a scheme without fixed steps.
+    """
+    from codegen.compiler import build
+    from codegen.drivers.compilation import compilers
+
+    made = build(problem_file(), {"passive": "True"}, scheme=scheme)
+    if not any((made.path.parent / "__pycache__").glob("*.carry_points-*.nbi")):
+        print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
+        with compilers() as processes:
+            processes.compile(made.path)
+    module = require_passive(load(made.path))
+    if module.metadata["adaptive"]:
+        raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
+    _touch(module)
+    return module
+
+
+def _touch(module: Any) -> None:
+    """Call what a registration calls, so that its machine code is read, or compiled, before anything is timed."""
+    from codegen.drivers.compilation import packed_operations, small_case
+
+    case = small_case(module)
+    with packed_operations():
+        solution = module.solve_case(case)
+        path = np.stack([solution.q, solution.p], axis=1)
+        module.carry(case, module.stages_of(case, path), case.start, derivative=True)

@@ -1,0 +1,85 @@
+"""What certificates say of known maps; predictions of landmarks that were left out."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import SHAPE
+
+from codegen.errors import LandmarkError
+from codegen.registration import LandmarkPairs, certify, choose_sigma, compare_sigmas, leave_one_out, register
+from codegen.registration.frame import pixel_grid
+
+
+def known_map(determinant, back=lambda p: p):
+    """Something that has what `certify` asks for."""
+    return SimpleNamespace(
+        shape=(9, 11), residuals=np.array([0.25, 0.5]), pairs=LandmarkPairs([[1, 1]], [[2, 2]]),
+        determinant=determinant, map_points=lambda p: p, map_points_inverse=back,
+    )  # fmt: skip
+
+
+def test_a_fold_is_found_counted_and_placed():
+    found = certify(known_map(lambda p: (p[:, 0] - 3.0) ** 2 + (p[:, 1] - 2.0) ** 2 - 1.0))
+    assert (found.folded, found.first_fold) == (5, (3.0, 1.0))
+    assert (found.det_min, found.det_min_at) == (-1.0, (3.0, 2.0))
+    assert found.det_max == 7.0**2 + 6.0**2 - 1.0
+    assert not found.passed
+    assert "5 pixels, the first at (3, 1)" in found.message
+
+
+def test_what_is_no_number_is_a_fold():
+    found = certify(known_map(lambda p: np.where(p[:, 0] == 10, np.nan, 1.0)))
+    assert (found.folded, found.first_fold, found.passed) == (9, (10.0, 0.0), False)
+    assert not certify(known_map(lambda p: np.full(len(p), np.nan))).passed
+
+
+@pytest.mark.parametrize(("far", "passed"), [(1e-7, False), (np.nan, False), (1e-9, True)])
+def test_points_must_come_back(far, passed):
+    found = certify(known_map(lambda p: np.ones(len(p)), lambda p: p + np.array([0.0, far])))
+    assert found.passed is passed
+    assert ("come back" in found.message) is not passed
+
+
+def test_trilobites_do_not_fold(registration):
+    found = certify(registration)
+    determinants = registration.determinant(pixel_grid(SHAPE))
+    assert found.passed
+    assert found.det_min == determinants.min() > 0.3
+    assert found.det_max == determinants.max()
+    assert found.round_trip <= 1e-8
+    assert found.residual_max == registration.residuals.max()
+
+
+def test_a_landmark_out_of_place_is_found(solver):
+    x, y = np.meshgrid(np.linspace(20, 140, 5), np.linspace(15, 105, 4))
+    moving = np.stack([x.ravel(), y.ravel()], axis=1)
+    fixed = moving + np.stack([3 * np.sin(moving[:, 1] / 40), 2 * np.cos(moving[:, 0] / 50)], axis=1)
+    fixed[7] += [9.0, -6.0]
+    found = leave_one_out(LandmarkPairs(moving, fixed), SHAPE, steps=5)
+    assert found.outliers[0] == found.ranking[0] == 7
+    assert found.errors[7] == pytest.approx(np.hypot(9, 6), abs=1.5)
+    rest = LandmarkPairs(moving, fixed).without(3)
+    predicted = register(rest, SHAPE, steps=5).map_points(moving[3:4])
+    assert found.errors[3] == pytest.approx(np.linalg.norm(predicted - fixed[3]), abs=1e-7)
+
+
+def test_one_landmark_predicts_nothing(solver):
+    assert np.isnan(leave_one_out(LandmarkPairs([[1, 1]], [[2, 2]]), SHAPE).errors).all()
+    with pytest.raises(LandmarkError, match="2 landmarks"):
+        choose_sigma(LandmarkPairs([[1, 1], [5, 5]], [[2, 2], [5, 6]]), SHAPE)
+
+
+def test_landmarks_that_contradict_each_other_ask_for_a_sigma_and_exact_ones_do_not(solver):
+    x, y = np.meshgrid([30.0, 80.0, 130.0], [35.0, 85.0])
+    sites = np.stack([x.ravel(), y.ravel()], axis=1)
+    moving = np.vstack([sites - [1.0, 0.0], sites + [1.0, 0.0]])
+    smooth = moving + np.stack([4 * np.sin(moving[:, 1] / 60), 3 * np.cos(moving[:, 0] / 70)], axis=1)
+    twofold = smooth + np.repeat([[0.0, 1.5], [0.0, -1.5]], 6, axis=0)
+    options = {"steps": 3, "candidates": (0.0, 40.0)}
+    assert choose_sigma(LandmarkPairs(moving, smooth), SHAPE, **options) == 0.0
+    found = compare_sigmas(LandmarkPairs(moving, twofold), SHAPE, **options)
+    # From its neighbour alone, a landmark is predicted twice as far off as from the mean of both.
+    assert found.sigma == 40.0
+    assert found.errors[0] == pytest.approx(3.0, abs=0.4)
+    assert found.errors[1] < 0.8 * found.errors[0]
