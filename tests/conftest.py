@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from interpreted import Interpreted
 
 from codegen.compiler import build
 from codegen.load import GeneratedModule, load
+from codegen.points import read_points
+from codegen.registration import LandmarkPairs, Registration, register
+from codegen.registration.flow import FlowModule
+from codegen.registration.solver import registration_module
 
 # Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("shared")
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
+SHAPE = (120, 160)
+"""Height and width of the images that tests register."""
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -48,3 +56,24 @@ def explicit_pendulum(cache_folder: Path) -> GeneratedModule:
 def interpreted(cache_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Interpreted:
     """Makes uncompiled modules: `interpreted("orbital_transfer", scheme="trapezoidal")`."""
     return Interpreted(tmp_path_factory.mktemp("problems"), PROBLEMS)
+
+
+@pytest.fixture(scope="session")
+def solver(cache_folder: Path) -> FlowModule:
+    """The compiled solver of registrations, which one worker process compiles and all use."""
+    cache_folder.mkdir(parents=True, exist_ok=True)
+    with (cache_folder / "registration.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return registration_module()
+
+
+@pytest.fixture(scope="session")
+def pairs() -> LandmarkPairs:
+    """Every fifth landmark of the trilobites, in an image of 120 x 160 pixels."""
+    points = read_points(PROBLEMS / "data" / "trilobite40.csv", 2)
+    return LandmarkPairs(*(np.array([79.5, 59.5]) + 70.0 * p[::5] for p in (points.start, points.target)))
+
+
+@pytest.fixture(scope="session")
+def registration(solver: FlowModule, pairs: LandmarkPairs) -> Registration:
+    return register(pairs, SHAPE)

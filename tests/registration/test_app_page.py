@@ -11,7 +11,7 @@ from codegen.cli import main
 from codegen.registration import LandmarkPairs
 from codegen.registration.app.reading import LIMITS
 from codegen.registration.formats import read_landmarks, write_landmarks
-from codegen.registration.images import read_image, write_image
+from codegen.registration.images import write_image
 
 pytest.importorskip("panel", reason="panel is not installed")
 pytest.importorskip("bokeh", reason="bokeh is not installed")
