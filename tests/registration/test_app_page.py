@@ -2,10 +2,8 @@
 
 import http.client
 import socket
-import time
 import urllib.error
 import urllib.request
-from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -135,29 +133,17 @@ def test_what_cannot_be_opened_is_refused_and_the_session_goes_on(chromium, addr
     visit.context.close()
 
 
-def test_ten_sessions_at_once_stay_separate(address):
-    with ThreadPoolExecutor(1) as beside:  # the browser keeps this thread's event loop
-        beside.submit(_ten_sessions, address).result()
-
-
-def _ten_sessions(address):
-    """Each session gets a click at a place of its own, and none sees another's."""
-    from bokeh.client import pull_session
-
-    sessions = [pull_session(url=address) for _ in range(10)]
-    tables = [session.document.get_model_by_name("moving").renderers[-1].data_source for session in sessions]
-    for k, table in enumerate(tables):
-        click = {"x": 20.0 + k, "y": 30.0}
-        table.data = {name: [*column, click.get(name, 0)] for name, column in table.data.items()}
-    for k, (session, table) in enumerate(zip(sessions, tables)):
-        for _ in range(600):
-            session.force_roundtrip()
-            if list(table.data["id"]) == [1]:
-                break
-            time.sleep(0.05)
-        assert (list(table.data["x"]), list(table.data["id"])) == ([20.0 + k], [1])
-    for session in sessions:
-        session.close()
+def test_visitors_at_the_same_time_stay_separate(chromium, address):
+    visits = [Visit(chromium, address) for _ in range(3)]
+    for k, visit in enumerate(visits):
+        visit.click("moving", 10.0 + 5 * k, 30.0)
+    for k, visit in enumerate(visits):
+        visit.until(lambda v: [row[2] for row in v.points("fixed")] == [1])
+        np.testing.assert_allclose(visit.points("moving"), [[10.0 + 5 * k, 30.0, 1]], atol=0.5)
+    assert len({visit.page.url for visit in visits}) == 3
+    for visit in visits:
+        assert visit.problems == []
+        visit.context.close()
 
 
 @pytest.mark.parametrize(
