@@ -270,7 +270,7 @@ def test_the_picture_on_the_screen_is_close_to_the_exact_one(solved):
     assert np.abs(np.stack([x, y], axis=-1) - exact).max() < 1.0
     assert shown.image.shape == (50, 70, 4)
     again = solving.shown(solving.Wanted(solved.task(), hasty=True), shown.registration)
-    assert again.registration.steps == shown.registration.steps
+    assert again.registration.steps <= shown.registration.steps
     found = solving.certified(wanted, shown.registration, lambda: False)
     assert 0.0 < found.det_min < found.det_max
     assert found.folded == 0

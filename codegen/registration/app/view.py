@@ -6,7 +6,6 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from sys import stderr
 from typing import Any
 
 import panel as pn
@@ -381,5 +380,5 @@ class View:
         if isinstance(error, CodegenError):
             self.layout.message(str(error))
         else:
-            traceback.print_exception(error, file=stderr)
+            traceback.print_exception(error)
             self.layout.message(f"Something unexpected went wrong ({type(error).__name__}); your landmarks are safe")
