@@ -310,8 +310,8 @@ def stress(
             cases = generic.cases_of(problem, parse_arguments(set_))
     else:
         cases = families.quick_cases() if quick else families.all_cases()
-    with progress("Stressing", len(cases)) as advance:
-        rows = stressing.run(cases, out, advance)
+    with progress("Stressing", len(cases)) as moved:
+        rows = stressing.run(cases, out, moved)
     console().print(page.table(rows))
     failed = [row for row in rows if not row.passed]
     for row in failed:

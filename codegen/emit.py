@@ -57,13 +57,18 @@ def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = 
         text = resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8")
         tree = ast.parse(text)
         docstring = ast.get_docstring(tree, clean=True) or ""
-        last_import = max(
-            (node.end_lineno or 0 for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))), default=0
-        )
-        body = specialise("\n".join(text.splitlines()[last_import:]), dict(sizes)).strip()
+        head = max((node.end_lineno or 0 for node in tree.body if _is_head(node)), default=0)
+        body = specialise("\n".join(text.splitlines()[head:]), dict(sizes)).strip()
         comment = "\n".join(f"# {line}".rstrip() for line in docstring.splitlines())
         parts.append(f"{comment}\n\n\n{body}" if body.startswith(("@", "def", "class")) else f"{comment}\n\n{body}")
     return "\n\n\n".join(parts)
+
+
+def _is_head(node: ast.stmt) -> bool:
+    """Whether a statement is an import or the docstring of the file, which a module does not repeat."""
+    return isinstance(node, (ast.Import, ast.ImportFrom)) or (
+        isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    )
 
 
 def write(path: Path, text: str) -> bool:

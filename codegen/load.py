@@ -66,8 +66,8 @@ class Unpacked(NamedTuple):
 class ControlModule(Protocol):
     """The public functions of a generated module that solves an optimal-control problem.
 
-    `variable_bounds` is there if metadata["inequalities"]; COUPLINGS is the number of conditions between bodies, ROOT
-    that of unknowns that no node owns. Views are of nodes and intervals, bodies first.
+    `variable_bounds` and `prescribed_beyond` are there if metadata["inequalities"]; COUPLINGS is the number of
+    conditions between bodies, ROOT that of unknowns that no node owns. Views are of nodes and intervals, bodies first.
     """
 
     metadata: Mapping[str, Any]
@@ -89,6 +89,7 @@ class ControlModule(Protocol):
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
+    prescribed_beyond: Callable[[Grid, Vector], str]
     COUPLINGS: int
     ROOT: int
 

@@ -68,6 +68,12 @@ def replacing(path: Path) -> Iterator[Path]:
         raise ArgumentError(f"{path} cannot be written ({error.strerror})", "choose another place") from error
 
 
+def write_text(path: Path, text: str) -> None:
+    """Replace a file as a whole; ArgumentError when the file system refuses."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
     """The JSON object of `--json`: keys as documented, every number finite or null."""
     return {

@@ -31,14 +31,13 @@ def survey(path: Path, arguments: Mapping[str, str] | None = None) -> dict[str, 
 def exact_cost(path: Path, arguments: Mapping[str, str] | None = None) -> float | None:
     """The optimal cost of a control problem whose maximum principle is solved in closed form, else None."""
     from codegen.analysis.exact_optimum import exact_optimum
-    from codegen.checks.optimum import beyond_maximum_principle
 
     model = load_problem(path, dict(arguments or {}))
-    if not isinstance(model, Model) or model.task != "control" or beyond_maximum_principle(model):
+    if not isinstance(model, Model) or model.task != "control":
         return None
     try:
         optimum = exact_optimum(model)
-    except CodegenError:  # such as controls that the maximum principle does not determine
+    except CodegenError:  # such as bounds, or controls that the maximum principle does not determine
         return None
     return None if optimum is None else optimum.cost_at()
 

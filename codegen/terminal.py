@@ -64,16 +64,22 @@ def console(stderr: bool = False) -> Any:
 
 
 @contextmanager
-def progress(what: str, count: int) -> Iterator[Callable[[], None]]:
-    """What advances a progress bar on a terminal, and does nothing elsewhere."""
+def progress(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
+    """A bar over so many parts, moved by (parts done, what is going on); nothing where there is no terminal."""
     if not sys.stderr.isatty():
-        yield lambda: None
+        yield lambda done, text: None
         return
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    with Progress(console=console(stderr=True), transient=True) as bar:
+    columns = (
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False),
+    )
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=count)
-        yield lambda: bar.advance(task)
+        yield lambda done, text: bar.update(task, completed=done, description=text)
 
 
 def working(what: str) -> AbstractContextManager[Any]:

@@ -136,7 +136,7 @@ def _many(
     report: Path | None, options: Options, json: bool,
 ) -> None:  # fmt: skip
     from codegen import output
-    from codegen.registration import batch, warp_text
+    from codegen.registration import batch, batch_report, warp_text
 
     places = batch.Places(out, field, report)
     if moving.is_dir():
@@ -155,8 +155,12 @@ def _many(
             output.require_folder(folder, option, may_be_made=True)
     batch.make_folders(places)
     summary = (out / batch.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
+    if report is not None:
+        batch.require_free(jobs, report / batch_report.NAME)
     with progress("Warping", len(jobs)) as advance:
         done = batch.run_all(jobs, options, summary, advance)
+    if report is not None:
+        batch_report.write_batch_report(report, done, [job.report for job in jobs])
     if json:
         typer.echo(output.as_json(warp_text.record(done, summary)))
     else:

@@ -1179,14 +1179,6 @@ def interval_hessians(unknowns, steps, h, parameters, values):
             interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
 
 
-# No unknown has a bound.
-
-
-def at_limits(grid, unknowns):
-    """Boolean mask of the unknowns that lie on a bound: none."""
-    return np.zeros(unknowns.size, dtype=bool)
-
-
 # The direction along which the cost curves downwards most while the equations hold to first order.
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
@@ -1273,7 +1265,6 @@ def runaways(grid, guess, point, is_stationary):
         grown[: unknowns.size - ROOT] = False
     if not grown.any():
         return grown
-    grown &= ~at_limits(grid, unknowns)
     if is_stationary:
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
@@ -1281,10 +1272,9 @@ def runaways(grid, guess, point, is_stationary):
 
 
 def newton_step(grid, point):
-    """Newton's step from a point with the unknowns on their bounds held fast; infinite where there is none."""
-    system, step = allocate_system(grid), np.empty_like(point.unknowns)
-    fixed = at_limits(grid, point.unknowns) & ~grid.is_multiplier
-    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) != 0:
+    """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
+    system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
+    if factor_kkt(grid, point.unknowns, 1.0, shift, system) != 0:
         return np.full(step.size, np.inf)
     solve_kkt(grid, system, point.gradient, step)
     return step
@@ -1346,10 +1336,6 @@ def violated(grid, point):
     """The equations that are off most, each at its worst place, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
-    blocked = columns[at_limits(grid, point.unknowns)[columns]]
-    names = dict.fromkeys(bounded_name(grid, place) for place in blocked)
-    if names:
-        text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
         text += f"; there are {rows.size} equations for {columns.size} unknowns"
     return text
@@ -1468,12 +1454,6 @@ def local_name(grid, place):
     """The name of an unknown without its place, or of a shared one with its body."""
     chain = grid.steps * STRIDE + NODE
     return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
-
-
-def bounded_name(grid, place):
-    """The name of an unknown without its place, or the inequality whose slack it is."""
-    name = local_name(grid, place)
-    return metadata["meanings"].get(name, name).removeprefix("slack of ").removesuffix(" of an interval")
 
 
 def whereabouts(grid, unknowns, place):
@@ -1636,7 +1616,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_double_integrator_effort_89376b9bac785c80"
+_IDENTITY = "codegen_double_integrator_effort_1e73861a99a38aa6"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

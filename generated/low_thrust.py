@@ -1188,12 +1188,6 @@ def slope_of(unknowns, gradient, step, is_multiplier):
 # Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
 # equation numbers are quoted. Here `cost` is whatever the line search lowers: the cost, or a barrier function.
 
-"""The filter of a line search: pairs (violation, cost) that a trial point must improve on in one or the other.
-
-Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
-equation numbers are quoted. Here `cost` is whatever the line search lowers: the cost, or a barrier function.
-"""
-
 
 def acceptable(violation, cost, filtered):
     """Whether no pair of the filter is better both in violation and in cost (18)."""
@@ -1892,7 +1886,7 @@ def interval_hessians(unknowns, steps, h, parameters, values):
             interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
 
 
-# Which unknowns lie on their bounds.
+# Which unknowns lie on their bounds, and which prescribed values beyond them.
 
 
 def at_limits(grid, unknowns):
@@ -1900,6 +1894,25 @@ def at_limits(grid, unknowns):
     lower, upper = variable_bounds(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
+
+
+def prescribed_beyond(grid, unknowns):
+    """Which prescribed end value violates the bound that holds at the next inner node, or nothing.
+
+    Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
+    within the first interval.
+    """
+    lower, upper = variable_bounds(grid)
+    pinned, chain = ~free_unknowns(grid), grid.steps * STRIDE + NODE
+    last = chain - NODE
+    for first in range(0, BODIES * chain if grid.steps > 1 else 0, chain):
+        for end, here, inner in (("start", first, first + STRIDE), ("end", first + last, first + last - STRIDE)):
+            for i, name in enumerate(metadata["node"]):
+                value, low, high = unknowns[here + i], lower[inner + i], upper[inner + i]
+                margin = 1e-9 * max(1.0, abs(value))
+                if pinned[here + i] and not low - margin <= value <= high + margin:
+                    return f"{name} is prescribed as {value:g} at the {end}, beyond its bounds {low:g} to {high:g}"
+    return ""
 
 
 # The direction along which the cost curves downwards most while the equations hold to first order.
@@ -1996,10 +2009,10 @@ def runaways(grid, guess, point, is_stationary):
 
 
 def newton_step(grid, point):
-    """Newton's step from a point with the unknowns on their bounds held fast; infinite where there is none."""
-    system, step = allocate_system(grid), np.empty_like(point.unknowns)
-    fixed = at_limits(grid, point.unknowns) & ~grid.is_multiplier
-    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) != 0:
+    """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
+    system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
+    shift[at_limits(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
+    if factor_kkt(grid, point.unknowns, 1.0, shift, system) != 0:
         return np.full(step.size, np.inf)
     solve_kkt(grid, system, point.gradient, step)
     return step
@@ -2023,6 +2036,9 @@ NAMED = 3  # how many equations a message names
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence."""
     status = final_status(grid, guess, point, status)
+    beyond = prescribed_beyond(grid, point.unknowns)
+    if beyond:
+        return "infeasible", f"infeasible: {beyond}; change the value or the bound"
     if status == "solved":
         return status, f"all equations hold to {point.error:.1e}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
@@ -2061,8 +2077,11 @@ def violated(grid, point):
     """The equations that are off most, each at its worst place, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
-    blocked = columns[at_limits(grid, point.unknowns)[columns]]
-    names = dict.fromkeys(bounded_name(grid, place) for place in blocked)
+    names = {}
+    for place in columns[at_limits(grid, point.unknowns)[columns]]:
+        name = local_name(grid, place)
+        meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
+        names[meaning.removesuffix(" of an interval")] = None
     if names:
         text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
@@ -2183,12 +2202,6 @@ def local_name(grid, place):
     """The name of an unknown without its place, or of a shared one with its body."""
     chain = grid.steps * STRIDE + NODE
     return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
-
-
-def bounded_name(grid, place):
-    """The name of an unknown without its place, or the inequality whose slack it is."""
-    name = local_name(grid, place)
-    return metadata["meanings"].get(name, name).removeprefix("slack of ").removesuffix(" of an interval")
 
 
 def whereabouts(grid, unknowns, place):
@@ -2373,7 +2386,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_low_thrust_c779f0c889665c5d"
+_IDENTITY = "codegen_low_thrust_958bfaaab412261d"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

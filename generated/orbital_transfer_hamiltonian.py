@@ -1048,6 +1048,36 @@ def slope_of(unknowns, gradient, step, is_multiplier):
     return slope
 
 
+# The filter of a line search: pairs (violation, cost) that a trial point must improve on in one or the other.
+#
+# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
+# equation numbers are quoted. Here `cost` is whatever the line search lowers: the cost, or a barrier function.
+
+
+def acceptable(violation, cost, filtered):
+    """Whether no pair of the filter is better both in violation and in cost (18)."""
+    return all(violation < other or cost < least for other, least in filtered)
+
+
+def envelope(violation, cost):
+    """What a point adds to the filter: a little less than its violation and cost."""
+    return (1.0 - 1e-5) * violation, cost - 1e-8 * violation
+
+
+def accept(violation, cost, trial_violation, trial_cost, slope, length, small_violation, filtered):
+    """Whether a trial point may be taken (19, 20); the filter grows unless the cost decreased as the slope promised."""
+    if not acceptable(trial_violation, trial_cost, filtered):
+        return False
+    rounding = 2e-15 * abs(cost)
+    if violation <= small_violation and slope < 0.0 and length * (-slope) ** 2.3 > violation**1.1:
+        return trial_cost <= cost + 1e-8 * length * slope + rounding
+    least_violation, least_cost = envelope(violation, cost)
+    if trial_violation > least_violation and trial_cost > least_cost + rounding:
+        return False
+    filtered.append((least_violation, least_cost))
+    return True
+
+
 # Newton's method on the KKT system, made dependable by a filter line search and by shifts of the Hessian.
 #
 # Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
@@ -1085,7 +1115,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if trial is None:
             if is_rounding(grid, point):
                 return "stalled", point, iteration
-            filtered.append(envelope(point))
+            filtered.append(envelope(point.violation, point.cost))
             trial = restore(grid, point, filtered, system)
             if trial is None:
                 return "infeasible", point, iteration
@@ -1140,45 +1170,28 @@ def shifts(grid, shift, dual_shift):
 
 def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
+
+    def is_better(trial, length):
+        violation, cost = point.violation, point.cost
+        if not trial.error < np.inf:
+            return False
+        return accept(violation, cost, trial.violation, trial.cost, slope, length, small_violation, filtered)
+
     length = 1.0
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + length * step)
-        accepted = accept(point, trial, slope, length, small_violation, filtered)
+        accepted = is_better(trial, length)
         if not accepted and length == 1.0 and trial.violation >= point.violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
             corrected, correction = point.gradient.copy(), np.empty_like(step)
             corrected[grid.is_multiplier] += trial.gradient[grid.is_multiplier]
             solve_kkt(grid, system, corrected, correction)
             trial = evaluate(grid, point.unknowns + correction)
-            accepted = accept(point, trial, slope, length, small_violation, filtered)
+            accepted = is_better(trial, length)
         if accepted:
             return trial, length
         length *= 0.5
     return None, length
-
-
-def accept(point, trial, slope, length, small_violation, filtered):
-    """Whether a trial point may be taken (19, 20); the filter grows unless the cost decreased as the slope promised."""
-    if not trial.error < np.inf or not acceptable(trial, filtered):
-        return False
-    rounding = 2e-15 * abs(point.cost)
-    if point.violation <= small_violation and slope < 0.0 and length * (-slope) ** 2.3 > point.violation**1.1:
-        return trial.cost <= point.cost + 1e-4 * length * slope + rounding
-    violation, cost = envelope(point)
-    if trial.violation > violation and trial.cost > cost + rounding:
-        return False
-    filtered.append((violation, cost))
-    return True
-
-
-def acceptable(trial, filtered):
-    """Whether no point of the filter is better both in violation and in cost (18)."""
-    return all(trial.violation < violation or trial.cost < cost for violation, cost in filtered)
-
-
-def envelope(point):
-    """What a point adds to the filter: a little less than its violation and cost."""
-    return 0.99999 * point.violation, point.cost - 1e-5 * point.violation
 
 
 def restore(grid, point, filtered, system):
@@ -1197,7 +1210,7 @@ def restore(grid, point, filtered, system):
                 return None
             trial = evaluate(grid, point.unknowns + length * step)
         point = trial
-        if point.violation <= 0.9 * first and acceptable(point, filtered):
+        if point.violation <= 0.9 * first and acceptable(point.violation, point.cost, filtered):
             return point
     return None
 
@@ -1347,14 +1360,6 @@ def interval_hessians(unknowns, steps, h, parameters, values):
             interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
 
 
-# No unknown has a bound.
-
-
-def at_limits(grid, unknowns):
-    """Boolean mask of the unknowns that lie on a bound: none."""
-    return np.zeros(unknowns.size, dtype=bool)
-
-
 # The direction along which the cost curves downwards most while the equations hold to first order.
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
@@ -1441,7 +1446,6 @@ def runaways(grid, guess, point, is_stationary):
         grown[: unknowns.size - ROOT] = False
     if not grown.any():
         return grown
-    grown &= ~at_limits(grid, unknowns)
     if is_stationary:
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
@@ -1449,10 +1453,9 @@ def runaways(grid, guess, point, is_stationary):
 
 
 def newton_step(grid, point):
-    """Newton's step from a point with the unknowns on their bounds held fast; infinite where there is none."""
-    system, step = allocate_system(grid), np.empty_like(point.unknowns)
-    fixed = at_limits(grid, point.unknowns) & ~grid.is_multiplier
-    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) != 0:
+    """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
+    system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
+    if factor_kkt(grid, point.unknowns, 1.0, shift, system) != 0:
         return np.full(step.size, np.inf)
     solve_kkt(grid, system, point.gradient, step)
     return step
@@ -1514,10 +1517,6 @@ def violated(grid, point):
     """The equations that are off most, each at its worst place, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
-    blocked = columns[at_limits(grid, point.unknowns)[columns]]
-    names = dict.fromkeys(bounded_name(grid, place) for place in blocked)
-    if names:
-        text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
         text += f"; there are {rows.size} equations for {columns.size} unknowns"
     return text
@@ -1636,12 +1635,6 @@ def local_name(grid, place):
     """The name of an unknown without its place, or of a shared one with its body."""
     chain = grid.steps * STRIDE + NODE
     return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
-
-
-def bounded_name(grid, place):
-    """The name of an unknown without its place, or the inequality whose slack it is."""
-    name = local_name(grid, place)
-    return metadata["meanings"].get(name, name).removeprefix("slack of ").removesuffix(" of an interval")
 
 
 def whereabouts(grid, unknowns, place):
@@ -1839,7 +1832,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_0903afa0178953c8"
+_IDENTITY = "codegen_orbital_transfer_6210f910851edcb3"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -123,3 +123,12 @@ def test_long_duration_that_is_best_is_no_runaway(tmp_path):
     assert result.status == "solved", result.message
     factor = 6**2 / (6**2 - 1)  # of the discrete optimum, N^2/(N^2 - 1)
     assert result.summary["duration"] == pytest.approx((36 * factor * 4e12) ** 0.25, rel=1e-8)
+
+
+@pytest.mark.parametrize(("values", "place"), [({"start": {"x": 3.0}}, "start"), ({"end": {"x": -3.0}}, "end")])
+def test_values_beyond_their_bounds_are_named(interpreted, values, place):
+    """A number that comes only when the module is called, by the module itself and without a driver."""
+    solution = interpreted("cart_pole").solve(10, **values)
+    value = values[place]["x"]
+    assert solution.status == "infeasible"
+    assert f"x is prescribed as {value:g} at the {place}, beyond its bounds -2 to 2" in solution.message

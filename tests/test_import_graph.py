@@ -57,8 +57,9 @@ def test_numeric_parts_never_import_sympy_or_symbolic_parts(part):
         assert not any(name == f or name.startswith(f + ".") for name in names for f in forbidden), (path, names)
 
 
-def test_stress_cases_import_no_sympy():
-    for path in files("stress"):
+@pytest.mark.parametrize("part", ["stress", "registration"])
+def test_users_of_modules_import_no_sympy(part):
+    for path in files(part):
         if path.parent.name != "problems":
             assert not any(name.split(".")[0] == "sympy" for name in imported(path)), path
 
@@ -74,6 +75,7 @@ def test_after_lowering_there_is_no_sympy():
         ("import codegen", ("sympy", "numba", "scipy", "matplotlib")),
         ("import codegen.cli", ("sympy", "numba", "scipy", "matplotlib")),
         ("import codegen.load, codegen.drivers", ("sympy",)),
+        ("import codegen.registration", ("sympy", "numba", "nibabel", "SimpleITK", "skimage")),
         ("import codegen.report.study, codegen.report.page, codegen.report.gallery", ("sympy",)),
         ("from generated import orbital_transfer", ("sympy", "codegen", "matplotlib")),  # numba itself imports scipy
     ],

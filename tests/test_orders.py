@@ -22,11 +22,11 @@ from codegen.drivers.fsolve import simulate as fsolve
 from codegen.drivers.result import Request
 from codegen.errors import ArgumentError, SchemeError
 from codegen.schemes.compositions import COMPOSITIONS
-from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, RUNGE_KUTTA
+from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, OF_PARTICLES, RUNGE_KUTTA
 from codegen.transcribe import transcribe
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
-TABLES = list(dict.fromkeys([*RUNGE_KUTTA, *FIRST_ORDER_RUNGE_KUTTA]))
+TABLES = list(dict.fromkeys([*RUNGE_KUTTA, *FIRST_ORDER_RUNGE_KUTTA, *OF_PARTICLES]))
 
 # ---- Runge-Kutta methods: the order conditions of rooted trees (Hairer, Lubich and Wanner 2006, III.1 and III.2) ----
 

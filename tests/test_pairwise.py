@@ -152,12 +152,12 @@ def test_differences_without_cancellation(plate, x):
 def test_a_corrupted_kernel_is_noticed(interpreted, plate):
     state, found = np.array([PLACES["ordinary"], ((0.7, -1.1), (0.4, 0.9))]), np.empty((2, 2, 2))
     gradient = reference(state)[1]
-    original = plate.__dict__["log1p_minus_ratio"]
+    original = plate.__dict__["packed_log1p_minus_ratio"]
     try:
-        plate.__dict__["log1p_minus_ratio"] = lambda x, log: 1.001 * original(x, log)
+        plate.__dict__["packed_log1p_minus_ratio"] = lambda x, log: 1.001 * original(x, log)
         plate.hamiltonian_gradient(state, np.zeros((2, 0)), NONE, found)
     finally:
-        plate.__dict__["log1p_minus_ratio"] = original
+        plate.__dict__["packed_log1p_minus_ratio"] = original
     assert largest((found.ravel() - gradient) / largest(gradient)) > 1e-6
 
 

@@ -36,7 +36,8 @@ def test_argon_does_not_drift(argon):
 
 
 @pytest.mark.parametrize("scheme", ["stormer-verlet", "midpoint", "symplectic-euler", "symplectic-euler-adjoint",
-                                    "explicit-euler", "implicit-euler", "rk4"])  # fmt: skip
+                                    "explicit-euler", "implicit-euler", "rk4", "yoshida-4",
+                                    "blanes-moan-4"])  # fmt: skip
 def test_the_solar_system_against_an_adaptive_integrator(interpreted, sun, scheme):
     module = interpreted("outer_solar_system", scheme=scheme)
     masses, places, G = sun.OWN[:, 0], sun.START[0], sun.metadata["parameters"]["G"]

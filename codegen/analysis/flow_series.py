@@ -6,6 +6,7 @@ coefficient n, which is linear in it; nothing is solved in closed form.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -87,7 +88,7 @@ def _gathered(function: Expr) -> Expr:
     return found if found.count_ops() < expanded.count_ops() else function
 
 
-class _Step:
+class _Step(ABC):
     """The equations of a step; `known` maps the symbols at the left node to variables."""
 
     known: dict[Symbol, Symbol]
@@ -95,13 +96,13 @@ class _Step:
     equations: tuple[Expr, ...]
     _solution: Mapping[Symbol, Series]
 
+    @abstractmethod
     def symbols(self) -> set[Symbol]:
         """All symbols of the equations and of the action."""
-        raise NotImplementedError
 
+    @abstractmethod
     def expanded(self, ring: FunctionRing, order: int) -> FlowSeries:
         """Solve for the unknowns, coefficient by coefficient."""
-        raise NotImplementedError
 
     def is_solved(self, ring: FunctionRing) -> bool:
         """Whether the first two coefficients of the series satisfy the equations."""

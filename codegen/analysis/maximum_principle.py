@@ -41,14 +41,38 @@ class NecessaryConditions:
     end: tuple[sympy.Expr, ...]
 
 
+def beyond_maximum_principle(model: Model) -> str:
+    """What a problem has that the necessary conditions below do not provide for, in words; nothing if they hold."""
+    features = {
+        "several phases": bool(model.phases),
+        "a first-order system": model.form == "first-order",
+        "bounds": bool(model.bounds),
+        "path conditions": bool(model.path),
+        "holonomic constraints": bool(model.holonomic),
+        "conditions at its ends": bool(model.start_conditions or model.end_conditions),
+        "a terminal cost": model.terminal_cost != 0,
+        "periodic ends": bool(model.periodic),
+        "free parameters": bool(model.free_parameters),
+        "several bodies": model.bodies > 1,
+        "no controls": not model.controls,
+    }
+    return ", ".join(name for name, present in features.items() if present)
+
+
 def necessary_conditions(model: Model) -> NecessaryConditions:
     """Derive the necessary conditions of a control problem in the form (Lagrangian or Hamiltonian) that it has.
 
-    Raises ArgumentError when the problem has no cost, SymbolError when a name `psi_<state>` is taken, and
-    DegenerateError when dH/du = 0 does not determine the controls.
+    Raises ArgumentError when the problem has no cost, or something that these conditions do not provide for,
+    SymbolError when a name `psi_<state>` is taken, and DegenerateError when dH/du = 0 does not determine the controls.
     """
     if model.cost is None or model.end is None:
         raise ArgumentError(f"{model.name} is no control problem", "return codegen.Control(...) from problem()")
+    beyond = beyond_maximum_principle(model)
+    if beyond:
+        raise ArgumentError(
+            f"{model.name} has {beyond}, for which the maximum principle is not derived",
+            "take its reference from a finer grid instead",
+        )
     states = (*model.coordinates, *model.rates)
     costates = new_symbols(model, "psi_", states)
     dynamics = _dynamics(model)

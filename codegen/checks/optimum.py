@@ -12,10 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from codegen.analysis.exact_optimum import exact_optimum
+from codegen.analysis.maximum_principle import beyond_maximum_principle
 from codegen.analysis.reference_optimum import reference_optimum
 from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.errors import CodegenError
-from codegen.model import Model
 from codegen.transcribe.program import ControlProgram
 
 _OF_CONTROLS = 2
@@ -44,24 +44,6 @@ def check(context: Context) -> Iterator[Finding]:
         yield Finding("optimum", "convergence to the optimum", True, " ".join(detail.split()), applies=False)
         return
     yield _convergence(context, cost, source)
-
-
-def beyond_maximum_principle(model: Model) -> str:
-    """What a problem has that the boundary value problem of the maximum principle does not provide for, in words."""
-    features = {
-        "several phases": bool(model.phases),
-        "a first-order system": model.form == "first-order",
-        "bounds": bool(model.bounds),
-        "path conditions": bool(model.path),
-        "holonomic constraints": bool(model.holonomic),
-        "conditions at its ends": bool(model.start_conditions or model.end_conditions),
-        "a terminal cost": model.terminal_cost != 0,
-        "periodic ends": bool(model.periodic),
-        "free parameters": bool(model.free_parameters),
-        "several bodies": model.bodies > 1,
-        "no controls": not model.controls,
-    }
-    return ", ".join(name for name, present in features.items() if present)
 
 
 def optimal_cost(context: Context) -> tuple[float, str]:

@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 
 from codegen import compiler, derive, emit, lower, transcribe
-from codegen.checks import provenance
+from codegen.checks import passive, provenance
 from codegen.checks.base import Finding
 from codegen.compiler import Choices
 from codegen.load import load
@@ -46,6 +46,7 @@ def findings(path: Path, arguments: Mapping[str, str], choices: Choices, module_
         yield _hessian(model, module, states[0])
         yield _products(model, module, states[0], generator)
     yield from _symplectic(model, module, states[0], program.scheme)
+    yield from passive.findings(model, module, states)
 
 
 def _state(model: PairwiseModel, generator: np.random.Generator, scale: float) -> Any:

@@ -76,10 +76,10 @@ def _require_passive(model: PairwiseModel) -> None:
 
 def _require_company(model: PairwiseModel) -> None:
     """A passive point that lies on a particle has its velocity: the limit of the pair term gives that of self_term."""
-    if model.limit is None or not model.smooth:
+    if model.limit is None:
         raise ExpressionError(
-            "the system has no passive points: where one meets a particle, its velocity or its gradient has no limit",
-            "leave out passive=True, or write a smooth kernel",
+            "the system has no passive points: where one meets a particle, its velocity has no limit",
+            "leave out passive=True, or write a pair_term that is continuous",
         )
     rest = dict.fromkeys(model.first.p, sympy.S.Zero)
     alone = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
@@ -94,4 +94,4 @@ def _require_company(model: PairwiseModel) -> None:
 
 
 def _vanishes(expression: Expr) -> bool:
-    return bool(expression == 0 or sympy.simplify(expression) == 0)
+    return bool(expression == 0 or sympy.expand(expression) == 0 or sympy.simplify(expression) == 0)

@@ -29,7 +29,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
             f"{driver} reported success, but the discrete equations have residual {residual:.1e} and the optimality "
             f"conditions {stationarity:.1e}; try more steps, or --driver newton."
         )
-    elif status == "solved" and (beyond := _prescribed_beyond_bounds(module, grid, unknowns)):
+    elif metadata["inequalities"] and (beyond := module.prescribed_beyond(grid, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status != "solved" and driver != "newton":
         # Optimisers of others number the rows; the module has names for them.
@@ -83,32 +83,6 @@ def _beyond_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> Vecto
     """By how much unknowns violate their bounds."""
     below, above = bound_distances(module, grid, unknowns)
     return np.maximum(0.0, -np.minimum(below, above))
-
-
-def _prescribed_beyond_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> str:
-    """Which prescribed end value violates the bound that holds at the next inner node, or nothing.
-
-    Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
-    within the first interval. Several phases are left out, whose switches have values of their own.
-    """
-    metadata = module.metadata
-    if not metadata["inequalities"] or metadata.get("phases", 1) > 1 or grid.steps < 2:
-        return ""
-    lower, upper = module.variable_bounds(grid)
-    pinned = np.ones(unknowns.size, dtype=bool)
-    pinned[module.primal_unknowns(grid)] = pinned[module.multiplier_unknowns(grid)] = False
-    node = len(metadata["node"])
-    stride = node + len(metadata["interval"])
-    ends = (("start", 0, stride), ("end", grid.steps * stride, (grid.steps - 1) * stride))
-    for first in (body * (grid.steps * stride + node) for body in range(metadata["bodies"])):
-        for end, here, inner in ends:
-            for i, name in enumerate(metadata["node"]):
-                value, neighbour = unknowns[first + here + i], first + inner + i
-                margin = 1e-9 * max(1.0, abs(value))
-                if pinned[first + here + i] and not lower[neighbour] - margin <= value <= upper[neighbour] + margin:
-                    bounds = f"{lower[neighbour]:g} to {upper[neighbour]:g}"
-                    return f"{name} is prescribed as {value:g} at the {end}, beyond its bounds {bounds}"
-    return ""
 
 
 def _unbalanced(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:

@@ -8,6 +8,7 @@ import sympy
 from sympy import Symbol
 
 from codegen.differentiate.pairwise import PairDerivatives
+from codegen.lower.gathered import GROUP, GatheredLoop, gathered_loops
 from codegen.lower.kernels import Line
 from codegen.lower.module import Argument, Module
 from codegen.lower.pair_writer import PairLoop
@@ -27,6 +28,7 @@ class ConnectModule(Module):
 
     particle_loops: tuple[ParticleLoop, ...]
     loops: tuple[PairLoop, ...]
+    gathered_loops: tuple[GatheredLoop, ...]
     passive_loops: tuple[PassiveLoop, ...]
     own: tuple[Argument, ...]
     method: str
@@ -39,17 +41,22 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
     model = program.model
     singles, loops = pair_loops(model, derivatives)
     around = particle_loops(model, singles)
-    carried = passive_loops(model, derivatives)
+    gathered, carried = gathered_loops(model, derivatives), passive_loops(model, derivatives)
+    loops = tuple(visit for visit in loops if visit.name not in {other.name for other in gathered})
+    blocks: tuple[GatheredLoop | PassiveLoop, ...] = (*gathered, *carried)
     return ConnectModule(
         template="connect.py.j2",
         name=model.name,
         title=model.title,
-        description=tuple(_description(program, derivatives, (*loops, *carried))),
+        description=tuple(_description(program, derivatives, (*loops, *blocks))),
         left_out=tuple(_left_out_of_connection(program, derivatives, singles)),
-        metadata=tuple(_metadata(program, derivatives, (*loops, *carried))),
-        constants=tuple(_constants(program, derivatives)),
+        metadata=tuple(_metadata(program, derivatives, (*loops, *blocks))),
+        constants=(
+            *_constants(program, derivatives),
+            *([Line("GROUP", str(GROUP), "particles whose derivatives are gathered together")] if gathered else []),
+        ),
         kernels=(),
-        runtime=(*_runtime(program, loops, around), *_passive_runtime(program, carried)),
+        runtime=(*_packed(blocks), *_runtime(program, loops, around), *_passive_runtime(program, carried)),
         sizes=(("IMPLICIT", int(_implicit(program))),),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
@@ -57,6 +64,7 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         steps=model.steps,
         particle_loops=around,
         loops=loops,
+        gathered_loops=gathered,
         passive_loops=carried,
         own=tuple(Argument(name, "1.0") for name in model.own),
         method=program.method,
@@ -130,7 +138,7 @@ def _left_out_of_motion(
 
 
 def _metadata_of_motion(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | PassiveLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
 ) -> list[tuple[str, str]]:
     """The metadata of a simulation, which names the coordinates of every particle."""
     model = program.model
@@ -157,7 +165,7 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
         Line("DIMENSION", str(size), f"coordinates of a particle: {', '.join(model.coordinates)}"),
         Line("BLOCKS", "1" if derivatives.isotropic else str(size), "rows of H_pp for each particle"),
     ]
-    if model.smooth and derivatives.pair.distances:
+    if (model.smooth or model.passive) and derivatives.pair.distances:
         lines.append(Line("CLOSEST", "1e-300", "squared distances below this count as zero"))
     if program.substeps:
         table = ", ".join(f"({', '.join(repr(float(v)) for v in row)})" for row in program.substeps)
@@ -201,13 +209,16 @@ def _runtime(
     return tuple(files)
 
 
+def _packed(blocks: tuple[GatheredLoop | PassiveLoop, ...]) -> tuple[str, ...]:
+    """The file of logarithms without branches, if blocks of points call them."""
+    lines = [line for visit in blocks for line in (*visit.body, *visit.outputs)]
+    return ("packed_logarithms",) if any("packed_" in line.code for line in lines) else ()
+
+
 def _passive_runtime(program: PairwiseProgram, carried: tuple[PassiveLoop, ...]) -> tuple[str, ...]:
     """The files that carry passive points, if there are kernels for them."""
-    if not carried:
-        return ()
-    logarithms = any("packed_" in line.code for visit in carried for line in (*visit.body, *visit.outputs))
     step = "passive_substeps" if program.substeps else "passive_runge_kutta"
-    return (*(["packed_logarithms"] if logarithms else []), "passive_newton", step, "passive_flow")
+    return ("passive_newton", step, "passive_flow") if carried else ()
 
 
 def _implicit(program: PairwiseProgram) -> bool:
@@ -243,7 +254,7 @@ def _left_out_of_connection(
 
 
 def _description(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | PassiveLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
 ) -> list[str]:
     model = program.model
     lines = [
@@ -298,7 +309,7 @@ def _between(a: sympy.Rational, b: sympy.Rational) -> str:
 
 
 def _metadata(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | PassiveLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
 ) -> list[tuple[str, str]]:
     model = program.model
     return [

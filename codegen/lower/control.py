@@ -189,7 +189,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
     """The files of `codegen/runtime` that the module needs, in the order in which they are to be read."""
     differ = program.has_inequalities or program.phases
     condensed = ("condensation", "element_barrier" if differ else "element_condensed")
-    solver: tuple[str, ...] = ("descent", "newton_filter")
+    solver: tuple[str, ...] = ("descent", "filter", "newton_filter")
     if derivatives.linear_quadratic:
         solver = ("newton_linear",)
     elif program.has_inequalities:
@@ -208,7 +208,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(("slacks",) if layout.slack_places(program) else ()),
         *(("phases",) if program.phases else ()),
         "callbacks",
-        "limits" if program.has_inequalities else "limits_none",
+        *(("limits",) if program.has_inequalities else ()),
         "curvature",
         "verdict",
         "messages",

@@ -28,6 +28,7 @@ def sizes(program: ControlProgram) -> tuple[tuple[str, int], ...]:
         ("COUPLINGS", couplings),
         ("ROOT", program.bodies * own + shared - own + couplings),
         ("PHASES", len(program.phases)),
+        ("INEQUALITIES", int(program.has_inequalities)),
     )
 
 

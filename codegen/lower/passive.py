@@ -1,7 +1,7 @@
 """Velocities of points without momenta -> loops over particles and, inside them, over blocks of points.
 
-Arrays of points hold BLOCK of them, one coordinate after the other, so that the inner loop runs over neighbours in
-memory, has a fixed length and no branches: a compiler turns it into operations on several points at once.
+A point that lies on a particle has the limit of the velocity there. Its derivative as well where the kernel is smooth;
+where that has a kink, as in space, the mean of the derivatives on both sides.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from sympy import Expr, Max
 
 from codegen.differentiate.pairwise import PairDerivatives
 from codegen.differentiate.passive import PassiveDerivatives, passive_derivatives
+from codegen.lower.blocks import entry, packed
 from codegen.lower.kernels import Line, Output, kernel
 from codegen.lower.pair_writer import CLOSEST, Writer, needed
 from codegen.lower.particle_loops import accurate_sum
@@ -80,7 +81,7 @@ def _loop(
     pair_scalars = {s for s, _ in writer.derivatives.pair.scalars}
     reads |= {s: code for s, code in own.items() if s in pair_scalars}
     assignments = [
-        (symbol, Max(value, CLOSEST) if model.smooth and symbol in writer.derivatives.pair.distances else value)
+        (symbol, Max(value, CLOSEST) if symbol in writer.derivatives.pair.distances else value)
         for symbol, value in needed(passive.assignments, [value for _, value in outputs])
         if symbol not in own
     ]
@@ -106,8 +107,8 @@ def _loop(
         ),
         inputs=tuple(line for line in made.inputs if "j" in line.code and "m]" not in line.code),
         point_inputs=tuple(line for line in made.inputs if "m]" in line.code),
-        body=tuple(_packed(line) for line in made.body),
-        outputs=tuple(_packed(line) for line in made.outputs),
+        body=tuple(packed(line) for line in made.body),
+        outputs=tuple(packed(line) for line in made.outputs),
         over_points=("for m in range(BLOCK):",) if model.domain else (),
         after=tuple(Line(target, f"{target} if {margin} > 0.0 else 0.0") for target, _ in outputs if model.domain),
         operations_before=made.operations_before,
@@ -116,20 +117,9 @@ def _loop(
 
 
 def _entry(array: str, row: int) -> str:
-    return f"{array}[{_offset(row)}m]"
-
-
-def _offset(row: int) -> str:
-    """Where a row of a block begins."""
-    return "" if row == 0 else "BLOCK + " if row == 1 else f"{row}*BLOCK + "
+    return entry(array, row, "BLOCK")
 
 
 def _of_point(code: str) -> str:
     """The code of a scalar of a single particle, where particle i is a point of a block."""
     return re.sub(r"singles\[i, (\d+)\]", lambda found: _entry("scalars", int(found[1])), code)
-
-
-def _packed(line: Line) -> Line:
-    """A line with logarithms that have no branches in place of those of the C library."""
-    code = re.sub(r"\b(?:math\.)?(log1p|x_minus_log1p|log1p_minus_ratio)\(", r"packed_\1(", line.code)
-    return Line(line.target, code, line.comment, line.operator)

@@ -156,6 +156,14 @@ def _distinct(jobs: list[Job]) -> list[Job]:
     return jobs
 
 
+def require_free(jobs: Iterable[Job], path: Path) -> None:
+    """Refuse a pair whose page would take the name of the page about all pairs."""
+    for job in jobs:
+        if path.absolute() in (place.absolute() for place in job.written):
+            finding = f"{path} is the page about all pairs, and that of {job.moving}"
+            raise ArgumentError(finding, "rename the image, or give it another out in a table")
+
+
 def run_all(
     jobs: Sequence[Job], options: Options, summary: Path, advance: Callable[[], None], run_one: Any = run
 ) -> Batch:

@@ -42,13 +42,14 @@ def certify(registration: Registration, shape: Sequence[int] | None = None) -> C
     grid = pixel_grid(whole)
     determinants = registration.determinant(grid)
     round_trip = _round_trip(registration, whole)
-    least = int(np.nanargmin(determinants)) if not np.isnan(determinants).all() else 0
+    known = np.isfinite(determinants)
+    least = int(np.argmin(np.where(known, determinants, np.inf)))
     wrong = np.flatnonzero(~(determinants > 0.0))
     first = (float(grid[wrong[0], 0]), float(grid[wrong[0], 1])) if wrong.size else None
     passed = wrong.size == 0 and round_trip <= ROUND_TRIP
     return Certificate(
         float(determinants[least]),
-        float(np.nanmax(determinants)),
+        float(determinants[known].max(initial=-np.inf)) if known.any() else np.nan,
         (float(grid[least, 0]), float(grid[least, 1])),
         int(wrong.size),
         first,

@@ -1,8 +1,8 @@
 """Positions of all pixels from a coarse grid: cubic splines between exactly mapped points, with a measured error.
 
 The map is smooth except at landmarks, where its second derivative grows like a logarithm. So it is mapped exactly at
-every `spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells around
-landmarks, and all in which the spline was found to err too much, are mapped exactly, pixel by pixel.
+every `spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells in
+which the spline was found to err too much, about landmarks a quarter of that, are mapped exactly, pixel by pixel.
 
 What is proved and what is sampled: nothing is proved. The error of the spline through every second node in each
 direction is measured at all nodes, and a quarter of it is taken for the error of the spline through all of them, since
@@ -34,6 +34,8 @@ BOUND = 0.01
 LARGEST, SMALLEST = 32, 2
 HALVING = 4.0
 """The least factor by which half the spacing reduces the error of a cubic spline; see above."""
+SINGULAR = 4.0
+"""How many times smaller an error must be about a landmark, where it varies within a cell."""
 CHECKED = 256
 """Cells at whose centres the spline is compared with exact positions."""
 
@@ -76,49 +78,59 @@ def map_grid(
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Exactly mapped nodes, from pixel 0 to beyond the last, an even number of cells in each direction."""
+    """Exactly mapped nodes, from pixel 0 to beyond the last, an even number of cells in each direction.
+
+    `shifts`, shape (rows, columns, 2), are what the function adds to the nodes: where that is nothing, splines keep it.
+    """
 
     shape: tuple[int, int]
     spacing: int
     x: NDArray[np.float64]
     y: NDArray[np.float64]
-    places: NDArray[np.float64]
+    shifts: NDArray[np.float64]
 
     @classmethod
     def exact(cls, function: Map, shape: tuple[int, int], spacing: int) -> _Grid:
         y, x = (_nodes(length, spacing) for length in shape)
         nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        return cls(shape, spacing, x, y, function(nodes).reshape(y.size, x.size, 2))
+        return cls(shape, spacing, x, y, (function(nodes) - nodes).reshape(y.size, x.size, 2))
 
     def refined(self, function: Map) -> _Grid:
         """The grid of half the spacing; only what is new is mapped."""
         shape, spacing = self.shape, self.spacing // 2
         y, x = (_nodes(length, spacing) for length in shape)
-        places = np.full((y.size, x.size, 2), np.nan)
+        shifts = np.full((y.size, x.size, 2), np.nan)
         rows, columns = min(self.y.size, (y.size + 1) // 2), min(self.x.size, (x.size + 1) // 2)
-        places[: 2 * rows : 2, : 2 * columns : 2] = self.places[:rows, :columns]
-        new = np.isnan(places[..., 0])
+        shifts[: 2 * rows : 2, : 2 * columns : 2] = self.shifts[:rows, :columns]
+        new = np.isnan(shifts[..., 0])
         nodes = np.stack(np.meshgrid(x, y), axis=-1)
-        places[new] = function(nodes[new])
-        return _Grid(shape, spacing, x, y, places)
+        shifts[new] = function(nodes[new]) - nodes[new]
+        return _Grid(shape, spacing, x, y, shifts)
 
     def errors(self) -> NDArray[np.float64]:
         """The spline's estimated error about each node, shape (rows, columns), in pixels."""
-        coarse = spline(self.y[::2], self.x[::2], self.places[::2, ::2], self.y, self.x)
-        return np.asarray(np.linalg.norm(coarse - self.places, axis=-1) / HALVING)
+        coarse = spline(self.y[::2], self.x[::2], self.shifts[::2, ::2], self.y, self.x)
+        return np.asarray(np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING)
 
     def doubtful(self, errors: NDArray[np.float64], singular: PointArray, bound: float) -> NDArray[np.bool_]:
-        """Cells that have a corner or a neighbour's corner of large error, or a singular point in them or beside."""
-        large = ~(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1] <= bound)
-        cells = np.floor(singular / self.spacing).astype(int)
-        inside = ((cells >= 0) & (cells < large.shape[::-1])).all(axis=1)
-        large[cells[inside, 1], cells[inside, 0]] = True
+        """Cells with a corner of large error, or a singular point and an error that is not small; and neighbours."""
+        at_cells = _at_cells(errors)
+        large = ~(at_cells <= bound)
+        columns, rows = np.floor(singular / self.spacing).astype(int).T
+        inside = (rows >= 0) & (rows < large.shape[0]) & (columns >= 0) & (columns < large.shape[1])
+        rows, columns = rows[inside], columns[inside]
+        large[rows, columns] |= ~(maximum_filter(at_cells, 3)[rows, columns] <= bound / SINGULAR)
         return np.asarray(binary_dilation(large, np.ones((3, 3))))
 
     def pixels(self, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The pixels that lie in cells."""
         wide = np.repeat(np.repeat(cells, self.spacing, axis=0), self.spacing, axis=1)
         return np.asarray(wide[: self.shape[0], : self.shape[1]])
+
+
+def _at_cells(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The largest error at a corner of each cell."""
+    return np.asarray(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1])
 
 
 def _nodes(length: int, spacing: int) -> NDArray[np.float64]:
@@ -131,7 +143,7 @@ def _automatic(function: Map, shape: tuple[int, int], singular: PointArray, larg
     grid = _Grid.exact(function, shape, largest)
     while grid.spacing > SMALLEST:
         doubtful = grid.doubtful(grid.errors(), singular, bound)
-        if doubtful.sum() * grid.spacing**2 <= 3 * grid.places[..., 0].size:
+        if doubtful.sum() * grid.spacing**2 <= 3 * grid.shifts[..., 0].size:
             break
         grid = grid.refined(function)
     return _completed(function, grid, singular, bound)
@@ -141,12 +153,13 @@ def _completed(function: Map, grid: _Grid, singular: PointArray, bound: float) -
     errors = grid.errors()
     doubtful = grid.doubtful(errors, singular, bound)
     height, width = grid.shape
-    places = spline(grid.y, grid.x, grid.places, np.arange(height), np.arange(width))
+    places = spline(grid.y, grid.x, grid.shifts, np.arange(height), np.arange(width))
+    places[..., 0] += np.arange(width)
+    places[..., 1] += np.arange(height)[:, None]
     rows, columns = np.nonzero(grid.pixels(doubtful))
     if rows.size:
         places[rows, columns] = function(np.stack([columns, rows], axis=1).astype(float))
-    at_cells = maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1]
-    remaining = np.where(doubtful, 0.0, at_cells)
+    remaining = np.where(doubtful, 0.0, _at_cells(errors))
     checked = _checked(function, grid, remaining)
     found = max(float(remaining.max()), checked)
     return Positions(places, grid.spacing, rows.size / (height * width), found, checked)
@@ -160,8 +173,9 @@ def _checked(function: Map, grid: _Grid, remaining: NDArray[np.float64]) -> floa
         return 0.0
     rows, columns = np.unravel_index(worst, remaining.shape)
     x, y = (columns + 0.5) * grid.spacing, (rows + 0.5) * grid.spacing
-    exact = function(np.stack([x, y], axis=1))
-    along_rows = _basis(grid.y, y) @ _coefficients(grid.y, grid.x, grid.places).reshape(grid.y.size, -1)
+    centres = np.stack([x, y], axis=1)
+    exact = function(centres) - centres
+    along_rows = _basis(grid.y, y) @ _coefficients(grid.y, grid.x, grid.shifts).reshape(grid.y.size, -1)
     weights = _basis(grid.x, x).toarray()
     found = np.einsum("nmc,nm->nc", along_rows.reshape(len(x), grid.x.size, 2), weights)
     return float(np.linalg.norm(found - exact, axis=1).max())

@@ -14,12 +14,12 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.errors import NumericsError
+from codegen.errors import ModuleError, NumericsError
 from codegen.registration.pairs import PointArray
 
 THREADED = 400_000
@@ -38,6 +38,14 @@ class FlowModule(Protocol):
     stages_of: Callable[[Any, Any], NDArray[np.float64]]
     carry: Callable[..., tuple[PointArray, Any]]
     POINTS: int
+    BLOCK: int
+
+
+def require_passive(module: Any) -> FlowModule:
+    """The same module, if it carries passive points; ModuleError tells if it does not."""
+    if not module.metadata.get("passive"):
+        raise ModuleError("the module carries no points", "build it with --set passive=True")
+    return cast(FlowModule, module)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +102,14 @@ class Flow:
                 return part(points)
             part(points[:1])  # compiled, or read from disk, before several threads ask for it
             with ThreadPoolExecutor(self.threads) as pool:
-                parts = list(pool.map(part, np.array_split(points, self.threads)))
+                parts = list(pool.map(part, self._shares(points)))
         except ValueError as error:
             raise NumericsError(str(error), "give points, one a row, and times between 0 and 1") from error
         places = np.concatenate([places for places, _ in parts])
         return places, np.concatenate([jacobians for _, jacobians in parts]) if derive else None
+
+    def _shares(self, points: PointArray) -> list[PointArray]:
+        """The points for each thread: whole blocks, so that results do not depend on how many threads there are."""
+        blocks = -(-len(points) // self.module.BLOCK)
+        ends = [self.module.BLOCK * (blocks * k // self.threads) for k in range(1, self.threads)]
+        return np.split(points, ends)

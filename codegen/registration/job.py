@@ -244,5 +244,7 @@ def _write(job: Job, options: Options, result: Result) -> None:
 @contextmanager
 def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
     begin = time.perf_counter()
-    yield
-    seconds[name] = round(time.perf_counter() - begin, 6)
+    try:
+        yield
+    finally:
+        seconds[name] = round(time.perf_counter() - begin, 6)

@@ -10,13 +10,13 @@ from __future__ import annotations
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from codegen.errors import ModuleError, SchemeError
 from codegen.load import load
-from codegen.registration.flow import FlowModule
+from codegen.registration.flow import FlowModule, require_passive
 
 PROBLEM = "image_registration.py"
 DEFAULT_SCHEME = "midpoint"
@@ -45,7 +45,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
         print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
         with compilers() as processes:
             processes.compile(made.path)
-    module = cast(FlowModule, load(made.path))
+    module = require_passive(load(made.path))
     if module.metadata["adaptive"]:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
     _touch(module)

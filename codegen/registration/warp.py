@@ -11,7 +11,8 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ImageError
-from codegen.registration.coarse import Positions, Spacing, map_grid
+from codegen.registration.coarse import BOUND, Positions, Spacing, map_grid
+from codegen.registration.pairs import PointArray
 from codegen.registration.register import Registration
 
 Interpolation: TypeAlias = Literal["nearest", "linear", "cubic"]
@@ -40,17 +41,22 @@ def warp(
     inverse: bool = False,
     shape: Sequence[int] | None = None,
     spacing: Spacing = None,
+    bound: float = BOUND,
     fill: float = 0.0,
     time: float = 1.0,
 ) -> NDArray[Any]:
     """The moving image in the frame of the fixed one, or with `inverse` the fixed image in that of the moving one.
 
     `pixels` has shape (height, width) or (height, width, channels); what is returned has the dtype of `pixels` and
-    the size `shape`, by default that of the other image. Pixels that come from outside the image are `fill`.
+    the size `shape`, by default that of the other image. Pixels that come from outside the image are `fill`. With a
+    `spacing`, a number of pixels or "auto", positions are interpolated from a coarse grid where that errs by less than
+    `bound` pixels. `time` is that of `Registration.positions`.
+
+    Raises ImageError for an array that is no image, ArgumentError for an unknown interpolation or spacing.
     """
     return warp_reported(
-        pixels, registration, interpolation=interpolation, inverse=inverse, shape=shape, spacing=spacing, fill=fill,
-        time=time,
+        pixels, registration, interpolation=interpolation, inverse=inverse, shape=shape, spacing=spacing, bound=bound,
+        fill=fill, time=time,
     )[0]  # fmt: skip
 
 
@@ -62,6 +68,7 @@ def warp_reported(
     inverse: bool = False,
     shape: Sequence[int] | None = None,
     spacing: Spacing = None,
+    bound: float = BOUND,
     fill: float = 0.0,
     time: float = 1.0,
 ) -> tuple[NDArray[Any], WarpReport]:
@@ -69,18 +76,27 @@ def warp_reported(
     image = np.asarray(pixels)
     _require_image(image, interpolation)
     default = registration.shape if inverse else registration.fixed_shape
-    found = sources(registration, default if shape is None else shape, inverse, spacing, time)
+    found = sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
     warped, outside = sample(image, found.places, ORDERS[interpolation], fill)
     return warped, WarpReport(found.spacing, found.exact, found.bound, outside)
 
 
 def sources(
-    registration: Registration, shape: Sequence[int], inverse: bool = False, spacing: Spacing = None, time: float = 1.0
+    registration: Registration,
+    shape: Sequence[int],
+    inverse: bool = False,
+    spacing: Spacing = None,
+    bound: float = BOUND,
+    time: float = 1.0,
 ) -> Positions:
     """Where each pixel of a warped image comes from: of the fixed frame by the inverse map, or the other way about."""
     pairs = registration.pairs
     singular = pairs.moving if inverse else registration.positions(time, pairs.moving)
-    return map_grid(lambda xy: registration.positions(time, xy, inverse=not inverse), shape, singular, spacing)
+
+    def function(xy: PointArray) -> PointArray:
+        return registration.positions(time, xy, inverse=not inverse)
+
+    return map_grid(function, shape, singular, spacing, bound)
 
 
 def sample(image: NDArray[Any], sources: NDArray[np.float64], order: int, fill: float) -> tuple[NDArray[Any], int]:

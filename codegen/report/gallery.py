@@ -9,17 +9,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from codegen.machine import machine
+from codegen.output import write_text
 from codegen.report import overview, records
 from codegen.report.building import SURVEYS, Variant, Workshop, build_all, surveyed, workers
 from codegen.report.compare import Regression
 from codegen.report.extent import Extent
 from codegen.report.kinds import EXTRAS, KINDS
 from codegen.report.page import page
-from codegen.report.progress import bar
 from codegen.report.section import Section
 from codegen.report.sections_modules import modules
 from codegen.report.store import Store
-from codegen.report.study import machine, written
+from codegen.terminal import progress
 
 _INTRODUCTION = (
     "Every number was measured by the run that made this page; all of them are in measurements.csv beside it. "
@@ -51,7 +52,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder / ("quick.jsonl" if extent.quick else "measurements.jsonl"))
     workshop = Workshop(folder / "modules", store)
-    with bar(len(problems) + 2) as told:
+    with progress("", len(problems) + 2) as told:
         with workers() as pool:
             surveyed(pool, store, problems, lambda name: told(0, f"reading {name}"))
             selection = [choose(problem, store, extent) for problem in problems]
@@ -107,9 +108,9 @@ def _written(
     title = "Problems, measured" if len(selection) > 1 else title_of(selection[0].problem)
     introduction = _INTRODUCTION + (" This is the quick form: few schemes, short ladders." if extent.quick else "")
     path = folder / "index.html"
-    written(folder / "measurements.csv", store.table())
-    written(folder / "report.json", json.dumps(record.plain(), indent=1) + "\n")
-    written(path, page(title, introduction, sections, record.environment))
+    write_text(folder / "measurements.csv", store.table())
+    write_text(folder / "report.json", json.dumps(record.plain(), indent=1) + "\n")
+    write_text(path, page(title, introduction, sections, record.environment))
     return Report(path, tuple(worse))
 
 

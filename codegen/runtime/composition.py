@@ -18,7 +18,8 @@ def advance_parts(state, t, parameters, work, interval, tolerance, max_iteration
     """Make all steps of the base scheme from `state`; `interval` is that of the last. Return as `advance` does."""
     inner_work, lengths, here = work
     iterations = 0
-    here[:] = state
+    for i in range(STATE):
+        here[i] = state[i]
     for part in range(PARTS):
         outcome = advance(here, t, lengths[part], parameters, inner_work, interval, tolerance, max_iterations)
         if outcome < 0:
@@ -26,8 +27,8 @@ def advance_parts(state, t, parameters, work, interval, tolerance, max_iteration
         iterations += outcome
         for i in range(STATE):
             here[i] = interval[STAGES + i]
-        for length in lengths[part]:
-            t += length
+        for i in range(lengths.shape[1]):
+            t += lengths[part, i]
     return iterations
 
 
@@ -36,7 +37,8 @@ def parts_residual(state, end, t, parameters, work, interval, residual, toleranc
     """Max-norm of the base scheme's equations over the steps from `state` to `end`, the others being made again."""
     inner_work, lengths, here = work
     largest = 0.0
-    here[:] = state
+    for i in range(STATE):
+        here[i] = state[i]
     for part in range(PARTS):
         advance(here, t, lengths[part], parameters, inner_work, interval, tolerance, max_iterations)
         if part == PARTS - 1:
@@ -49,6 +51,6 @@ def parts_residual(state, end, t, parameters, work, interval, residual, toleranc
             largest = max(largest, abs(residual[i]))
         for i in range(STATE):
             here[i] = interval[STAGES + i]
-        for length in lengths[part]:
-            t += length
+        for i in range(lengths.shape[1]):
+            t += lengths[part, i]
     return largest

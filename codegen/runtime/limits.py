@@ -1,8 +1,9 @@
-"""Which unknowns lie on their bounds."""
+"""Which unknowns lie on their bounds, and which prescribed values beyond them."""
 
 import numpy as np
 
-from codegen.runtime.example import variable_bounds
+from codegen.runtime.callbacks import free_unknowns
+from codegen.runtime.example import BODIES, NODE, STRIDE, metadata, variable_bounds
 
 
 def at_limits(grid, unknowns):
@@ -10,3 +11,22 @@ def at_limits(grid, unknowns):
     lower, upper = variable_bounds(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
+
+
+def prescribed_beyond(grid, unknowns):
+    """Which prescribed end value violates the bound that holds at the next inner node, or nothing.
+
+    Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
+    within the first interval.
+    """
+    lower, upper = variable_bounds(grid)
+    pinned, chain = ~free_unknowns(grid), grid.steps * STRIDE + NODE
+    last = chain - NODE
+    for first in range(0, BODIES * chain if grid.steps > 1 else 0, chain):
+        for end, here, inner in (("start", first, first + STRIDE), ("end", first + last, first + last - STRIDE)):
+            for i, name in enumerate(metadata["node"]):
+                value, low, high = unknowns[here + i], lower[inner + i], upper[inner + i]
+                margin = 1e-9 * max(1.0, abs(value))
+                if pinned[here + i] and not low - margin <= value <= high + margin:
+                    return f"{name} is prescribed as {value:g} at the {end}, beyond its bounds {low:g} to {high:g}"
+    return ""

@@ -9,6 +9,7 @@ from codegen.runtime.example import (
     BODIES,
     COUPLINGS,
     ELEMENT,
+    INEQUALITIES,
     NODE,
     PHASES,
     ROOT,
@@ -18,7 +19,7 @@ from codegen.runtime.example import (
     interval_gradient,
     metadata,
 )
-from codegen.runtime.limits import at_limits
+from codegen.runtime.limits import at_limits, prescribed_beyond
 from codegen.runtime.phases import node_times
 from codegen.runtime.shared import read_shared
 from codegen.runtime.verdict import GROWTH, HOLDS, final_status, least_duration
@@ -39,6 +40,10 @@ NAMED = 3  # how many equations a message names
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence."""
     status = final_status(grid, guess, point, status)
+    if INEQUALITIES:
+        beyond = prescribed_beyond(grid, point.unknowns)
+        if beyond:
+            return "infeasible", f"infeasible: {beyond}; change the value or the bound"
     if status == "solved":
         return status, f"all equations hold to {point.error:.1e}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
@@ -77,10 +82,14 @@ def violated(grid, point):
     """The equations that are off most, each at its worst place, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
-    blocked = columns[at_limits(grid, point.unknowns)[columns]]
-    names = dict.fromkeys(bounded_name(grid, place) for place in blocked)
-    if names:
-        text += f", with bounds active on {', '.join(names)}"
+    if INEQUALITIES:
+        names = {}
+        for place in columns[at_limits(grid, point.unknowns)[columns]]:
+            name = local_name(grid, place)
+            meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
+            names[meaning.removesuffix(" of an interval")] = None
+        if names:
+            text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
         text += f"; there are {rows.size} equations for {columns.size} unknowns"
     return text
@@ -205,12 +214,6 @@ def local_name(grid, place):
     if SHARED and place >= BODIES * chain:
         return metadata["shared"][place - BODIES * chain]
     return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
-
-
-def bounded_name(grid, place):
-    """The name of an unknown without its place, or the inequality whose slack it is."""
-    name = local_name(grid, place)
-    return metadata["meanings"].get(name, name).removeprefix("slack of ").removesuffix(" of an interval")
 
 
 def whereabouts(grid, unknowns, place):

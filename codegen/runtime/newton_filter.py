@@ -9,6 +9,7 @@ import numpy as np
 from codegen.runtime.curvature import FLAT
 from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.descent import slope_of
+from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_rounding, is_solved
 
@@ -44,7 +45,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if trial is None:
             if is_rounding(grid, point):
                 return "stalled", point, iteration
-            filtered.append(envelope(point))
+            filtered.append(envelope(point.violation, point.cost))
             trial = restore(grid, point, filtered, system)
             if trial is None:
                 return "infeasible", point, iteration
@@ -99,45 +100,28 @@ def shifts(grid, shift, dual_shift):
 
 def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
+
+    def is_better(trial, length):
+        violation, cost = point.violation, point.cost
+        if not trial.error < np.inf:
+            return False
+        return accept(violation, cost, trial.violation, trial.cost, slope, length, small_violation, filtered)
+
     length = 1.0
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + length * step)
-        accepted = accept(point, trial, slope, length, small_violation, filtered)
+        accepted = is_better(trial, length)
         if not accepted and length == 1.0 and trial.violation >= point.violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
             corrected, correction = point.gradient.copy(), np.empty_like(step)
             corrected[grid.is_multiplier] += trial.gradient[grid.is_multiplier]
             solve_kkt(grid, system, corrected, correction)
             trial = evaluate(grid, point.unknowns + correction)
-            accepted = accept(point, trial, slope, length, small_violation, filtered)
+            accepted = is_better(trial, length)
         if accepted:
             return trial, length
         length *= 0.5
     return None, length
-
-
-def accept(point, trial, slope, length, small_violation, filtered):
-    """Whether a trial point may be taken (19, 20); the filter grows unless the cost decreased as the slope promised."""
-    if not trial.error < np.inf or not acceptable(trial, filtered):
-        return False
-    rounding = 2e-15 * abs(point.cost)
-    if point.violation <= small_violation and slope < 0.0 and length * (-slope) ** 2.3 > point.violation**1.1:
-        return trial.cost <= point.cost + 1e-4 * length * slope + rounding
-    violation, cost = envelope(point)
-    if trial.violation > violation and trial.cost > cost + rounding:
-        return False
-    filtered.append((violation, cost))
-    return True
-
-
-def acceptable(trial, filtered):
-    """Whether no point of the filter is better both in violation and in cost (18)."""
-    return all(trial.violation < violation or trial.cost < cost for violation, cost in filtered)
-
-
-def envelope(point):
-    """What a point adds to the filter: a little less than its violation and cost."""
-    return 0.99999 * point.violation, point.cost - 1e-5 * point.violation
 
 
 def restore(grid, point, filtered, system):
@@ -156,6 +140,6 @@ def restore(grid, point, filtered, system):
                 return None
             trial = evaluate(grid, point.unknowns + length * step)
         point = trial
-        if point.violation <= 0.9 * first and acceptable(point, filtered):
+        if point.violation <= 0.9 * first and acceptable(point.violation, point.cost, filtered):
             return point
     return None

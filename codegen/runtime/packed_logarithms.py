@@ -7,7 +7,7 @@
 where S/r^2 is a polynomial that interpolates the series in r^2 at Chebyshev points, with a relative error of 5e-16
 (1.3e-17 of the logarithm). Where k = 0, f is x itself, and what would cancel is left out exactly. The C library's
 functions are called for one number after the other. Source: Muller (2016), Elementary functions, chapters 4 and 11.
-For numbers above -1 and below 1e300.
+For numbers below 1e300; up to -1 there is no logarithm, and NaN.
 """
 
 import numpy as np
@@ -33,8 +33,8 @@ HUGE, HUGE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits, t
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def logarithm_parts(x):
     """The numbers k, f, r and S of 1 + x."""
-    total = np.float64(1.0 + x)
-    bits = np.uint64(total.view(np.int64) - np.int64(ROOT_HALF) + np.int64(ONE)) >> np.uint64(52)  # k + 1023
+    total = np.float64(1.0 + x if x > -1.0 else np.nan)
+    bits = np.uint64(total.view(np.int64) + np.int64(ONE - ROOT_HALF)) >> np.uint64(52)  # k + 1023
     k = np.uint64(bits | np.uint64(HUGE_BITS)).view(np.float64) - (HUGE + 1023.0)
     scale = np.int64((np.int64(2046) - np.int64(bits)) << np.int64(52)).view(np.float64)  # 2^-k
     f = (total * scale - 1.0) + (x - (total - 1.0)) * scale

@@ -3,7 +3,7 @@
 import numpy as np
 
 from codegen.runtime.callbacks import hessian, jacobian
-from codegen.runtime.example import PHASES, ROOT, SHARED, duration_of, phase_durations
+from codegen.runtime.example import INEQUALITIES, PHASES, ROOT, SHARED, duration_of, phase_durations
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.limits import at_limits
 from codegen.runtime.point import evaluate
@@ -62,7 +62,8 @@ def runaways(grid, guess, point, is_stationary):
         grown[: unknowns.size - ROOT] = False
     if not grown.any():
         return grown
-    grown &= ~at_limits(grid, unknowns)
+    if INEQUALITIES:
+        grown &= ~at_limits(grid, unknowns)
     if is_stationary:
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
@@ -70,10 +71,11 @@ def runaways(grid, guess, point, is_stationary):
 
 
 def newton_step(grid, point):
-    """Newton's step from a point with the unknowns on their bounds held fast; infinite where there is none."""
-    system, step = allocate_system(grid), np.empty_like(point.unknowns)
-    fixed = at_limits(grid, point.unknowns) & ~grid.is_multiplier
-    if factor_kkt(grid, point.unknowns, 1.0, np.where(fixed, 1e12, 0.0), system) != 0:
+    """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
+    system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
+    if INEQUALITIES:
+        shift[at_limits(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
+    if factor_kkt(grid, point.unknowns, 1.0, shift, system) != 0:
         return np.full(step.size, np.inf)
     solve_kkt(grid, system, point.gradient, step)
     return step

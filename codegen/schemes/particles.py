@@ -1,23 +1,16 @@
-"""Schemes for many particles: one-step compositions, an explicit Runge-Kutta method, adaptive references."""
+"""Schemes for many particles: chains of substeps, the classical Runge-Kutta method, adaptive references."""
 
 from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass
 
-from sympy import Rational
-
+from codegen import schemes
 from codegen.errors import SchemeError
-from codegen.schemes.base import OneStep, Scheme
+from codegen.schemes.base import Composition, OneStep, RungeKutta, Scheme
+from codegen.schemes.compositions import NAMES, PARTITIONED
 from codegen.schemes.one_step import ONE_STEPS
-
-
-@dataclass(frozen=True)
-class ExplicitRungeKutta(Scheme):
-    """k_i = F(z0 + h sum_{j<i} a_ij k_j), z1 = z0 + h sum_i b_i k_i; `rows` holds the a_ij, `weights` the b_i."""
-
-    rows: tuple[tuple[Rational, ...], ...]
-    weights: tuple[Rational, ...]
+from codegen.schemes.runge_kutta import OF_PARTICLES
 
 
 @dataclass(frozen=True)
@@ -26,19 +19,6 @@ class Adaptive(Scheme):
 
     code: str
 
-
-_HALF, _ZERO, _ONE = Rational(1, 2), Rational(0), Rational(1)
-
-RK4 = ExplicitRungeKutta(
-    name="rk4",
-    order=4,
-    symmetric=False,
-    symplectic=False,
-    source="Kutta (1901); Hairer, Norsett and Wanner (1993), Solving ordinary differential equations I, table II.1.2",
-    summary="the classical Runge-Kutta method",
-    rows=((), (_HALF,), (_ZERO, _HALF), (_ZERO, _ZERO, _ONE)),
-    weights=(Rational(1, 6), Rational(1, 3), Rational(1, 3), Rational(1, 6)),
-)
 
 _ADAPTIVE = (
     Adaptive(
@@ -61,17 +41,26 @@ _ADAPTIVE = (
     ),
 )
 
-PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (*ONE_STEPS, RK4, *_ADAPTIVE)}
-"""Every scheme for pairwise systems by name; tests run over this table."""
+PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (*ONE_STEPS, *OF_PARTICLES, *_ADAPTIVE)}
+"""Schemes for pairwise systems by name, over which tests run; `find` knows the compositions of higher order as well."""
 
 
-def find(name: str, task: str) -> OneStep | ExplicitRungeKutta | Adaptive:
-    """The scheme of that name; SchemeError tells which there are for the task."""
+def find(name: str, task: str) -> OneStep | RungeKutta | Adaptive:
+    """The scheme of that name, compositions as chains of substeps; SchemeError tells which there are for the task."""
     offered = [n for n, s in PARTICLE_SCHEMES.items() if task == "connect" or not isinstance(s, Adaptive)]
-    if name not in offered:
+    found = PARTICLE_SCHEMES.get(name) if name in offered else None
+    if found is None and _is_composition(name):
+        found = schemes.find(name, "hamiltonian")
+    if isinstance(found, Composition):
+        return found.written_out()
+    if found is None:
         close = difflib.get_close_matches(name, offered, 1)
         hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(offered)}"
         raise SchemeError(f"there is no scheme {name!r} for particles and task {task}", hint)
-    found = PARTICLE_SCHEMES[name]
-    assert isinstance(found, (OneStep, ExplicitRungeKutta, Adaptive))
+    assert isinstance(found, (OneStep, RungeKutta, Adaptive))
     return found
+
+
+def _is_composition(name: str) -> bool:
+    """Whether a name is that of a composition, or <composition>-of-<base>."""
+    return name in (*NAMES, *(scheme.name for scheme in PARTITIONED), "forest-ruth") or "-of-" in name

@@ -1,4 +1,4 @@
-"""Runge-Kutta methods of higher order: Gauss collocation, Lobatto IIIA-IIIB, Lobatto IIIA, the classical method.
+"""Runge-Kutta methods of higher order: Gauss collocation, Lobatto IIIA-IIIB, Lobatto IIIA, explicit ones.
 
 The tables are exact; `tests/test_orders.py` proves orders and symplecticity from them.
 """
@@ -28,6 +28,15 @@ _GAUSS_6 = (
 _LOBATTO_IIIA = _table("0 0 0", "5/24 1/3 -1/24", "1/6 2/3 1/6")
 _LOBATTO_IIIB = _table("1/6 -1/6 0", "1/6 1/3 0", "1/6 5/6 0")
 _CLASSICAL = _table("0 0 0 0", "1/2 0 0 0", "0 1/2 0 0", "0 0 1 0")
+_BUTCHER = _table(
+    "0 0 0 0 0 0 0",
+    "1/3 0 0 0 0 0 0",
+    "0 2/3 0 0 0 0 0",
+    "1/12 1/3 -1/12 0 0 0 0",
+    "-1/16 9/8 -3/16 -3/8 0 0 0",
+    "0 9/8 -3/8 -3/4 1/2 0 0",
+    "9/44 -9/11 63/44 18/11 0 -16/11 0",
+)
 
 GAUSS_4 = RungeKutta(
     name="gauss-4",
@@ -73,6 +82,17 @@ RK4 = RungeKutta(
     positions=_CLASSICAL,
     momenta=_CLASSICAL,
 )
+BUTCHER_6 = RungeKutta(
+    name="butcher-6",
+    order=6,
+    symmetric=False,
+    symplectic=False,
+    source="Butcher (1964), On Runge-Kutta processes of high order, Journal of the Australian Mathematical Society 4",
+    summary="explicit Runge-Kutta method with 7 stages",
+    weights=_table("11/120 0 27/40 27/40 -4/15 -4/15 11/120")[0],
+    positions=_BUTCHER,
+    momenta=_BUTCHER,
+)
 HERMITE_SIMPSON = RungeKutta(
     name="hermite-simpson",
     order=4,
@@ -87,5 +107,7 @@ HERMITE_SIMPSON = RungeKutta(
 
 RUNGE_KUTTA = (GAUSS_4, GAUSS_6, LOBATTO_4, RK4)
 """Those for mechanical systems."""
+OF_PARTICLES = (RK4, BUTCHER_6)
+"""Those for particles, whose steps are explicit."""
 FIRST_ORDER_RUNGE_KUTTA = (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4)
 """Those for x' = f(x, u, t)."""

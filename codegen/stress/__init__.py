@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,15 +17,18 @@ if TYPE_CHECKING:
     from codegen.stress.cases import Case, Measurement, Row
 
 
-def run(cases: Sequence[Case], folder: Path, advance: Callable[[], None] = lambda: None) -> list[Row]:
-    """Measure and judge all cases, and write stress.csv and stress.html into a folder; `advance` is called for each."""
+def run(cases: Sequence[Case], folder: Path, moved: Callable[[int, str], None] = lambda done, text: None) -> list[Row]:
+    """Measure and judge all cases, and write stress.csv and stress.html into a folder.
+
+    `moved` hears how many cases are done, and which was the last.
+    """
     from codegen.stress import page, pool
     from codegen.stress.classify import classify
 
-    begin = time.perf_counter()
+    begin, done = time.perf_counter(), count(1)
 
     def report(case: Case, measurement: Measurement) -> None:
-        advance()
+        moved(next(done), case.name)
 
     measured = pool.run(cases, min(2, os.cpu_count() or 1), report)
     rows = [classify(case, measurement) for case, measurement in zip(cases, measured, strict=True)]

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import csv
 import math
-import platform
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from codegen import __version__
-from codegen.output import replacing
+from codegen.machine import versions
+from codegen.output import replacing, write_text
 from codegen.stress.cases import DEFECTS, OUTCOMES, Row
 
 if TYPE_CHECKING:
@@ -155,13 +153,7 @@ def write_page(rows: Sequence[Row], seconds: float, path: Path) -> None:
     failed = [line(row) for row in rows if not row.passed]
     text = environment.get_template("page.html.j2").render(
         sections=sections(rows), columns=COLUMNS, counts=counts(rows), failed=failed, outcomes=OUTCOMES,
-        defects=DEFECTS, seconds=f"{seconds:.0f}", environment=_environment(),
+        defects=DEFECTS, seconds=f"{seconds:.0f}",
+        environment=", ".join(f"{name} {value}" for name, value in versions().items()),
     )  # fmt: skip
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def _environment() -> str:
-    names = ("numpy", "scipy", "numba", "sympy")
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in names)
-    return f"codegen {__version__}, Python {platform.python_version()}, {versions}, {platform.machine()}"
+    write_text(path, text)

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sympy import Rational, S
+from sympy import Expr, Rational, S
 
 from codegen.errors import ArgumentError, SchemeError
 from codegen.model.pairwise import PairwiseModel
 from codegen.schemes import particles
-from codegen.schemes.base import OneStep
-from codegen.schemes.particles import RK4, Adaptive, ExplicitRungeKutta
+from codegen.schemes.base import OneStep, RungeKutta
+from codegen.schemes.particles import Adaptive
+from codegen.schemes.runge_kutta import RK4
 
 CONNECT_METHODS = ("stepping", "full", "action")
 DEFAULT_SCHEME = "midpoint"
@@ -40,9 +41,9 @@ class PairwiseProgram:
     method: str
     scheme: str
     order: int
-    substeps: tuple[tuple[Rational, Rational, Rational], ...] = ()
-    rows: tuple[tuple[Rational, ...], ...] = ()
-    weights: tuple[Rational, ...] = ()
+    substeps: tuple[tuple[Expr, Expr, Expr], ...] = ()
+    rows: tuple[tuple[Expr, ...], ...] = ()
+    weights: tuple[Expr, ...] = ()
     adaptive: str = ""
     place: Rational = S.Zero
 
@@ -63,16 +64,16 @@ def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None
     if isinstance(found, OneStep):
         table = tuple((s.fraction, s.position, s.momentum) for s in found.substeps)
         return PairwiseProgram(model, method, found.name, found.order, substeps=table)
-    if isinstance(found, ExplicitRungeKutta):
-        return PairwiseProgram(model, method, found.name, found.order, rows=found.rows, weights=found.weights)
+    if isinstance(found, RungeKutta):
+        return PairwiseProgram(model, method, found.name, found.order, rows=found.positions, weights=found.weights)
     if method == "full":
         raise SchemeError(f"scheme {found.name} chooses its own steps", "use --method stepping")
     return PairwiseProgram(
-        model, method, found.name, found.order, rows=RK4.rows, weights=RK4.weights, adaptive=found.code
+        model, method, found.name, found.order, rows=RK4.positions, weights=RK4.weights, adaptive=found.code
     )
 
 
-def _action(scheme: OneStep | ExplicitRungeKutta | Adaptive) -> tuple[Rational, tuple[Rational, Rational, Rational]]:
+def _action(scheme: OneStep | RungeKutta | Adaptive) -> tuple[Rational, tuple[Rational, Rational, Rational]]:
     """Where the action takes H, and the symplectic scheme whose equations are its stationarity."""
     if not isinstance(scheme, OneStep) or len(scheme.substeps) > 1:
         raise SchemeError(

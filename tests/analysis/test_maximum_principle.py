@@ -117,6 +117,21 @@ def test_exact_cost_in_parameters_and_damping() -> None:
         assert optimum.cost_at(values) == pytest.approx(reference_optimum(model, values).cost, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("problem", "feature"),
+    [
+        ("bryson_denham", "bounds"),
+        ("convoy", "path conditions"),
+        ("bouncing_ball", "several phases"),
+        ("van_der_pol", "a first-order system"),
+        ("hovercraft", "several bodies"),
+    ],
+)
+def test_what_the_conditions_do_not_provide_for_is_refused(problem: str, feature: str) -> None:
+    with pytest.raises(ArgumentError, match=feature):
+        exact_optimum(gallery(problem))
+
+
 def test_nonlinear_or_time_dependent_problems_have_no_exact_optimum() -> None:
     assert exact_optimum(gallery("orbital_transfer")) is None
     t = time()

@@ -10,7 +10,9 @@ import io
 import json
 import resource
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import tifffile
@@ -20,7 +22,7 @@ from test_images import HUGE
 
 from codegen.errors import ImageError, PointsError
 from codegen.registration.formats import Frames, parse_landmarks
-from codegen.registration.images import Limits, read_image
+from codegen.registration.images import Limits, read_image, write_image
 
 TOKENS = (b"nan", b"1e999", b"-", b"\0", b"9" * 5000, b"[" * 5000, b'"', b"\n", b",", b"true", b"LM=999999999",
           b"\xff\xfe", b"Infinity", b"point", b"=", b"{}", b"null", b"1_0", b"\r", b"0x10", "３".encode())  # fmt: skip
@@ -77,6 +79,10 @@ def image_files(random: np.random.Generator) -> Iterator[tuple[str, bytes]]:
     file = io.BytesIO()
     Pillow.fromarray(pixels[..., 0].astype(np.uint16)).save(file, "PNG")
     whole["deep PNG"] = file.getvalue()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "deep.png"
+        write_image(path, pixels.astype(np.uint16) * 200)
+        whole["deep PNG in colour"] = path.read_bytes()
     for kind, data in whole.items():
         for end in np.unique(np.linspace(0, len(data) - 1, 30).astype(int)):
             yield f"{kind} cut at {end}", data[:end]

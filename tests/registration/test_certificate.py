@@ -70,12 +70,16 @@ def test_one_landmark_predicts_nothing(solver):
         choose_sigma(LandmarkPairs([[1, 1], [5, 5]], [[2, 2], [5, 6]]), SHAPE)
 
 
-def test_noise_asks_for_a_sigma_and_exact_places_do_not(solver):
-    generator = np.random.default_rng(5)
-    moving = generator.uniform([10, 10], [150, 110], (24, 2))
-    exact = moving + np.stack([4 * np.sin(moving[:, 1] / 60), 3 * np.cos(moving[:, 0] / 70)], axis=1)
-    options = {"steps": 4, "candidates": (0.0, 5.0, 20.0)}
-    assert choose_sigma(LandmarkPairs(moving, exact), SHAPE, **options) < 20.0
-    noisy = compare_sigmas(LandmarkPairs(moving, exact + generator.normal(size=exact.shape)), SHAPE, **options)
-    assert noisy.sigma > 0.0
-    assert noisy.errors[noisy.candidates.index(noisy.sigma)] == min(noisy.errors)
+def test_landmarks_that_contradict_each_other_ask_for_a_sigma_and_exact_ones_do_not(solver):
+    x, y = np.meshgrid([30.0, 80.0, 130.0], [35.0, 85.0])
+    sites = np.stack([x.ravel(), y.ravel()], axis=1)
+    moving = np.vstack([sites - [1.0, 0.0], sites + [1.0, 0.0]])
+    smooth = moving + np.stack([4 * np.sin(moving[:, 1] / 60), 3 * np.cos(moving[:, 0] / 70)], axis=1)
+    twofold = smooth + np.repeat([[0.0, 1.5], [0.0, -1.5]], 6, axis=0)
+    options = {"steps": 3, "candidates": (0.0, 40.0)}
+    assert choose_sigma(LandmarkPairs(moving, smooth), SHAPE, **options) == 0.0
+    found = compare_sigmas(LandmarkPairs(moving, twofold), SHAPE, **options)
+    # From its neighbour alone, a landmark is predicted twice as far off as from the mean of both.
+    assert found.sigma == 40.0
+    assert found.errors[0] == pytest.approx(3.0, abs=0.4)
+    assert found.errors[1] < 0.8 * found.errors[0]

@@ -75,16 +75,16 @@ def test_the_moving_image_shows_landmarks_where_the_fixed_one_has_them(registrat
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
 
     def spots(points):
-        return np.stack([np.exp(-((x - a) ** 2 + (y - b) ** 2) / 8) for a, b in points], axis=-1)
+        return np.stack([np.exp(-((x - a) ** 2 + (y - b) ** 2) / 4) for a, b in points], axis=-1)
 
     def centres(picture):
         weight = picture.sum(axis=(0, 1))
         return np.stack([(picture * z[..., None]).sum(axis=(0, 1)) / weight for z in (x, y)], axis=1)
 
     found = centres(warp(spots(pairs.moving), registration, interpolation="cubic"))
-    np.testing.assert_allclose(found, pairs.fixed, atol=0.25)
+    np.testing.assert_allclose(found, pairs.fixed, atol=0.2)
     back = centres(warp(spots(pairs.fixed), registration, interpolation="cubic", inverse=True))
-    np.testing.assert_allclose(back, pairs.moving, atol=0.25)
+    np.testing.assert_allclose(back, pairs.moving, atol=0.2)
     assert np.abs(pairs.fixed - pairs.moving).max() > 5.0
 
 
@@ -169,13 +169,11 @@ def test_files_are_read_by_other_programs_as_they_were_meant(registration, tmp_p
     np.testing.assert_array_equal(data[:, :, 0, 0, :], field.transpose(1, 0, 2))
     points = [(30.0, 40.0), (100.0, 20.0), (75.0, 90.0)]
     expected = registration.map_points_inverse(points)
-    flat = itk.ReadImage(str(tmp_path / "field.mha"), itk.sitkVectorFloat64)
-    moved = [itk.DisplacementFieldTransform(itk.Image(flat)).TransformPoint(p) for p in points]
-    np.testing.assert_allclose(moved, expected, atol=1e-9)
-    solid = itk.ReadImage(str(tmp_path / "field.nii.gz"))
-    values = [solid[int(x), int(y), 0][:2] for x, y in points]
-    np.testing.assert_allclose(np.add(values, points), expected, atol=1e-9)
-    assert solid.TransformIndexToPhysicalPoint((30, 40, 0)) == (30.0, 40.0, 0.0)
+    for name in ("field.mha", "field.nii.gz"):
+        found = itk.ReadImage(str(tmp_path / name), itk.sitkVectorFloat64)
+        assert found.TransformIndexToPhysicalPoint((30, 40)) == (30.0, 40.0)
+        moved = [itk.DisplacementFieldTransform(itk.Image(found)).TransformPoint(p) for p in points]
+        np.testing.assert_allclose(moved, expected, atol=1e-9)
 
 
 def test_fields_that_cannot_be_written_say_why(tmp_path, monkeypatch):

@@ -17,13 +17,9 @@ from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.images import read_image, write_image
 from codegen.registration.pairs import LandmarkPairs
 
+pytestmark = pytest.mark.usefixtures("solver")
 CORNERS = np.array([[3.0, 4.0], [24.0, 5.0], [5.0, 20.0], [22.0, 18.0], [13.0, 11.0]])
 SHAPE = (24, 30)
-
-
-@pytest.fixture(autouse=True)
-def module(cache_folder):
-    """The solver is built once for the run, into the cache that all of its tests share."""
 
 
 def picture(shape=SHAPE, kind="u1", seed=0):
@@ -198,11 +194,15 @@ def test_folders_and_tables_go_on_after_bad_pairs_and_are_taken_up_again(files):
         write_image(folder / f"{name}.png", picture(seed=ord(name)))
         (folder / f"{name}.csv").write_bytes((files / "pairs.csv").read_bytes())
     (folder / "b.png").write_bytes((folder / "b.png").read_bytes()[:50])
-    done = run(folder, "--out", out, "--steps", 5, "--json", expect=1)
+    pages = files / "pages"
+    done = run(folder, "--out", out, "--report", pages, "--steps", 5, "--json", expect=1)
     record = json.loads(done.stdout)
     assert (record["pairs"], record["unchanged"], len(record["failed"])) == (3, 0, 1)
     assert "b.png is damaged" in done.stderr
     assert sorted(path.name for path in out.iterdir()) == ["a.png", "c.png", "summary.csv"]
+    text = (pages / "index.html").read_text()
+    assert sorted(re.findall(r'href="([^"]*)"', text)) == ["a.html", "c.html"]
+    assert text.index("b.png") < text.index("a.png")  # what failed comes first
     write_image(folder / "b.png", picture(seed=9))
     stamps = {path: path.stat().st_mtime_ns for path in out.glob("*.png")}
     assert "1 pairs warped, 2 unchanged, 0 failed" in " ".join(run(folder, "--out", out, "--steps", 5).stdout.split())

@@ -54,7 +54,10 @@ def _decode_deep(name: str, data: bytes, header: Header) -> NDArray[Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "image.png"
         path.write_bytes(data)
-        return np.asarray(itk.GetArrayFromImage(itk.ReadImage(str(path), imageIO="PNGImageIO")))
+        try:
+            return np.asarray(itk.GetArrayFromImage(itk.ReadImage(str(path), imageIO="PNGImageIO")))
+        except RuntimeError as error:  # its message names files of the library
+            raise ImageError(f"{name} is damaged or cut off", "give a whole PNG file") from error
 
 
 def _itk(name: str) -> Any:

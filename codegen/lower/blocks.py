@@ -1,0 +1,23 @@
+"""Code for blocks of points: arrays that hold one quantity after the other, of all points of the block.
+
+The inner loop over the points then reads neighbours in memory, at distances that are known when it is compiled, and
+calls nothing that has branches: a compiler turns it into operations on several points at once.
+"""
+
+from __future__ import annotations
+
+import re
+
+from codegen.lower.kernels import Line
+
+
+def entry(array: str, row: int, block: str) -> str:
+    """The code of a quantity of point m, where `block` is the constant that holds the length of a row."""
+    offset = "" if row == 0 else f"{block} + " if row == 1 else f"{row}*{block} + "
+    return f"{array}[{offset}m]"
+
+
+def packed(line: Line) -> Line:
+    """A line with logarithms that have no branches in place of those of the C library."""
+    code = re.sub(r"\b(?:math\.)?(log1p|x_minus_log1p|log1p_minus_ratio)\(", r"packed_\1(", line.code)
+    return Line(line.target, code, line.comment, line.operator)

@@ -1,0 +1,103 @@
+"""The gradient of H where particles act on themselves as they act on others -> a loop that gathers it for blocks.
+
+Where self_term is half the limit of the pair term at coincidence, H_q and H_p of a particle i are sums of one
+expression over all particles j, particle i among them. To gather them takes twice as many evaluations as to visit each
+pair once, but each evaluation writes to particle i alone, so that several particles are worked on at once.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import sympy
+from sympy import Max
+
+from codegen.differentiate.pairwise import PairDerivatives
+from codegen.lower.blocks import entry, packed
+from codegen.lower.kernels import Line, Output, kernel
+from codegen.lower.pair_writer import CLOSEST, STATE, Writer, needed
+from codegen.model.pairwise import PairwiseModel
+
+GROUP = 64
+"""Particles of a block."""
+
+
+@dataclass(frozen=True)
+class GatheredLoop:
+    """A function that adds up what all particles j contribute to each particle of a block.
+
+    `head` comes first; for each block `before` for each particle m of it; `inputs` for each particle j, then for each m
+    `point_inputs`, `body` and `outputs`; at last `after` for each m.
+    """
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    head: tuple[Line, ...]
+    before: tuple[Line, ...]
+    inputs: tuple[Line, ...]
+    point_inputs: tuple[Line, ...]
+    body: tuple[Line, ...]
+    outputs: tuple[Line, ...]
+    after: tuple[Line, ...]
+    operations_before: int
+    operations_after: int
+
+
+def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[GatheredLoop, ...]:
+    """The gradient of H, where it can be gathered, and its code calls nothing that keeps particles apart."""
+    if not _acts_on_itself(model):
+        return ()
+    gradient = _gradient(Writer(model, derivatives))
+    called = {name for line in (*gradient.body, *gradient.outputs) for name in re.findall(r"math\.(\w+)\(", line.code)}
+    return (gradient,) if called <= {"sqrt"} else ()
+
+
+def _acts_on_itself(model: PairwiseModel) -> bool:
+    if model.limit is None or not model.smooth:
+        return False
+    own = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
+    return bool(sympy.expand(model.limit.xreplace(own) / 2 - model.self_term) == 0)
+
+
+def _gradient(writer: Writer) -> GatheredLoop:
+    model, pair, size = writer.model, writer.derivatives.pair, writer.dimension
+    scalars = {s: code for s, code in writer.single_places.items() if s in dict(pair.scalars)}
+    codes = [*writer.places("i").values(), *(f"singles[i, {k}]" for k in range(len(writer.singles)))]
+    rows = {code: entry("state", row, "GROUP") for row, code in enumerate(codes)}
+    outputs = [(entry("sums", row, "GROUP"), value) for row, value in enumerate(pair.gradient[: 2 * size])]
+    assignments = [
+        (symbol, Max(value, CLOSEST) if symbol in pair.distances else value)
+        for symbol, value in needed((*pair.differences, *pair.scalars, *pair.slopes), [v for _, v in outputs])
+        if symbol not in scalars
+    ]
+    reads = {s: rows.get(code, code) for s, code in {**writer.places("i"), **writer.places("j"), **scalars}.items()}
+    reads |= {s: f"parameters[{k}]" for k, s in enumerate(model.parameters)}
+    made = kernel("", "", (), reads, [Output(t, v, "", "+=") for t, v in outputs if v != 0], assignments=assignments)
+    used = {line.code for line in made.inputs}
+    singles = [Line("singles", "single_values(z)")] if writer.singles else []
+    return GatheredLoop(
+        name="hamiltonian_gradient",
+        summary="Fill `gradient`, shape (2, n, d), with H_q and H_p.",
+        arguments=(*STATE, "gradient"),
+        head=(
+            *singles,
+            Line("state", f"np.empty({len(codes)}*GROUP)"),
+            Line("sums", f"np.empty({2 * size}*GROUP)"),
+            *(line for line in made.inputs if line.code.startswith("parameters[")),
+        ),
+        before=(
+            *(Line(row, re.sub(r"\bi\b", "first + m", code)) for code, row in rows.items() if row in used),
+            *(Line(target, "0.0") for target, _ in outputs),
+        ),
+        inputs=tuple(line for line in made.inputs if re.search(r"\bj\b", line.code)),
+        point_inputs=tuple(line for line in made.inputs if line.code.startswith("state[")),
+        body=tuple(packed(line) for line in made.body),
+        outputs=tuple(packed(line) for line in made.outputs),
+        after=tuple(
+            Line(f"gradient[{k // size}, first + m, {k % size}]", target) for k, (target, _) in enumerate(outputs)
+        ),
+        operations_before=made.operations_before,
+        operations_after=made.operations_after,
+    )
