@@ -100,7 +100,7 @@ def test_pairs_are_added_dragged_undone_saved_and_exported_as_the_command_line_d
     done = CliRunner().invoke(main, [str(word) for word in command])
     assert done.exit_code == 0, done.output
     assert image.read_bytes() == out.read_bytes()
-    for kind, suffix in (("Displacement field", ".npz"), ("Animated GIF", ".gif")):
+    for kind, suffix in (("Field", ".npz"), ("Animated GIF", ".gif")):
         assert visit.download(kind, tmp_path).suffix == suffix
     assert visit.problems == []
     assert visit.outside == []  # the page needs no other server

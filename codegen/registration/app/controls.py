@@ -16,13 +16,15 @@ from codegen.registration.formats import FORMATS
 
 ALIGNMENTS = {"similarity": "similarity", "affine": "affine", "none": "none"}
 SCHEMES = ("midpoint", "gauss-4", "explicit-euler")
-_TABLE_STYLE = """
+_TABLE_STYLE = r"""
 .tabulator { font-size: 12px; border: 1px solid #d7dde3; }
 .tabulator-row .tabulator-cell { font-size: 12px; }
 .tabulator .tabulator-header .tabulator-col { text-align: center; }
 .tabulator .tabulator-header .tabulator-col .tabulator-col-content { padding: 4px; }
-.tabulator .tabulator-header .tabulator-col .tabulator-col-title { font-size: 11px; padding-right: 8px; }
-.tabulator .tabulator-header .tabulator-col .tabulator-col-content .tabulator-col-sorter { right: 0; }
+.tabulator .tabulator-header .tabulator-col .tabulator-col-title { font-size: 11px; padding-right: 0 !important; }
+.tabulator .tabulator-header .tabulator-col .tabulator-col-content .tabulator-col-sorter { display: none !important; }
+.tabulator .tabulator-header .tabulator-col[aria-sort="ascending"] .tabulator-col-title::after { content: " \25B4"; }
+.tabulator .tabulator-header .tabulator-col[aria-sort="descending"] .tabulator-col-title::after { content: " \25BE"; }
 .tabulator-row .tabulator-cell { padding: 3px 5px; height: 24px; min-height: 24px; }
 .tabulator-row { min-height: 24px; }
 .tabulator-row.tabulator-selected { background: #cfe5f5; font-weight: 600; }
@@ -61,7 +63,7 @@ class Controls:
         self.scheme = pn.widgets.Select(label="Scheme", options=list(SCHEMES), **narrow)
         self.interpolation = pn.widgets.Select(label="Interpolation", options=list(INTERPOLATIONS), **narrow)
         self.save_image = button("Warped image")
-        self.save_field = button("Displacement field")
+        self.save_field = button("Field", "The displacement field, from fixed to moving, as .npz")
         self.save_gif = button("Animated GIF")
         self.save_landmarks = button("Landmarks")
         self.format = pn.widgets.Select(

@@ -81,14 +81,13 @@ class Picture:
         height, width = self.preview.shape[:2]
         return _centres(width, step, self.reduction), _centres(height, step, self.reduction)
 
-
     def preview_blocks(self, size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """x and y, in pixels of the image, of the centres of blocks of `size` by `size` pixels of the preview."""
+        """X and y, in pixels of the image, of the centres of blocks of `size` by `size` pixels of the preview."""
         height, width = self.preview.shape[:2]
         return tuple(
             (np.minimum(np.arange(-(-count // size)) * size + size / 2, count - 0.5)) * self.reduction - 0.5
             for count in (width, height)
-        )  # type: ignore[return-value]
+        )
 
 
 def rgba(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

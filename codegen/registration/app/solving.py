@@ -94,9 +94,7 @@ def frame(task: Task, registration: Registration | None, time: float, smooth: bo
     return sampled(task.moving, x, y, smooth)
 
 
-def sources(
-    picture: Picture, registration: Registration | None, time: float, block: int = 1
-) -> tuple[Array, Array]:
+def sources(picture: Picture, registration: Registration | None, time: float, block: int = 1) -> tuple[Array, Array]:
     """Where blocks of pixels of a preview come from: x and y in pixels of the moving image, shape (h, w) each."""
     coarse_x, coarse_y = picture.preview_places(COARSE * block)
     fine_x, fine_y = picture.preview_blocks(block)
