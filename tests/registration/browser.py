@@ -8,6 +8,7 @@ import sys
 import time
 import urllib.request
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -35,11 +36,13 @@ def server(state, *images):
     port = free_port()
     command = [sys.executable, "-m", "codegen", "app", *map(str, images), "--port", str(port), "--no-browser"]
     environment = os.environ | {"CODEGEN_STATE_DIR": str(state), "OPENBLAS_NUM_THREADS": "1"}
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    log = Path(state).with_suffix(".log")
+    with log.open("w") as said:
+        process = subprocess.Popen(command, env=environment, stdout=said, stderr=said)
     address = f"http://localhost:{port}/"
     try:
         for _ in range(600):
-            assert process.poll() is None, process.stdout.read()
+            assert process.poll() is None, log.read_text()
             try:
                 urllib.request.urlopen(address, timeout=30).close()
                 break
@@ -86,8 +89,16 @@ class Visit:
 
     def until(self, what, seconds=60.0):
         """Wait until a function of this visit is true."""
+        from playwright.sync_api import Error
+
+        def seen():
+            try:
+                return what(self)
+            except Error:  # figures are being replaced
+                return False
+
         end = time.monotonic() + seconds
-        while not what(self):
+        while not seen():
             assert time.monotonic() < end, "nothing happened"
             self.page.wait_for_timeout(50)
 

@@ -16,13 +16,15 @@ from codegen.registration.formats import FORMATS
 
 ALIGNMENTS = {"similarity": "similarity", "affine": "affine", "none": "none"}
 SCHEMES = ("midpoint", "gauss-4", "explicit-euler")
-_TABLE_STYLE = """
+_TABLE_STYLE = r"""
 .tabulator { font-size: 12px; border: 1px solid #d7dde3; }
 .tabulator-row .tabulator-cell { font-size: 12px; }
 .tabulator .tabulator-header .tabulator-col { text-align: center; }
 .tabulator .tabulator-header .tabulator-col .tabulator-col-content { padding: 4px; }
-.tabulator .tabulator-header .tabulator-col .tabulator-col-title { font-size: 11px; padding-right: 8px; }
-.tabulator .tabulator-header .tabulator-col .tabulator-col-content .tabulator-col-sorter { right: 0; }
+.tabulator .tabulator-header .tabulator-col .tabulator-col-title { font-size: 11px; padding-right: 0 !important; }
+.tabulator .tabulator-header .tabulator-col .tabulator-col-content .tabulator-col-sorter { display: none !important; }
+.tabulator .tabulator-header .tabulator-col[aria-sort="ascending"] .tabulator-col-title::after { content: " \25B4"; }
+.tabulator .tabulator-header .tabulator-col[aria-sort="descending"] .tabulator-col-title::after { content: " \25BE"; }
 .tabulator-row .tabulator-cell { padding: 3px 5px; height: 24px; min-height: 24px; }
 .tabulator-row { min-height: 24px; }
 .tabulator-row.tabulator-selected { background: #cfe5f5; font-weight: 600; }
@@ -32,7 +34,7 @@ INTERPOLATIONS = ("linear", "nearest", "cubic")
 
 def button(name: str, hint: str = "", **values: Any) -> pn.widgets.Button:
     """A plain button whose hint is shown when the mouse rests on it."""
-    return pn.widgets.Button(name=name, description=hint or None, margin=0, stylesheets=[STYLE], **values)
+    return pn.widgets.Button(label=name, description=hint or None, margin=0, stylesheets=[STYLE], **values)
 
 
 class Controls:
@@ -45,23 +47,23 @@ class Controls:
         self.clear = button("Delete all")
         self.example = button("Example", "Two drawn fishes, with their landmarks")
         self.mode = pn.widgets.RadioButtonGroup(options=list(MODES), value=MODES[0], margin=0, stylesheets=[STYLE])
-        self.grid = pn.widgets.Checkbox(name="Grid", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
-        self.points = pn.widgets.Checkbox(name="Points", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
+        self.grid = pn.widgets.Checkbox(label="Grid", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
+        self.points = pn.widgets.Checkbox(label="Points", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE])
         self.live = pn.widgets.Checkbox(
-            name="Solve while dragging", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE]
+            label="Solve while dragging", value=True, margin=(2, 10, 2, 0), stylesheets=[STYLE]
         )
         self.time = pn.widgets.FloatSlider(
-            name="Time along the flow", start=0.0, end=1.0, value=1.0,
+            label="Time along the flow", start=0.0, end=1.0, value=1.0,
             step=0.02, margin=0, sizing_mode="stretch_width", stylesheets=[STYLE],
         )  # fmt: skip
         narrow = {"margin": 0, "width": 145, "stylesheets": [STYLE]}
-        self.align = pn.widgets.Select(name="Alignment first", options=ALIGNMENTS, **narrow)
-        self.sigma = pn.widgets.FloatInput(name="May miss by, pixels", value=0.0, start=0.0, step=0.5, **narrow)
+        self.align = pn.widgets.Select(label="Alignment first", options=ALIGNMENTS, **narrow)
+        self.sigma = pn.widgets.FloatInput(label="May miss by, pixels", value=0.0, start=0.0, step=0.5, **narrow)
         self.choose = button("Choose it", "Take the distance with which landmarks that are left out are met best")
-        self.scheme = pn.widgets.Select(name="Scheme", options=list(SCHEMES), **narrow)
-        self.interpolation = pn.widgets.Select(name="Interpolation", options=list(INTERPOLATIONS), **narrow)
+        self.scheme = pn.widgets.Select(label="Scheme", options=list(SCHEMES), **narrow)
+        self.interpolation = pn.widgets.Select(label="Interpolation", options=list(INTERPOLATIONS), **narrow)
         self.save_image = button("Warped image")
-        self.save_field = button("Displacement field")
+        self.save_field = button("Field", "The displacement field, from fixed to moving, as .npz")
         self.save_gif = button("Animated GIF")
         self.save_landmarks = button("Landmarks")
         self.format = pn.widgets.Select(

@@ -9,14 +9,17 @@ from typing import TYPE_CHECKING, Any
 import panel as pn
 
 if TYPE_CHECKING:
+    from codegen.registration.app.canvas import Canvas
+    from codegen.registration.app.session import Session
+    from codegen.registration.app.state import Side
     from codegen.registration.app.view import View
 
 STYLE = (files("codegen.registration.app") / "style.css").read_text()
 _KEYS = (
-    "<kbd>Ctrl Z</kbd> undo, <kbd>Ctrl Shift Z</kbd> redo, <kbd>Delete</kbd> removes the highlighted pair, "
-    "<kbd>Ctrl</kbd> + wheel zooms, dragging beside the points shifts."
+    "<kbd>Ctrl Z</kbd> undo, <kbd>Ctrl Shift Z</kbd> redo, <kbd>Delete</kbd> removes the chosen pair, "
+    "<kbd>Ctrl</kbd> + wheel zooms, dragging beside points shifts."
 )
-HELP = f"<p><b>Click</b> in either image to add a pair, and <b>drag</b> its two points to the same feature. {_KEYS}</p>"
+HELP = f"<p><b>Click</b> in either image to add a pair, <b>drag</b> both points to the same feature. {_KEYS}</p>"
 HELP_ALONE = f"<p><b>Click</b> to add a point, then <b>drag</b> it in the warped image, which follows. {_KEYS}</p>"
 
 
@@ -33,27 +36,26 @@ class Layout:
         header = _bar(_html("<h1>Image registration by landmarks</h1>"), self._status, justify_content="space-between")
         opening = _bar(*view.openers.values(), view.load_landmarks, c.example)
         left = _card("Pairs, in pixels", _bar(c.undo, c.redo, c.delete, c.clear), c.table, self._note, kind="wide")
-        saving = _card(
-            "Download", _bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format)
-        )  # fmt: skip
-        middle = _stack(_card("View", _bar(c.mode), _bar(c.grid, c.points, c.live), c.time))
+        saving = (_bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format))
+        looking = (_bar(c.mode), _bar(c.grid, c.points, c.live), c.time)
+        middle = _stack(_card("View", *looking), _card("Download", *saving))
         methods = _bar(c.align, c.scheme, c.interpolation)
         distances = _box(c.sigma, c.choose, gap="6px", align_items="end")
-        right = _stack(_card("Registration", methods, distances), saving)
+        right = _stack(_card("Registration", methods, distances))
         lower = _box(left, middle, right, gap="10px")
         self.root = pn.Column(
             view.browser, header, opening, self._help, self._message, self._canvases, lower,
             css_classes=["page"], sizing_mode="stretch_width", stylesheets=[STYLE],
         )  # fmt: skip
 
-    def show_canvases(self, view: View) -> None:
+    def show_canvases(self, session: Session, canvases: dict[Side, Canvas], result: Canvas) -> None:
         """Put figures for the present images into the page."""
-        alone = view.session.fixed is None
-        moving, fixed = view.session.moving, view.session.picture("fixed")
-        shown = [_figure(f"Moving: {moving.name}", _extent(moving.shape), view.canvases["moving"].figure, alone)]
+        alone = session.fixed is None
+        moving, fixed = session.moving, session.picture("fixed")
+        shown = [_figure(f"Moving: {moving.name}", _extent(moving.shape), canvases["moving"].figure, alone)]
         if not alone:
-            shown.append(_figure(f"Fixed: {fixed.name}", _extent(fixed.shape), view.canvases["fixed"].figure))
-        shown.append(_figure("Warped", "moving to fixed; points can be dragged here, too", view.result.figure, alone))
+            shown.append(_figure(f"Fixed: {fixed.name}", _extent(fixed.shape), canvases["fixed"].figure))
+        shown.append(_figure("Warped", "moving to fixed; points can be dragged here, too", result.figure, alone))
         self._canvases.objects = shown
         self._help.object = HELP_ALONE if alone else HELP
 

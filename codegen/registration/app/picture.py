@@ -81,6 +81,14 @@ class Picture:
         height, width = self.preview.shape[:2]
         return _centres(width, step, self.reduction), _centres(height, step, self.reduction)
 
+    def preview_blocks(self, size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """X and y, in pixels of the image, of the centres of blocks of `size` by `size` pixels of the preview."""
+        height, width = self.preview.shape[:2]
+        return tuple(
+            (np.minimum(np.arange(-(-count // size)) * size + size / 2, count - 0.5)) * self.reduction - 0.5
+            for count in (width, height)
+        )
+
 
 def rgba(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """An image of 8 bits with four channels."""

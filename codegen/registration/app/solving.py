@@ -16,15 +16,17 @@ from codegen.registration.app.session import Task
 from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
 from codegen.registration.register import Registration, register
 
-COARSE, COARSER = 8.0, 16.0
+COARSE = 8.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
+HASTY_BLOCK, HASTY_STEPS = 2, 10
+"""While a point is dragged the picture has larger pixels, and the flow at most so many steps."""
 MOST_LEFT_OUT = 60
 """With more landmarks, leaving out each in turn takes longer than anyone waits."""
 PORTIONS, PAUSE = 20, 0.01
 """The certificate is computed in portions with pauses of so many seconds, which a dragged point may use."""
 GRID_LINES = 16
 """Squares of the drawn grid along the longer side."""
-LINE_POINTS = 49
+LINE_POINTS, HASTY_LINE_POINTS = 49, 17
 
 Array = NDArray[np.float64]
 Lines = tuple[list[Array], list[Array]]
@@ -69,7 +71,7 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
     work = wanted.task.work
     if not work.pairs:
         return None
-    steps = previous.steps if wanted.hasty and previous is not None else None
+    steps = min(previous.steps, HASTY_STEPS) if wanted.hasty and previous is not None else None
     shapes, method = arguments(wanted.task)
     return register(work.landmarks(), **shapes, **method, steps=steps, start=previous)
 
@@ -78,7 +80,8 @@ def shown(wanted: Wanted, previous: Registration | None, known: Registration | N
     """Register, unless the registration is known, and draw."""
     registration = known if known is not None else found(wanted, previous)
     image = frame(wanted.task, registration, wanted.time, smooth=not wanted.hasty)
-    lines = grid(wanted.task.moving, registration, wanted.time) if wanted.grid else ([], [])
+    points = HASTY_LINE_POINTS if wanted.hasty else LINE_POINTS
+    lines = grid(wanted.task.moving, registration, wanted.time, points) if wanted.grid else ([], [])
     carried = np.empty((0, 2))
     if registration is not None and wanted.time < 1.0:
         carried = registration.positions(wanted.time, registration.pairs.moving)
@@ -87,16 +90,14 @@ def shown(wanted: Wanted, previous: Registration | None, known: Registration | N
 
 def frame(task: Task, registration: Registration | None, time: float, smooth: bool = True) -> NDArray[np.uint8]:
     """The moving preview at a time along the flow, as RGBA of the size of the fixed preview; transparent outside."""
-    x, y = sources(task.fixed, registration, time, COARSE if smooth else COARSER)
+    x, y = sources(task.fixed, registration, time, 1 if smooth else HASTY_BLOCK)
     return sampled(task.moving, x, y, smooth)
 
 
-def sources(
-    picture: Picture, registration: Registration | None, time: float, spacing: float = COARSE
-) -> tuple[Array, Array]:
-    """Where the pixels of a preview come from: x and y in pixels of the moving image, shape (h, w) each."""
-    coarse_x, coarse_y = picture.preview_places(spacing)
-    fine_x, fine_y = picture.preview_places()
+def sources(picture: Picture, registration: Registration | None, time: float, block: int = 1) -> tuple[Array, Array]:
+    """Where blocks of pixels of a preview come from: x and y in pixels of the moving image, shape (h, w) each."""
+    coarse_x, coarse_y = picture.preview_places(COARSE * block)
+    fine_x, fine_y = picture.preview_blocks(block)
     places = np.stack(np.meshgrid(coarse_x, coarse_y), axis=-1)
     if registration is not None:
         flat = registration.positions(time, places.reshape(-1, 2), inverse=True)
@@ -137,15 +138,15 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
     return np.asarray(np.where(inside, packed, np.uint32(0))[..., None]).view(np.uint8)
 
 
-def grid(picture: Picture, registration: Registration | None, time: float) -> Lines:
+def grid(picture: Picture, registration: Registration | None, time: float, points: int = LINE_POINTS) -> Lines:
     """Lines of a square grid on the moving image, carried by the flow up to a time: lists of x and of y."""
     height, width = picture.shape
     size = max(height, width) / GRID_LINES
     columns, rows = max(1, round(width / size)), max(1, round(height / size))
     u, v = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
-    along, down = np.linspace(-0.5, width - 0.5, LINE_POINTS), np.linspace(-0.5, height - 0.5, LINE_POINTS)
-    lines = [np.column_stack([np.full(LINE_POINTS, at), down]) for at in u]
-    lines += [np.column_stack([along, np.full(LINE_POINTS, at)]) for at in v]
+    along, down = np.linspace(-0.5, width - 0.5, points), np.linspace(-0.5, height - 0.5, points)
+    lines = [np.column_stack([np.full(points, at), down]) for at in u]
+    lines += [np.column_stack([along, np.full(points, at)]) for at in v]
     if registration is not None:
         carried = registration.positions(time, np.vstack(lines))
         lines = np.split(carried, len(lines))
