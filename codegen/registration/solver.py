@@ -41,13 +41,13 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     from codegen.drivers.compilation import compilers
 
     made = build(problem_file(), {"passive": "True"}, scheme=scheme)
-    if not any((made.path.parent / "__pycache__").glob("*.carry_points-*.nbi")):
-        print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
-        with compilers() as processes:
-            processes.compile(made.path)
     module = require_passive(load(made.path))
     if module.metadata["adaptive"]:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
+    if not any((made.path.parent / "__pycache__").glob(f"{made.path.stem}.carry_points-*.nbi")):
+        print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
+        with compilers() as processes:
+            processes.compile(made.path)
     _touch(module)
     return module
 

@@ -73,7 +73,7 @@ def test_one_landmark_predicts_nothing(solver):
 def test_landmarks_that_contradict_each_other_ask_for_a_sigma_and_exact_ones_do_not(solver):
     x, y = np.meshgrid([30.0, 80.0, 130.0], [35.0, 85.0])
     sites = np.stack([x.ravel(), y.ravel()], axis=1)
-    moving = np.vstack([sites - [1.0, 0.0], sites + [1.0, 0.0]])
+    moving = np.vstack([sites - np.array([1.0, 0.0]), sites + np.array([1.0, 0.0])])
     smooth = moving + np.stack([4 * np.sin(moving[:, 1] / 60), 3 * np.cos(moving[:, 0] / 70)], axis=1)
     twofold = smooth + np.repeat([[0.0, 1.5], [0.0, -1.5]], 6, axis=0)
     options = {"steps": 3, "candidates": (0.0, 40.0)}
