@@ -109,7 +109,7 @@ def speed(count: int, repeat: int) -> None:
     picture = (255 * np.random.default_rng(0).random((side, side))).astype(np.uint8)
     shown = Table("warp", "seconds", "(processors)", "largest error, px", "bound, px", "exact pixels",
                   title=f"{side} x {side} pixels, 40 landmarks, N = 10")  # fmt: skip
-    for scheme in ("midpoint", "explicit-euler"):
+    for scheme in ("midpoint", "explicit-euler", "implicit-euler"):  # the last is explicit from fixed to moving
         found, seconds, used = timed(lambda s=scheme: register(pairs, (side, side), steps=10, scheme=s), repeat)
         shown.add_row(f"{scheme}: landmarks solved", f"{seconds:.3f}", f"({used:.3f})", "", "", "")
         exact = sources(found, (side, side)).places
