@@ -57,7 +57,7 @@ class ResultCanvas(Canvas):
         )
         self._areas.visible = False
         bar = ColorBar(
-            color_mapper=self.mapper, width=10, height="auto", location="bottom_right", padding=6, margin=4,
+            color_mapper=self.mapper, width=10, height=120, location="bottom_right", padding=6, margin=4,
             background_fill_alpha=0.85, major_label_text_font_size="11px", ticker=BasicTicker(desired_num_ticks=5),
             formatter=CustomJSTickFormatter(code="return '\\u00d7' + Math.pow(2, tick).toPrecision(2)"),
         )  # fmt: skip

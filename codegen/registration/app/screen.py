@@ -33,6 +33,7 @@ class Screen:
 
     def __init__(self, session: Session, deliver: Deliver, store: Store | None, token: str) -> None:
         self.session = session
+        self.deliver = deliver
         self.store, self.token = store, token
         self.worker, self.slow = Worker(deliver, QUICK), Worker(deliver, SLOW, slow)
         self.controls = Controls()

@@ -36,15 +36,17 @@ class View(Screen):
     def __init__(self, session: Session, deliver: Deliver, store: Store | None = None, token: str = "") -> None:
         super().__init__(session, deliver, store, token)
         self._clicks: dict[Side, list[Place]] = {"moving": [], "fixed": []}
-        self.browser = Browser(self._pressed)
-        opener = partial(FileButton, failed=self.fail, most=LIMITS.bytes)
+        # Panel calls back without the document's lock, so that whatever follows has to wait for its turn.
+        later = self._later
+        self.browser = Browser(later(self._pressed))
+        opener = partial(FileButton, failed=later(self.fail), most=LIMITS.bytes)
         self.openers = {
-            "Open moving image": opener(partial(self._open, "moving"), label="Open moving image", accept=IMAGES),
-            "Open fixed image": opener(partial(self._open, "fixed"), label="Open fixed image", accept=IMAGES),
-            "Bend one image": opener(partial(self._open, None), label="Bend one image", accept=IMAGES),
+            "Open moving image": opener(later(partial(self._open, "moving")), label="Open moving image", accept=IMAGES),
+            "Open fixed image": opener(later(partial(self._open, "fixed")), label="Open fixed image", accept=IMAGES),
+            "Bend one image": opener(later(partial(self._open, None)), label="Bend one image", accept=IMAGES),
         }
         self.load_landmarks = FileButton(
-            self._load, self.fail, label="Load landmarks", accept=LANDMARKS, most=MOST_LANDMARK_BYTES
+            later(self._load), later(self.fail), label="Load landmarks", accept=LANDMARKS, most=MOST_LANDMARK_BYTES
         )
         self.layout = Layout(self)
         self._connect()
@@ -67,17 +69,25 @@ class View(Screen):
             c.undo: self.session.undo, c.redo: self.session.redo, c.clear: self.session.clear, c.delete: self._delete,
             c.example: self._example,
         }.items():  # fmt: skip
-            widget.on_click(partial(self._do, act))
-        c.choose.on_click(lambda _: self._choose_sigma())
+            widget.on_click(self._later(partial(self._do, act)))
+        c.choose.on_click(self._later(self._choose_sigma))
         for choice in (c.align, c.sigma, c.scheme, c.interpolation):
             choice.param.watch(self._set, "value")
         for choice in (c.grid, c.time):
-            choice.param.watch(lambda _: self.draw(), "value")
-        c.mode.param.watch(lambda _: self._compare(), "value")
-        c.points.param.watch(lambda event: self.result.show_points(event.new), "value")
+            choice.param.watch(self._later(lambda _: self.draw()), "value")
+        c.mode.param.watch(self._later(lambda _: self._compare()), "value")
+        c.points.param.watch(self._later(lambda event: self.result.show_points(event.new)), "value")
         for widget, kind in {c.save_image: "warped_image", c.save_field: "field", c.save_gif: "animation",
                              c.save_landmarks: "landmarks"}.items():  # fmt: skip
-            widget.on_click(partial(self._export, kind))
+            widget.on_click(self._later(partial(self._export, kind)))
+
+    def _later(self, act: Callable[..., Any]) -> Callable[..., None]:
+        """A function that does something in the session's thread as soon as it may."""
+
+        def ask(*arguments: Any) -> None:
+            self.deliver(partial(act, *arguments))
+
+        return ask
 
     def _do(self, act: Callable[[], Any], event: Any) -> None:
         self.do(act)
@@ -130,7 +140,7 @@ class View(Screen):
     def _row_chosen(self, event: Any) -> None:
         pairs, rows = self.session.work.pairs, event.new
         if not self._writing and rows and rows[0] < len(pairs):
-            self._choose(pairs[rows[0]].identity)
+            self.deliver(partial(self._choose, pairs[rows[0]].identity))
 
     def _choose(self, identity: int | None) -> None:
         if identity != self.session.selected:
@@ -150,7 +160,7 @@ class View(Screen):
         elif key == "deselect":
             self._choose(None)
 
-    def _choose_sigma(self) -> None:
+    def _choose_sigma(self, event: Any) -> None:
         """Ask for the best sigma, which takes a while."""
         self.layout.status(["choosing the distance …"])
         settings = self.session.work.settings
@@ -164,7 +174,7 @@ class View(Screen):
         c = self.controls
         if not self._writing:
             settings = Settings(c.align.value, float(c.sigma.value or 0.0), c.scheme.value, c.interpolation.value)
-            self.do(partial(self.session.set, settings))
+            self.deliver(partial(self.do, partial(self.session.set, settings)))
 
     # --- images and landmark files --------------------------------------------------------------------------------
 
