@@ -93,6 +93,16 @@ def test_pairs_are_added_dragged_undone_saved_and_exported_as_the_command_line_d
     np.testing.assert_array_equal(visit.points("fixed")[5][:2], dragged[:2])
     visit.wait_for("no folding")
 
+    result = visit.page.locator("canvas").last
+    for mode in ("Blink", "Checkerboard", "Blend", "Areas"):
+        still = result.screenshot()
+        visit.press(mode)
+        visit.until(lambda v, still=still: result.screenshot() != still)
+    visit.press("Blink")
+    visit.page.wait_for_timeout(300)
+    still = result.screenshot()
+    visit.until(lambda v: result.screenshot() != still)
+
     image, landmarks = visit.download("Warped image", tmp_path), visit.download("Landmarks", tmp_path)
     assert read_landmarks(landmarks).fixed[5] == pytest.approx(dragged[:2], abs=0)
     out = tmp_path / "by_command.png"

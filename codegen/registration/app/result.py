@@ -19,9 +19,10 @@ SQUARES = 10
 BLINK_MILLISECONDS = 700
 
 _BLINKING = """
+const [blinks, shown] = fixed.tags
 clearInterval(window.__blinking)
-if (on.data.on[0]) window.__blinking = setInterval(() => { fixed.visible = !fixed.visible }, every)
-else fixed.visible = on.data.shown[0]
+if (blinks) window.__blinking = setInterval(() => { fixed.visible = !fixed.visible }, every)
+else fixed.visible = shown
 """
 
 
@@ -44,11 +45,8 @@ class ResultCanvas(Canvas):
         self._mode = MODES[0]
         self._fixed: NDArray[np.uint8] | None = None
         super().__init__(shape, sources, "fixed", label)
-        self.blinking = ColumnDataSource({"on": [False], "shown": [False]})
-        self.blinking.js_on_change(
-            "data",
-            CustomJS(args={"on": self.blinking, "fixed": self._over, "every": BLINK_MILLISECONDS}, code=_BLINKING),
-        )
+        blink = CustomJS(args={"fixed": self._over, "every": BLINK_MILLISECONDS}, code=_BLINKING)
+        self._over.js_on_change("tags", blink)  # tags: whether to blink, and whether to be visible otherwise
 
     def _lines(self) -> None:
         self.over = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
@@ -78,7 +76,7 @@ class ResultCanvas(Canvas):
         if laid_over:
             put_image(self.over, over, self.shape)
         self._over.visible = laid_over
-        self.blinking.data = {"on": [mode == "Blink"], "shown": [laid_over]}
+        self._over.tags = [mode == "Blink", laid_over]
         self._areas.visible = mode == "Areas"
 
     def show_areas(self, certified: Certified | None) -> None:
