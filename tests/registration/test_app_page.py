@@ -93,6 +93,16 @@ def test_pairs_are_added_dragged_undone_saved_and_exported_as_the_command_line_d
     np.testing.assert_array_equal(visit.points("fixed")[5][:2], dragged[:2])
     visit.wait_for("no folding")
 
+    result = visit.page.locator("canvas").last
+    for mode in ("Blink", "Checkerboard", "Blend", "Areas"):
+        still = result.screenshot()
+        visit.press(mode)
+        visit.until(lambda v, still=still: result.screenshot() != still)
+    visit.press("Blink")
+    visit.page.wait_for_timeout(300)
+    still = result.screenshot()
+    visit.until(lambda v: result.screenshot() != still)
+
     image, landmarks = visit.download("Warped image", tmp_path), visit.download("Landmarks", tmp_path)
     assert read_landmarks(landmarks).fixed[5] == pytest.approx(dragged[:2], abs=0)
     out = tmp_path / "by_command.png"
@@ -134,13 +144,13 @@ def test_what_cannot_be_opened_is_refused_and_the_session_goes_on(chromium, addr
 
 
 def test_visitors_at_the_same_time_stay_separate(chromium, address):
-    visits = [Visit(chromium, address) for _ in range(3)]
+    visits = [Visit(chromium, address) for _ in range(2)]
     for k, visit in enumerate(visits):
         visit.click("moving", 10.0 + 5 * k, 30.0)
     for k, visit in enumerate(visits):
         visit.until(lambda v: [row[2] for row in v.points("fixed")] == [1])
         np.testing.assert_allclose(visit.points("moving"), [[10.0 + 5 * k, 30.0, 1]], atol=0.5)
-    assert len({visit.page.url for visit in visits}) == 3
+    assert len({visit.page.url for visit in visits}) == 2
     for visit in visits:
         assert visit.problems == []
         visit.context.close()

@@ -32,6 +32,7 @@ class Layout:
         self._status = _html("")
         self._help = _html(HELP, sizing_mode="stretch_width")
         self._note = _html("", visible=False)
+        self._legend = _html("", visible=False, sizing_mode="stretch_width")
         self._canvases = _box(gap="10px")
         header = _bar(_html("<h1>Image registration by landmarks</h1>"), self._status, justify_content="space-between")
         opening = _bar(*view.openers.values(), view.load_landmarks, c.example)
@@ -56,6 +57,7 @@ class Layout:
         if not alone:
             shown.append(_figure(f"Fixed: {fixed.name}", _extent(fixed.shape), canvases["fixed"].figure))
         shown.append(_figure("Warped", "moving to fixed; points can be dragged here, too", result.figure, alone))
+        shown[-1].append(self._legend)
         self._canvases.objects = shown
         self._help.object = HELP_ALONE if alone else HELP
 
@@ -63,6 +65,13 @@ class Layout:
         """Say what went wrong, or nothing any more."""
         self._message.object = f'<div role="alert">{escape(text)}</div>' if text else ""
         self._message.visible = bool(text)
+
+    def legend(self, extreme: float | None) -> None:
+        """What the colours of the map of areas mean, from 2^-extreme to 2^extreme; none without a map."""
+        self._legend.visible = extreme is not None
+        if extreme is not None:
+            low, high = f"areas × {2**-extreme:.2g}", f"× {2**extreme:.2g}"
+            self._legend.object = f'<div class="legend">{low} <i></i> {high}</div>'
 
     def note(self, text: str) -> None:
         """A remark on the pairs, or none."""

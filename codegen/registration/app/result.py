@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from bokeh.models import BasicTicker, ColorBar, ColumnDataSource, CustomJS, CustomJSTickFormatter, LinearColorMapper
+from bokeh.models import ColumnDataSource, CustomJS, LinearColorMapper
 from numpy.typing import NDArray
 
 from codegen.registration.app.canvas import Canvas, put_image
@@ -19,15 +19,20 @@ SQUARES = 10
 BLINK_MILLISECONDS = 700
 
 _BLINKING = """
+const [blinks, shown] = fixed.tags
 clearInterval(window.__blinking)
-if (on.data.on[0]) window.__blinking = setInterval(() => { fixed.visible = !fixed.visible }, every)
-else fixed.visible = on.data.shown[0]
+if (blinks) window.__blinking = setInterval(() => { fixed.visible = !fixed.visible }, every)
+else fixed.visible = shown
 """
 
 
+ENDS = ((0, 90, 170), (247, 247, 247), (200, 85, 0))
+"""Blue for smaller, white, orange for larger: the colour-blind tell them apart."""
+
+
 def diverging(count: int = 129) -> list[str]:
-    """Colours from blue (smaller) over white to orange (larger), which the colour-blind tell apart."""
-    ends = np.array([[0, 90, 170], [247, 247, 247], [200, 85, 0]], dtype=float)
+    """So many colours between ENDS."""
+    ends = np.array(ENDS, dtype=float)
     places = np.linspace(0, 2, count)
     rgb = np.column_stack([np.interp(places, [0, 1, 2], ends[:, k]) for k in range(3)]).round().astype(int)
     return ["#{:02x}{:02x}{:02x}".format(*colour) for colour in rgb]
@@ -40,11 +45,8 @@ class ResultCanvas(Canvas):
         self._mode = MODES[0]
         self._fixed: NDArray[np.uint8] | None = None
         super().__init__(shape, sources, "fixed", label)
-        self.blinking = ColumnDataSource({"on": [False], "shown": [False]})
-        self.blinking.js_on_change(
-            "data",
-            CustomJS(args={"on": self.blinking, "fixed": self._over, "every": BLINK_MILLISECONDS}, code=_BLINKING),
-        )
+        blink = CustomJS(args={"fixed": self._over, "every": BLINK_MILLISECONDS}, code=_BLINKING)
+        self._over.js_on_change("tags", blink)  # tags: whether to blink, and whether to be visible otherwise
 
     def _lines(self) -> None:
         self.over = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
@@ -56,14 +58,7 @@ class ResultCanvas(Canvas):
             image="image", x="x", y="y", dw="dw", dh="dh", source=self.areas, color_mapper=self.mapper, alpha=0.8
         )
         self._areas.visible = False
-        bar = ColorBar(
-            color_mapper=self.mapper, width=10, height=120, location="bottom_right", padding=6, margin=4,
-            background_fill_alpha=0.85, major_label_text_font_size="11px", ticker=BasicTicker(desired_num_ticks=5),
-            formatter=CustomJSTickFormatter(code="return '\\u00d7' + Math.pow(2, tick).toPrecision(2)"),
-        )  # fmt: skip
-        bar.visible = False
-        self.bar = bar
-        self.figure.add_layout(bar)
+        self.extreme = 0.0  # the largest of |log2 det J| on the map
         super()._lines()
         self.carried = ColumnDataSource({"x": [], "y": []})
         dots = self.figure.scatter("x", "y", source=self.carried, size=7, fill_color="#111111", line_color="#ffffff")
@@ -81,8 +76,8 @@ class ResultCanvas(Canvas):
         if laid_over:
             put_image(self.over, over, self.shape)
         self._over.visible = laid_over
-        self.blinking.data = {"on": [mode == "Blink"], "shown": [laid_over]}
-        self._areas.visible = self.bar.visible = mode == "Areas"
+        self._over.tags = [mode == "Blink", laid_over]
+        self._areas.visible = mode == "Areas"
 
     def show_areas(self, certified: Certified | None) -> None:
         """Colour the map of det J, on a logarithmic scale that is the same for growth and shrinking."""
@@ -90,8 +85,8 @@ class ResultCanvas(Canvas):
             self.areas.data = {name: [] for name in self.areas.data}
             return
         values = np.log2(np.clip(certified.areas, 1e-6, 1e6))
-        extreme = max(0.1, float(np.abs(values).max()))
-        self.mapper.update(low=-extreme, high=extreme)
+        self.extreme = max(0.1, float(np.abs(values).max()))
+        self.mapper.update(low=-self.extreme, high=self.extreme)
         height, width = self.shape
         self.areas.data = {"image": [values], "x": [-0.5], "y": [-0.5], "dw": [width], "dh": [height]}
 

@@ -125,6 +125,11 @@ class Screen:
 
     def _compare(self) -> None:
         self.result.compare(self.controls.mode.value, self.session.picture("fixed").preview)
+        self._show_legend()
+
+    def _show_legend(self) -> None:
+        mapped = self.controls.mode.value == "Areas" and self.certified is not None
+        self.layout.legend(self.result.extreme if mapped else None)
 
     def draw(self, hasty: bool = False) -> None:
         """Register the present pairs beside the event loop, and show what comes of it."""
@@ -165,6 +170,7 @@ class Screen:
             return  # overtaken by another change
         self.certified = certified
         self.result.show_areas(certified)
+        self._show_legend()
         self._writing = True
         self._show_table()
         self._writing = False
