@@ -15,7 +15,7 @@ from codegen.registration.app.state import Work
 from codegen.registration.formats import FORMATS
 
 ALIGNMENTS = {"similarity": "similarity", "affine": "affine", "none": "none"}
-SCHEMES = ("midpoint", "gauss-4", "explicit-euler")
+SCHEMES = ("midpoint", "explicit-euler")
 _TABLE_STYLE = r"""
 .tabulator { font-size: 12px; border: 1px solid #d7dde3; }
 .tabulator-row .tabulator-cell { font-size: 12px; }
