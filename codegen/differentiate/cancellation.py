@@ -11,6 +11,7 @@ from typing import Any
 import sympy
 from sympy import Expr
 from sympy.codegen.cfunctions import log1p
+from sympy.core.random import seed
 
 
 class x_minus_log1p(sympy.Function):  # type: ignore[misc]  # sympy is untyped
@@ -63,6 +64,12 @@ def without_cancellation(expression: Expr) -> Expr:
 
 
 def _rational(expression: Expr) -> Expr:
+    """Factors over a common denominator.
+
+    Wang's algorithm evaluates polynomials at random integers, and with some it does not come to an end for hours; with
+    the same ones every time, a build takes the same way every time.
+    """
+    seed(0)
     return sympy.factor(sympy.together(expression))
 
 
