@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from interpreted import Interpreted
+from registered_images import SHAPE
 
 from codegen.compiler import build
 from codegen.load import GeneratedModule, load
@@ -23,8 +24,6 @@ settings.register_profile("shared", deadline=None, suppress_health_check=[Health
 settings.load_profile("shared")
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
-SHAPE = (120, 160)
-"""Height and width of the images that tests register."""
 
 
 @pytest.fixture(scope="session", autouse=True)

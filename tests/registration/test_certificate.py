@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import SHAPE
+from registered_images import SHAPE
 
 from codegen.errors import LandmarkError
 from codegen.registration import LandmarkPairs, certify, choose_sigma, compare_sigmas, leave_one_out, register

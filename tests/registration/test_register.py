@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import SHAPE
+from registered_images import SHAPE
 from scipy.integrate import solve_ivp
 
 from codegen.errors import LandmarkError, RegistrationError

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import SHAPE
+from registered_images import SHAPE
 
 from codegen.errors import ArgumentError, ExtraError, ImageError
 from codegen.registration import (

@@ -66,10 +66,11 @@ class Screen:
         self.canvases["moving"].show(moving.preview)
         self.canvases["fixed"].show(fixed.preview)
         self.shown = self.certified = None
-        self.layout.show_canvases(self.session, self.canvases, self.result)
         self._show_settings()
         self._show_points()
         self._compare()
+        # Last, because a change of a figure that the browser has not been sent yet would reach it before the figure.
+        self.layout.show_canvases(self.session, self.canvases, self.result)
         self.layout.status(["computing …"])
         self.draw()
 
