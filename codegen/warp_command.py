@@ -76,7 +76,7 @@ def warp(
     inverse: Inverse = False,
     sigma: Sigma = "0",
     align: Annotated[Align, typer.Option(help="What is taken out before the flow.")] = Align.SIMILARITY,
-    scheme: Scheme = "midpoint",
+    scheme: Scheme = "rk4",
     steps: Steps = None,
     interpolation: Annotated[Interpolation, typer.Option(help="Between pixels.")] = Interpolation.LINEAR,
     field: Field = None,

@@ -13,11 +13,11 @@ from codegen.registration.register import ROUND_TRIP, Registration
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was found on the pixels of the moving image.
+    """What was found on the pixels of the fixed image, to which the moving one is warped.
 
-    `det_min` and `det_max` are the extremes of det J, the factor by which the map enlarges areas; `det_min_at` is the
-    pixel (x, y) of the least. `folded` counts the pixels at which it is not positive, `first_fold` is the first of
-    them in reading order. `round_trip` and `residual_max` are in pixels.
+    `det_min` and `det_max` are the extremes of det J, the factor by which the map has enlarged areas that arrive there;
+    `det_min_at` is the pixel (x, y) of the least. `folded` counts the pixels at which it is not positive, `first_fold`
+    is the first of them in reading order. `round_trip` and `residual_max` are in pixels.
     """
 
     det_min: float
@@ -32,15 +32,17 @@ class Certificate:
 
 
 def certify(registration: Registration, shape: Sequence[int] | None = None) -> Certificate:
-    """Evaluate the map's derivative at every pixel of the moving image, or of an image of another shape.
+    """Evaluate the map's derivative at every pixel of the fixed image, or of an image of another shape.
 
-    The derivative is that of the discrete map, carried along its steps, not a difference of neighbouring pixels. Every
-    pixel of a grid of at most 129 by 129, and every landmark, is also sent there and back. What passes does not fold at
-    any pixel and comes back to within 1e-8 pixels; between pixels nothing is evaluated.
+    The derivative is that of the discrete inverse map, carried along its steps, not a difference of neighbouring
+    pixels; its determinant is that of the map where the pixel comes from, turned over. Every pixel of a grid of at most
+    129 by 129, and every landmark, is also sent there and back. What passes does not fold at any pixel and comes back
+    to within 1e-8 pixels; between pixels nothing is evaluated.
     """
-    whole = registration.shape if shape is None else shape
+    whole = registration.fixed_shape if shape is None else shape
     grid = pixel_grid(whole)
-    determinants = registration.determinant(grid)
+    with np.errstate(divide="ignore"):
+        determinants = 1.0 / registration.determinant(grid, inverse=True)
     round_trip = _round_trip(registration, whole)
     known = np.isfinite(determinants)
     least = int(np.argmin(np.where(known, determinants, np.inf)))
@@ -73,7 +75,7 @@ def _round_trip(registration: Registration, shape: Sequence[int]) -> float:
     height, width = shape[:2]
     x, y = (np.unique(np.linspace(0, length - 1, 129).round()) for length in (width, height))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    points = np.vstack([points, registration.pairs.moving])
-    back = registration.map_points_inverse(registration.map_points(points))
+    points = np.vstack([points, registration.pairs.fixed])
+    back = registration.map_points(registration.map_points_inverse(points))
     distance = float(np.linalg.norm(back - points, axis=1).max())
     return distance if np.isfinite(distance) else np.inf

@@ -26,7 +26,7 @@ from codegen.registration.images import Image, Limits, read_image, require_fitti
 from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.register import Registration, register
-from codegen.registration.solver import registration_module
+from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 from codegen.registration.warp import Interpolation, warp_reported
 
 MOST_LEFT_OUT = 100
@@ -40,7 +40,7 @@ class Options:
     inverse: bool = False
     sigma: float | Literal["auto"] = 0.0
     align: Kind = "similarity"
-    scheme: str = "midpoint"
+    scheme: str = DEFAULT_SCHEME
     steps: int | None = None
     interpolation: Interpolation = "linear"
     coarse: bool = False

@@ -22,6 +22,9 @@ from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 class Matching:
     """Landmarks to be carried to their places by an alignment and a flow in the frame.
 
+    Images are warped by looking up where each pixel comes from, and that is the way in which the flow runs: it carries
+    the fixed landmarks to where the alignment has the moving ones, so that explicit schemes need no iterations there.
+
     `shape` and `fixed_shape` are (height, width) of the moving and the fixed image; `sigma`, in pixels, says how far
     landmarks may miss.
     """
@@ -58,8 +61,8 @@ class Matching:
 
     @property
     def ends(self) -> tuple[PointArray, PointArray]:
-        """Where the landmarks start in the disc, after the alignment, and where they are to arrive."""
-        return self.frame.to_disc(self.alignment.apply(self.pairs.moving)), self.frame.to_disc(self.pairs.fixed)
+        """Where the flow takes the landmarks up in the disc, and where, by the alignment, it is to bring them."""
+        return self.frame.to_disc(self.pairs.fixed), self.frame.to_disc(self.alignment.apply(self.pairs.moving))
 
     def solve(self, steps: int, velocities: NDArray[np.float64] | None = None) -> tuple[Flow, Any]:
         """The motion that carries the landmarks in so many steps, and the generated solver's account of it.

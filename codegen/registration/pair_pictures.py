@@ -147,14 +147,14 @@ def _grid(result: Result, registration: Registration) -> Picture:
 
 
 def _determinants(result: Result, registration: Registration) -> Picture:
-    """The factor by which areas grow, on the moving image; a colour of its own where it is not positive."""
-    height, width = registration.shape
+    """The factor by which areas have grown, on the fixed image; a colour of its own where it is not positive."""
+    height, width = registration.fixed_shape
     step = max(1.0, max(height, width) / 220.0)
     y, x = np.mgrid[
         0 : height - 1 : complex(0, max(2, round(height / step))),
         0 : width - 1 : complex(0, max(2, round(width / step))),
     ]
-    values = registration.determinant(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
+    values = 1.0 / registration.determinant(np.column_stack([x.ravel(), y.ravel()]), inverse=True).reshape(x.shape)
     assert result.certificate is not None
     positive = values[values > 0.0]
     reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
@@ -163,16 +163,16 @@ def _determinants(result: Result, registration: Registration) -> Picture:
 
     def paint(axes: Any) -> None:
         shown = axes.imshow(
-            np.ma.masked_less_equal(values, 0.0), extent=_extent(registration.shape), cmap=colours,
+            np.ma.masked_less_equal(values, 0.0), extent=_extent(registration.fixed_shape), cmap=colours,
             norm=LogNorm(1.0 / reach, reach), interpolation="bilinear",
         )  # fmt: skip
-        _mark(axes, result.pairs.moving, "#303030")
+        _mark(axes, result.pairs.fixed, "#303030")
         axes.plot(*least, marker="x", color=AMBER, markersize=7, markeredgewidth=2)
         _bar(axes, shown, "det J", [reach**share for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
 
     place = f"({least[0]:g}, {least[1]:g})"
-    caption = f"Where areas of the moving image shrink (blue) and grow (red); least at the cross, {place}."
-    return _picture("Map of det J", caption, registration.shape, paint, True)
+    caption = f"Where areas have shrunk (blue) and grown (red) towards the fixed image; least at {place}, the cross."
+    return _picture("Map of det J", caption, registration.fixed_shape, paint, True)
 
 
 def _picture(title: str, caption: str, shape: Shape, paint: Painter, bar: bool = False) -> Picture:

@@ -21,12 +21,14 @@ TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
 ROUND_TRIP = 1e-8
 """Largest distance in pixels at which a point may come back from the way forwards and backwards."""
-FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 5, 40, 320
+FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 2, 32, 256
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A map from the moving image to the fixed one, and its inverse: alignment, then flow.
+    """A map from the moving image to the fixed one, and its inverse: alignment, then the flow backwards.
+
+    The flow itself runs from the fixed image to the moving one; see `Matching`.
 
     `residuals` are the distances, in pixels of the fixed image, between where moving landmarks arrive and the fixed
     ones, shape (n,). `error` estimates how far the map is from that of infinitely many steps, in pixels, NaN where
@@ -99,18 +101,18 @@ class Registration:
         points, part = as_points(xy), self._part(time)
         if inverse:
             aligned = points if part is self.alignment else self.alignment.apply(part.apply_inverse(points))
-            return self.alignment.apply_inverse(self._carried(aligned, time, 0.0))
-        carried = self._carried(self.alignment.apply(points), 0.0, time)
+            return self.alignment.apply_inverse(self._carried(aligned, 1.0 - time, 1.0))
+        carried = self._carried(self.alignment.apply(points), 1.0, 1.0 - time)
         return carried if part is self.alignment else part.apply(self.alignment.apply_inverse(carried))
 
     def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
         """The derivative of the map, or of its inverse, at points in pixels: shape (n, 2, 2), rows are x and y."""
         points = as_points(xy)
         if inverse:
-            jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points), 1.0, 0.0)[1]
+            jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points))[1]
             return np.asarray(self.alignment.inverse_matrix @ jacobians)
         aligned = self.frame.to_disc(self.alignment.apply(points))
-        return np.asarray(self.flow.carry_with_jacobian(aligned)[1] @ self.alignment.matrix)
+        return np.asarray(self.flow.carry_with_jacobian(aligned, 1.0, 0.0)[1] @ self.alignment.matrix)
 
     def determinant(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
         """The factor by which the map, or its inverse, enlarges areas at points in pixels, shape (n,)."""
@@ -144,10 +146,11 @@ def register(
     """Find the map that carries the moving landmarks to the fixed ones.
 
     `shape` is (height, width, ...) of the moving image, `fixed_shape` that of the fixed one where it differs. With a
-    `sigma`, in pixels, landmarks may miss for the sake of a smoother map, by sigma^2/radius times their final momenta;
-    zero means that they are met exactly, "auto" takes the sigma with the least leave-one-out error. Without `steps` as
-    many are taken as leave an error of the map below `tolerance` pixels. The solver starts from an earlier
-    registration, `start`, of as many landmarks, as when a landmark is dragged.
+    `sigma`, in pixels, landmarks may miss for the sake of a smoother map: what the inverse map makes of a fixed one
+    lies beside the moving one by sigma^2/radius times its momentum there, in pixels of the fixed image. Zero means that
+    they are met exactly, "auto" takes the sigma with the least leave-one-out error. Without `steps` as many are taken
+    as leave an error of the map below `tolerance` pixels. The solver starts from an earlier registration, `start`, of
+    as many landmarks, as when a landmark is dragged.
 
     Raises LandmarkError when the landmarks cannot be used, RegistrationError when no solution is found.
     """

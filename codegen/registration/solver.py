@@ -19,7 +19,7 @@ from codegen.load import load
 from codegen.registration.flow import FlowModule, require_passive
 
 PROBLEM = "image_registration.py"
-DEFAULT_SCHEME = "midpoint"
+DEFAULT_SCHEME = "rk4"
 
 
 def problem_file() -> Path:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -17,6 +19,11 @@ from codegen.registration.register import Registration
 
 Interpolation: TypeAlias = Literal["nearest", "linear", "cubic"]
 ORDERS: dict[str, int] = {"nearest": 0, "linear": 1, "cubic": 3}
+
+BAND_ROWS = 64
+"""Rows of the result that one thread looks up at a time."""
+SPLINE_PADDING = 12
+"""Pixels by which an image is continued before a spline is fitted, as scipy.ndimage does it for this kind of edge."""
 
 
 @dataclass(frozen=True)
@@ -105,23 +112,46 @@ def sample(image: NDArray[Any], sources: NDArray[np.float64], order: int, fill: 
     A pixel reaches half a pixel about its centre; what lies beyond the outermost centres, but within their pixels, has
     the value at the edge.
     """
-    height, width = image.shape[:2]
+    layers = [_spline(image[(..., *channel)], order) for channel in np.ndindex(image.shape[2:])]
+    warped = np.empty((*sources.shape[:2], *image.shape[2:]), image.dtype)
+
+    def band(rows: slice) -> int:
+        return _sample_band(layers, sources[rows], image.shape, order, fill, warped[rows])
+
+    # Interpolation holds no lock, and a band's places stay in the processor's cache.
+    bands = [slice(k, k + BAND_ROWS) for k in range(0, len(warped), BAND_ROWS)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return warped, sum(pool.map(band, bands))
+
+
+def _spline(layer: NDArray[Any], order: int) -> NDArray[Any]:
+    """What is interpolated: the values, or the coefficients of the cubic spline through them, beyond the edges, too."""
+    if order < 2:
+        return layer
+    wide = np.pad(layer.astype(np.float64), SPLINE_PADDING, mode="edge")
+    return np.asarray(scipy.ndimage.spline_filter(wide, order, mode="nearest"))
+
+
+def _sample_band(
+    layers: Sequence[NDArray[Any]], sources: NDArray[np.float64], shape: Sequence[int], order: int, fill: float,
+    warped: NDArray[Any],
+) -> int:  # fmt: skip
+    """Fill some rows of the result; the number of pixels that come from outside."""
     places = np.moveaxis(sources[..., ::-1], -1, 0).copy()
-    limits = ((places[0], height), (places[1], width))
     outside = np.zeros(sources.shape[:2], np.bool_)
-    for place, length in limits:
+    for place, length in zip(places, shape[:2], strict=True):
         outside |= ~((place >= -0.5) & (place <= length - 0.5))
         np.clip(place, 0.0, length - 1.0, out=place)
-    warped = np.empty((*outside.shape, *image.shape[2:]), image.dtype)
-    for channel in np.ndindex(image.shape[2:]):
-        layer = (slice(None), slice(None), *channel)
+    places += SPLINE_PADDING if order > 1 else 0
+    for channel, layer in zip(np.ndindex(tuple(shape[2:])), layers, strict=True):
         values = scipy.ndimage.map_coordinates(
-            image[layer], places, order=order, mode="nearest", output=image.dtype if order == 0 else np.float64
-        )
-        warped[layer] = as_type(values, image.dtype)
+            layer, places, order=order, mode="nearest", prefilter=False,
+            output=warped.dtype if order == 0 else np.float64,
+        )  # fmt: skip
+        warped[(..., *channel)] = as_type(values, warped.dtype)
     if outside.any():
-        warped[outside] = as_type(np.float64(fill), image.dtype)
-    return warped, int(outside.sum())
+        warped[outside] = as_type(np.float64(fill), warped.dtype)
+    return int(outside.sum())
 
 
 def as_type(values: Any, dtype: np.dtype[Any]) -> Any:
