@@ -21,7 +21,7 @@ TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
 ROUND_TRIP = 1e-8
 """Largest distance in pixels at which a point may come back from the way forwards and backwards."""
-FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 2, 32, 256
+FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,27 +194,28 @@ def _refined(matching: Matching, tolerance: float, velocities: NDArray[np.float6
     """Double the steps until the map no longer changes, and keep the smallest number whose error is small enough."""
     if not tolerance > 0.0:
         raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
-    coarse, probe = _first(matching, velocities), _probe(matching)
-    while True:
-        fine = in_steps(matching, 2 * coarse.steps, coarse.flow.velocities)
-        change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
-        # Halving the steps divides the error by `gain`, so the change is all of the coarse map's error but this part.
-        gain = 2.0 ** float(fine.flow.module.metadata["order"])
-        for found, error in ((coarse, change * gain / (gain - 1.0)), (fine, change / (gain - 1.0))):
-            if error <= tolerance and found.round_trip <= ROUND_TRIP:
-                return replace(found, error=error)
-        if 2 * fine.steps > MOST_STEPS:
-            return replace(fine, error=change / (gain - 1.0))
-        coarse = fine
-
-
-def _first(matching: Matching, velocities: NDArray[np.float64] | None) -> Registration:
-    """The registration in as few steps as there is one; the last failure where there is none."""
-    steps = FIRST_STEPS
+    coarse, steps, probe = None, FIRST_STEPS, _probe(matching)
     while True:
         try:
-            return in_steps(matching, steps, velocities)
+            fine = in_steps(matching, steps, velocities if coarse is None else coarse.flow.velocities)
         except RegistrationError:
+            # A few steps may have no solution, or one that has nothing to do with that of more steps.
             if 2 * steps > MOST_FIRST_STEPS:
                 raise
-        steps *= 2
+            coarse, steps = None, 2 * steps
+            continue
+        if coarse is not None:
+            coarse, fine = _with_errors(coarse, fine, probe)
+            for found in (coarse, fine):
+                if found.error <= tolerance and found.round_trip <= ROUND_TRIP:
+                    return found
+        if 2 * steps > MOST_STEPS:
+            return fine
+        coarse, steps = fine, 2 * steps
+
+
+def _with_errors(coarse: Registration, fine: Registration, probe: PointArray) -> tuple[Registration, Registration]:
+    """The same registrations, of which the second has twice the steps, with their errors by Richardson's estimate."""
+    change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
+    gain = 2.0 ** float(fine.flow.module.metadata["order"])
+    return replace(coarse, error=change * gain / (gain - 1.0)), replace(fine, error=change / (gain - 1.0))

@@ -1,6 +1,5 @@
 """`codegen warp` from files to files: directions, samples kept, exit statuses, reports, batches."""
 
-import dataclasses
 import json
 import re
 import subprocess
@@ -12,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from codegen.cli import main
-from codegen.registration import job, register, warp
+from codegen.registration import register, warp
 from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.images import read_image, write_image
 from codegen.registration.pairs import LandmarkPairs
@@ -154,13 +153,18 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(files):
     assert {path: path.read_bytes() for path in files.iterdir()} == before
 
 
+def crossing(files):
+    """Landmarks a thousandth of a pixel apart that part and change places."""
+    moving, fixed = CORNERS.copy(), CORNERS.copy()
+    moving[:2], fixed[:2] = [[13.0, 5.0], [13.001, 5.0]], [[20.0, 5.0], [6.0, 5.0]]
+    write_landmarks(files / "crossing.csv", pairs=LandmarkPairs(moving, fixed))
+    return files / "moving.png", "--landmarks", files / "crossing.csv", "--align", "none", "--json"
+
+
 def test_where_no_map_is_found_the_status_is_1_and_the_report_shows_the_images(files):
-    pairs = LandmarkPairs(CORNERS, CORNERS[[1, 0, 2, 3, 4]])
-    write_landmarks(files / "swapped.csv", pairs=pairs)
     out, report = files / "out.png", files / "out.html"
     out.write_bytes(b"old")
-    done = run(files / "moving.png", "--landmarks", files / "swapped.csv", "--out", out, "--report", report, "--json",
-               "--steps", 1, "--align", "none", expect=1)  # fmt: skip
+    done = run(*crossing(files), "--out", out, "--report", report, "--steps", 4, expect=1)
     record = json.loads(done.stdout)
     assert record["status"] == "not converged"
     assert "landmarks 1 and 2" in record["message"]
@@ -169,21 +173,16 @@ def test_where_no_map_is_found_the_status_is_1_and_the_report_shows_the_images(f
     assert report.read_text().count("<figure>") == 1
 
 
-def test_where_the_map_folds_the_status_is_1_and_the_place_is_named(files, monkeypatch):
-    """A fold is made up here: with as many steps as it needs, the map has none."""
-    real = job.certify
-
-    def folded(registration):
-        message = "the map folds at 7 pixels, the first at (3, 4); take more steps"
-        found = {"folded": 7, "first_fold": (3.0, 4.0), "passed": False, "message": message}
-        return dataclasses.replace(real(registration), **found)
-
-    monkeypatch.setattr(job, "certify", folded)
+def test_where_the_map_folds_the_status_is_1_and_the_place_is_named(files):
+    """Two explicit steps carry the landmarks across each other."""
     out = files / "out.png"
-    done = run(files / "moving.png", "--landmarks", files / "pairs.csv", "--out", out, "--json", expect=1)
+    done = run(*crossing(files), "--out", out, "--steps", 2, expect=1)
     record = json.loads(done.stdout)
-    assert (record["status"], record["summary"]["first_fold"]) == ("folded", [3.0, 4.0])
-    assert "the first at (3, 4)" in done.stderr
+    x, y = record["summary"]["first_fold"]
+    assert record["status"] == "folded"
+    assert record["summary"]["folded"] > 0
+    assert f"the first at ({x:g}, {y:g})" in done.stderr
+    assert np.hypot(x - 13.0, y - 5.0) < 10.0
     assert not out.exists()
 
 
