@@ -7,8 +7,33 @@ calls nothing that has branches: a compiler turns it into operations on several 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 from codegen.lower.kernels import Line
+
+
+@dataclass(frozen=True)
+class BlockLoop:
+    """A function that adds up what all particles j contribute to each point m of a block.
+
+    `head` comes first; for each block `before` for each point m of it; `inputs` for each particle j, then for each m
+    `point_inputs`, `body` and `outputs`; at last `after` for each m, in a loop whose code is `over_points` where it is
+    not needed always.
+    """
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    head: tuple[Line, ...]
+    before: tuple[Line, ...]
+    inputs: tuple[Line, ...]
+    point_inputs: tuple[Line, ...]
+    body: tuple[Line, ...]
+    outputs: tuple[Line, ...]
+    after: tuple[Line, ...]
+    operations_before: int
+    operations_after: int
+    over_points: tuple[str, ...] = ()
 
 
 def entry(array: str, row: int, block: str) -> str:

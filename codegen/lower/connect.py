@@ -8,13 +8,14 @@ import sympy
 from sympy import Symbol
 
 from codegen.differentiate.pairwise import PairDerivatives
-from codegen.lower.gathered import GROUP, GatheredLoop, gathered_loops
+from codegen.lower.blocks import BlockLoop
+from codegen.lower.gathered import GROUP, gathered_loops
 from codegen.lower.kernels import Line
 from codegen.lower.module import Argument, Module
 from codegen.lower.pair_writer import PairLoop
 from codegen.lower.pairwise import pair_loops, separable_loops
 from codegen.lower.particle_loops import ParticleLoop, particle_loops
-from codegen.lower.passive import BLOCK, PassiveLoop, passive_loops
+from codegen.lower.passive import BLOCK, passive_loops
 from codegen.lower.printer import scalar_code
 from codegen.transcribe.connect import PairwiseProgram
 
@@ -28,8 +29,8 @@ class ConnectModule(Module):
 
     particle_loops: tuple[ParticleLoop, ...]
     loops: tuple[PairLoop, ...]
-    gathered_loops: tuple[GatheredLoop, ...]
-    passive_loops: tuple[PassiveLoop, ...]
+    gathered_loops: tuple[BlockLoop, ...]
+    passive_loops: tuple[BlockLoop, ...]
     own: tuple[Argument, ...]
     method: str
     duration: str
@@ -43,7 +44,7 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
     around = particle_loops(model, singles)
     gathered, carried = gathered_loops(model, derivatives), passive_loops(model, derivatives)
     loops = tuple(visit for visit in loops if visit.name not in {other.name for other in gathered})
-    blocks: tuple[GatheredLoop | PassiveLoop, ...] = (*gathered, *carried)
+    blocks: tuple[BlockLoop, ...] = (*gathered, *carried)
     return ConnectModule(
         template="connect.py.j2",
         name=model.name,
@@ -138,7 +139,7 @@ def _left_out_of_motion(
 
 
 def _metadata_of_motion(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | BlockLoop, ...]
 ) -> list[tuple[str, str]]:
     """The metadata of a simulation, which names the coordinates of every particle."""
     model = program.model
@@ -209,13 +210,13 @@ def _runtime(
     return tuple(files)
 
 
-def _packed(blocks: tuple[GatheredLoop | PassiveLoop, ...]) -> tuple[str, ...]:
+def _packed(blocks: tuple[BlockLoop, ...]) -> tuple[str, ...]:
     """The file of logarithms without branches, if blocks of points call them."""
     lines = [line for visit in blocks for line in (*visit.body, *visit.outputs)]
     return ("packed_logarithms",) if any("packed_" in line.code for line in lines) else ()
 
 
-def _passive_runtime(program: PairwiseProgram, carried: tuple[PassiveLoop, ...]) -> tuple[str, ...]:
+def _passive_runtime(program: PairwiseProgram, carried: tuple[BlockLoop, ...]) -> tuple[str, ...]:
     """The files that carry passive points, if there are kernels for them."""
     step = "passive_substeps" if program.substeps else "passive_runge_kutta"
     return ("passive_newton", step, "passive_flow") if carried else ()
@@ -254,7 +255,7 @@ def _left_out_of_connection(
 
 
 def _description(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | BlockLoop, ...]
 ) -> list[str]:
     model = program.model
     lines = [
@@ -309,7 +310,7 @@ def _between(a: sympy.Rational, b: sympy.Rational) -> str:
 
 
 def _metadata(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | GatheredLoop | PassiveLoop, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: tuple[PairLoop | BlockLoop, ...]
 ) -> list[tuple[str, str]]:
     model = program.model
     return [

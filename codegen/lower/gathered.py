@@ -8,13 +8,12 @@ pair once, but each evaluation writes to particle i alone, so that several parti
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import sympy
 from sympy import Max
 
 from codegen.differentiate.pairwise import PairDerivatives
-from codegen.lower.blocks import entry, packed
+from codegen.lower.blocks import BlockLoop, entry, packed
 from codegen.lower.kernels import Line, Output, kernel
 from codegen.lower.pair_writer import CLOSEST, STATE, Writer, needed
 from codegen.model.pairwise import PairwiseModel
@@ -23,29 +22,7 @@ GROUP = 64
 """Particles of a block."""
 
 
-@dataclass(frozen=True)
-class GatheredLoop:
-    """A function that adds up what all particles j contribute to each particle of a block.
-
-    `head` comes first; for each block `before` for each particle m of it; `inputs` for each particle j, then for each m
-    `point_inputs`, `body` and `outputs`; at last `after` for each m.
-    """
-
-    name: str
-    summary: str
-    arguments: tuple[str, ...]
-    head: tuple[Line, ...]
-    before: tuple[Line, ...]
-    inputs: tuple[Line, ...]
-    point_inputs: tuple[Line, ...]
-    body: tuple[Line, ...]
-    outputs: tuple[Line, ...]
-    after: tuple[Line, ...]
-    operations_before: int
-    operations_after: int
-
-
-def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[GatheredLoop, ...]:
+def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
     """The gradient of H, where it can be gathered, and its code calls nothing that keeps particles apart."""
     if not _acts_on_itself(model):
         return ()
@@ -61,7 +38,7 @@ def _acts_on_itself(model: PairwiseModel) -> bool:
     return bool(sympy.expand(model.limit.xreplace(own) / 2 - model.self_term) == 0)
 
 
-def _gradient(writer: Writer) -> GatheredLoop:
+def _gradient(writer: Writer) -> BlockLoop:
     model, pair, size = writer.model, writer.derivatives.pair, writer.dimension
     scalars = {s: code for s, code in writer.single_places.items() if s in dict(pair.scalars)}
     codes = [*writer.places("i").values(), *(f"singles[i, {k}]" for k in range(len(writer.singles)))]
@@ -77,7 +54,7 @@ def _gradient(writer: Writer) -> GatheredLoop:
     made = kernel("", "", (), reads, [Output(t, v, "", "+=") for t, v in outputs if v != 0], assignments=assignments)
     used = {line.code for line in made.inputs}
     singles = [Line("singles", "single_values(z)")] if writer.singles else []
-    return GatheredLoop(
+    return BlockLoop(
         name="hamiltonian_gradient",
         summary="Fill `gradient`, shape (2, n, d), with H_q and H_p.",
         arguments=(*STATE, "gradient"),

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from sympy import Expr, Max
 
 from codegen.differentiate.pairwise import PairDerivatives
 from codegen.differentiate.passive import PassiveDerivatives, passive_derivatives
-from codegen.lower.blocks import entry, packed
+from codegen.lower.blocks import BlockLoop, entry, packed
 from codegen.lower.kernels import Line, Output, kernel
 from codegen.lower.pair_writer import CLOSEST, Writer, needed
 from codegen.lower.particle_loops import accurate_sum
@@ -24,30 +23,7 @@ BLOCK = 128
 """Points of a block: all that is known about them stays in the cache nearest to the processor."""
 
 
-@dataclass(frozen=True)
-class PassiveLoop:
-    """A function that adds up what all particles j contribute to each point m of a block.
-
-    `head` comes first, `before` and `after` are run for each point; `inputs` for each particle, then for each point
-    `point_inputs`, `body` and `outputs`. `over_points` is the code of the last loop, none where there is no domain.
-    """
-
-    name: str
-    summary: str
-    arguments: tuple[str, ...]
-    head: tuple[Line, ...]
-    before: tuple[Line, ...]
-    inputs: tuple[Line, ...]
-    point_inputs: tuple[Line, ...]
-    body: tuple[Line, ...]
-    outputs: tuple[Line, ...]
-    over_points: tuple[str, ...]
-    after: tuple[Line, ...]
-    operations_before: int
-    operations_after: int
-
-
-def passive_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[PassiveLoop, ...]:
+def passive_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
     """The velocity of passive points; and the velocity with its derivative by their places. None if not asked for."""
     if not model.passive:
         return ()
@@ -73,7 +49,7 @@ def _loop(
     summary: str,
     filled: tuple[str, ...],
     outputs: Sequence[tuple[str, Expr]],
-) -> PassiveLoop:
+) -> BlockLoop:
     model = writer.model
     reads = {s: _entry("places", a) for a, s in enumerate(model.first.q)}
     reads |= {**writer.places("j"), **{s: f"parameters[{k}]" for k, s in enumerate(model.parameters)}}
@@ -96,7 +72,7 @@ def _loop(
     singles = [Line("singles", "single_values(z)"), Line("scalars", f"np.empty({lengths})")] if sums else []
     positive = [scalars.get(code, code) for code in (accurate_sum(e, model, places) for e in model.domain)]
     margin = positive[0] if len(positive) == 1 else f"min({', '.join(positive)})"
-    return PassiveLoop(
+    return BlockLoop(
         name=name,
         summary=summary,
         arguments=("places", "z", "own", "parameters", *filled),
@@ -105,8 +81,8 @@ def _loop(
             *(Line(target, code) for code, target in scalars.items()),
             *(Line(target, "0.0") for target, _ in outputs),
         ),
-        inputs=tuple(line for line in made.inputs if "j" in line.code and "m]" not in line.code),
-        point_inputs=tuple(line for line in made.inputs if "m]" in line.code),
+        inputs=tuple(line for line in made.inputs if re.search(r"\bj\b", line.code)),
+        point_inputs=tuple(line for line in made.inputs if re.search(r"\bm\]", line.code)),
         body=tuple(packed(line) for line in made.body),
         outputs=tuple(packed(line) for line in made.outputs),
         over_points=("for m in range(BLOCK):",) if model.domain else (),
