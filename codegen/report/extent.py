@@ -9,7 +9,8 @@ from dataclasses import dataclass
 class Extent:
     """Limits: doublings of the number of steps, schemes per control problem, seconds of a solve, repetitions.
 
-    A ladder of steps is taken no further once a solve takes more than `limit` seconds; drivers of scipy are only asked
+    A ladder of steps is taken no further once a solve takes more than `limit` seconds; that of a control problem gets
+    `more_doublings` while its order has not settled and solves take an eighth of that; drivers of scipy are only asked
     where there are at most `driver_unknowns` unknowns. At most `most_schemes` schemes of a control problem count,
     and `most_simulated` of a simulation; those of a control problem have at most the order `most_order`, since modules
     of schemes with many stages take long to make, and with `only_default_of_phases` several phases have one scheme.
@@ -18,6 +19,7 @@ class Extent:
     quick: bool = False
     simulation_doublings: int = 12
     control_doublings: int = 4
+    more_doublings: int = 3
     most_schemes: int = 10
     most_simulated: int = 99
     most_order: int = 6
@@ -31,6 +33,7 @@ FULL = Extent()
 """One problem with all schemes."""
 GALLERY = Extent(
     control_doublings=3,
+    more_doublings=2,
     most_schemes=2,
     most_order=2,
     only_default_of_phases=True,
@@ -44,6 +47,7 @@ QUICK = Extent(
     quick=True,
     simulation_doublings=5,
     control_doublings=3,
+    more_doublings=0,
     most_schemes=2,
     most_order=2,
     most_simulated=4,
