@@ -22,19 +22,21 @@ MODULES, SURVEYS = "modules", "surveys"
 
 @dataclass(frozen=True)
 class Variant:
-    """A problem with a method and a scheme of a stated order, and arguments of problem()."""
+    """A problem with a method and a scheme of a stated order, arguments of problem(), and its form."""
 
     problem: Path
     method: str
     scheme: str
     order: int
     arguments: tuple[tuple[str, str], ...] = ()
+    general: bool = False
+    """Whether nothing is left out."""
 
     @property
     def label(self) -> str:
         """Method, scheme and arguments in words."""
         settings = "".join(f", {name} = {value}" for name, value in self.arguments)
-        return f"{self.method} {self.scheme}{settings}"
+        return f"{self.method} {self.scheme}{settings}{', general form' if self.general else ''}"
 
     @property
     def case(self) -> str:
@@ -171,6 +173,7 @@ def size_of(path: Path) -> dict[str, int]:
 def _derived(variant: Variant, folder: Path) -> Path:
     from codegen.compiler import build
 
+    arguments = dict(variant.arguments)
     return build(
-        variant.problem, dict(variant.arguments), scheme=variant.scheme, method=variant.method, out=folder
+        variant.problem, arguments, scheme=variant.scheme, method=variant.method, general=variant.general, out=folder
     ).path

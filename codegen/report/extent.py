@@ -14,6 +14,7 @@ class Extent:
     where there are at most `driver_unknowns` unknowns. At most `most_schemes` schemes of a control problem count,
     and `most_simulated` of a simulation; those of a control problem have at most the order `most_order`, since modules
     of schemes with many stages take long to make, and with `only_default_of_phases` several phases have one scheme.
+    The general form, which leaves nothing out, is made of modules of up to `general_operations` operations.
     """
 
     quick: bool = False
@@ -27,6 +28,7 @@ class Extent:
     limit: float = 2.0
     repeat: int = 3
     driver_unknowns: int = 300
+    general_operations: int = 100_000
 
 
 FULL = Extent()
@@ -41,6 +43,7 @@ GALLERY = Extent(
     limit=1.0,
     repeat=2,
     driver_unknowns=150,
+    general_operations=200,
 )
 """A folder of problems in less than 20 minutes on two processors."""
 QUICK = Extent(
@@ -54,6 +57,7 @@ QUICK = Extent(
     limit=0.5,
     repeat=1,
     driver_unknowns=0,
+    general_operations=0,
 )
 """What continuous integration can afford."""
 QUICK_PROBLEMS = ("pendulum", "linear_pendulum")
