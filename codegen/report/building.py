@@ -157,6 +157,7 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         **size_of(path),
         "operations": {name: list(counts) for name, counts in module.metadata["operations"].items()},
         "left out": list(module.metadata["left_out"]),
+        "solver": module.metadata.get("solver"),
         "order": module.metadata["order"],
         "steps": module.metadata["steps"],
     }

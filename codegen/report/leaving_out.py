@@ -37,13 +37,18 @@ def section_of(problem: Path) -> str:
 
 
 def wanted(store: Store, problem: Path, variants: Sequence[Variant], extent: Extent) -> list[Variant]:
-    """The general form of the default scheme, unless it takes too long to make for this extent, or there is none."""
-    if not variants or (store.get(SURVEYS, problem.stem) or {}).get("form") == PARTICLES:
+    """General forms to be made: none for particles, nor where that takes too long for the extent."""
+    if (store.get(SURVEYS, problem.stem) or {}).get("form") == PARTICLES:
         return []
-    made = store.get(MODULES, variants[0].case) or {}
-    if made.get("status") != "built" or _operations(made) > extent.general_operations:
-        return []
-    return [replace(variants[0], general=True)]
+    shown = [(v, store.get(MODULES, v.case) or {}) for v in _shown(store, variants)]
+    return [replace(v, general=True) for v, made in shown if _operations(made) <= extent.general_operations]
+
+
+def _shown(store: Store, variants: Sequence[Variant]) -> list[Variant]:
+    """The default scheme, and beside it, where that is implicit, the first explicit one of order 2 or more."""
+    built = [v for v in variants if (store.get(MODULES, v.case) or {}).get("status") == "built"]
+    explicit = [v for v in built if v.order > 1 and (store.get(MODULES, v.case) or {}).get("solver") == "explicit"]
+    return list(dict.fromkeys([*built[:1], *explicit[:1]]))
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
@@ -78,37 +83,41 @@ def _difference(own: Any, other: Any) -> float | None:
 
 
 def section(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
-    """What the default module omits in words, and the table of the two forms where both were made."""
-    made = store.get(MODULES, variants[0].case) or {} if variants else {}
-    if made.get("status") != "built":
+    """What modules omit and why, and a table of the two forms of each module that was made in both."""
+    survey, tables, answers = store.get(SURVEYS, problem.stem) or {}, list[Table](), list[str]()
+    for variant in _shown(store, variants):
+        made, general = store.get(MODULES, variant.case) or {}, replace(variant, general=True)
+        tables.append(_omissions(variant, made["left out"]))
+        other, run = store.get(MODULES, general.case), store.get(section_of(problem), general.label)
+        if other is not None and other["status"] == "built" and run is not None:
+            tables.append(_table(variant, made, other, run))
+            answers.append(_answer(variant, run))
+    if not tables:
         return []
-    left = made["left out"]
-    texts = [f"Left out of {variants[0].label}, because the problem does not need it: " + "; ".join(left) + "."]
-    survey = store.get(SURVEYS, problem.stem) or {}
-    general = replace(variants[0], general=True)
-    other, run = store.get(MODULES, general.case), store.get(section_of(problem), general.label)
-    if other is None or other["status"] != "built" or run is None:
-        why = (
-            "particles have none"
-            if survey.get("form") == PARTICLES
-            else "only a whole report on this problem alone has it"
-        )
-        texts.append(f"The general form is not measured here: {why}.")
-        return [Section(title, tuple(texts))]
-    texts.append(f"In the general form {_FORMS[survey['task']]} {_answers(run)}")
-    return [Section(title, tuple(texts), (_table(made, other, run),))]
+    text = "The general form is not measured here: only a whole report on this problem alone has it."
+    if survey.get("form") == PARTICLES:
+        text = "There is no general form of particles."
+    if answers:
+        text = f"In the general form {_FORMS[survey['task']]} {' '.join(answers)}"
+    return [Section(title, (text,), tuple(tables))]
 
 
-def _answers(run: Values) -> str:
+def _omissions(variant: Variant, left: Sequence[str]) -> Table:
+    rows = tuple((what, why) for what, _, why in (line.partition(": ") for line in left))
+    return Table(f"Left out of {variant.label}, because the problem does not need it.", ("what", "why"), rows)
+
+
+def _answer(variant: Variant, run: Values) -> str:
+    """How the answer of the general form compares."""
     if run.get("difference") is None:
-        return f"It does not give the answer: {run.get('general status') or run.get('message')}."
+        return f"That of {variant.label} does not give the answer: {run.get('general status') or run.get('message')}."
     return (
-        f"Its answer differs by {number(run['difference'], 2)}, relatively, and took {run['general iterations']} "
-        f"iterations in place of {run['iterations']}."
+        f"The answer of {variant.label} differs by {number(run['difference'], 2)}, relatively, after "
+        f"{run['general iterations']} iterations in place of {run['iterations']}."
     )
 
 
-def _table(made: Values, other: Values, run: Values) -> Table:
+def _table(variant: Variant, made: Values, other: Values, run: Values) -> Table:
     pairs: list[tuple[str, Any, Any, Callable[[Any], str]]] = [
         ("lines", made["lines"], other["lines"], str),
         ("of these kernels", made["kernel lines"], other["kernel lines"], str),
@@ -118,7 +127,10 @@ def _table(made: Values, other: Values, run: Values) -> Table:
         (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds),
     ]
     rows = tuple((name, *("–" if v is None else show(v) for v in (a, b)), _ratio(a, b)) for name, a, b, show in pairs)
-    caption = "The module as it is, and the form that leaves nothing out. Times of making them depend on what else ran."
+    caption = (
+        f"{variant.label}: the module as it is, and the form that leaves nothing out. Times of making them depend on "
+        "what else ran."
+    )
     return Table(caption, ("", "as emitted", "general form", "ratio"), rows)
 
 
