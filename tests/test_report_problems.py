@@ -256,6 +256,15 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
         assert error == pytest.approx(
             1.0 / (values["steps"] ** 2 - 1), rel=1e-6
         )  # 12 N^2/(N^2 - 1) is the discrete cost
+    for name in ("effort", "oscillator"):  # with nothing left out there is more of everything, and the same answer
+        runs = dict(store.rows(f"{name}: general form"))
+        assert runs
+        for label, run in runs.items():
+            assert run["general status"] == "solved"
+            assert run["difference"] < 1e-9
+            lines = [store.get(building.MODULES, f"{name}; {form}")["lines"] for form in (label.split(",")[0], label)]
+            assert lines[0] < lines[1]
+        assert f"{name}: what is left out" in text
     assert {name for name, _ in store.rows("effort: drivers")} == {"newton", "slsqp", "trust-constr", "fsolve"}
 
     def refuse(*_arguments, **_options):

@@ -132,12 +132,12 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     from codegen import drivers
     from codegen.drivers.compilation import compile_all, packed_operations
 
-    begin = time.perf_counter()
+    begin, busy = time.perf_counter(), time.process_time()
     try:
         path = _derived(variant, folder)
     except CodegenError as error:
         return {"status": "refused", "message": str(error)}
-    derived = time.perf_counter()
+    derived, busy_derived = time.perf_counter(), time.process_time()
     module = load(path)
     loaded = time.perf_counter()
     with packed_operations():
@@ -145,15 +145,18 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
             drivers.solve(module, steps=2)
         else:
             compile_all(module)
-    compiled = time.perf_counter()
+    compiled, busy_compiled = time.perf_counter(), time.process_time()
     if module.metadata["task"] == "control":
         drivers.solve(module, steps=min(10, module.metadata["steps"]))  # compiles what scipy's optimisers call
+    is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
     return {
         "status": "built",
         "file": path.name,
         "derivation seconds": derived - begin,
+        "derivation processor seconds": busy_derived - busy,
         "load seconds": loaded - derived,
-        "compile seconds": compiled - loaded if machine_code_counts(module)[0] else None,  # else read from disk
+        "compile seconds": compiled - loaded if is_new else None,
+        "compile processor seconds": busy_compiled - busy_derived if is_new else None,
         **size_of(path),
         "operations": {name: list(counts) for name, counts in module.metadata["operations"].items()},
         "left out": list(module.metadata["left_out"]),

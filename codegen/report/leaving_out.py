@@ -104,7 +104,7 @@ def section(store: Store, problem: Path, variants: Sequence[Variant], title: str
 
 def _omissions(variant: Variant, left: Sequence[str]) -> Table:
     rows = tuple((what, why) for what, _, why in (line.partition(": ") for line in left))
-    return Table(f"Left out of {variant.label}, because the problem does not need it.", ("what", "why"), rows)
+    return Table(f"Left out of {variant.label}, because the problem does not need it.", ("what", "why"), rows, "words")
 
 
 def _answer(variant: Variant, run: Values) -> str:
@@ -122,14 +122,14 @@ def _table(variant: Variant, made: Values, other: Values, run: Values) -> Table:
         ("lines", made["lines"], other["lines"], str),
         ("of these kernels", made["kernel lines"], other["kernel lines"], str),
         ("operations of all kernels", _operations(made), _operations(other), str),
-        ("derive", made["derivation seconds"], other["derivation seconds"], seconds),
-        ("compile", made["compile seconds"], other["compile seconds"], seconds),
+        ("derive", made["derivation processor seconds"], other["derivation processor seconds"], seconds),
+        ("compile", made["compile processor seconds"], other["compile processor seconds"], seconds),
         (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds),
     ]
     rows = tuple((name, *("–" if v is None else show(v) for v in (a, b)), _ratio(a, b)) for name, a, b, show in pairs)
     caption = (
-        f"{variant.label}: the module as it is, and the form that leaves nothing out. Times of making them depend on "
-        "what else ran."
+        f"{variant.label}: the module as it is, and the form that leaves nothing out. Deriving and compiling "
+        "are processor time."
     )
     return Table(caption, ("", "as emitted", "general form", "ratio"), rows)
 

@@ -23,7 +23,8 @@ _ORDERS = (
     "Orders are measured where those between successive grids agree within "
     f"{SETTLED:g}, over three grids at least and at {ABOVE_REFERENCE:g} times the reference's error or above. Where "
     "there is no such range, because the grids are too coarse, or because the optimal control switches or a bound "
-    "becomes active at times that no grid meets, convergence is called not asymptotic."
+    "becomes active at times that no grid meets, convergence is called not asymptotic. Superconvergent are schemes "
+    "whose first error cancels in the cost, as where they differ from one of higher order by an impulse at the ends."
 )
 
 
