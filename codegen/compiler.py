@@ -25,7 +25,7 @@ from codegen.errors import ArgumentError
 from codegen.problem_file import input_digest, load_problem, split_points
 
 if TYPE_CHECKING:
-    from codegen.lower.module import Origin
+    from codegen.lower.module import Module, Origin
     from codegen.model import Model
     from codegen.model.pairwise import PairwiseModel
 
@@ -36,11 +36,15 @@ GENERATED = Path("generated")
 
 @dataclass(frozen=True)
 class Choices:
-    """What a user chooses beside the problem: None stands for the default."""
+    """What a user chooses beside the problem: None stands for the default.
+
+    `general` forces the form of a module that leaves nothing out, to measure what leaving out saves; no command has it.
+    """
 
     scheme: str | None = None
     method: str | None = None
     controls: str = "interval"
+    general: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,7 @@ def build(
     scheme: str | None = None,
     method: str | None = None,
     controls: str = "interval",
+    general: bool = False,
     out: Path | str | None = None,
 ) -> Build:
     """Derive, emit and write the module of a problem file into the folder `out`.
@@ -75,7 +80,7 @@ def build(
     for key, value in arguments.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
-    choices = Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls)
+    choices = Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
     digest = input_digest(path, arguments, *_choice_texts(choices), *versions(), _own_digest())
     name = module_name(path, arguments, choices)
     store = cache_folder() / digest[:20] / f"{name}.py"
@@ -104,10 +109,27 @@ def generate_from_model(model: Model | PairwiseModel, choices: Choices, origin: 
     """The pipeline itself, from a checked problem to the text of its module."""
     from codegen import derive, lower, transcribe
 
+    if choices.general:
+        return emit.render(_general_module(model, choices), origin)
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     derivatives = derive.derivatives(program)
     module = lower.lower(program, derivatives)
     return emit.render(module, origin)
+
+
+def _general_module(model: Model | PairwiseModel, choices: Choices) -> Module:
+    """The same with nothing left out, for measurements; ArgumentError for particles, which have no such form."""
+    from codegen import derive, general, lower, transcribe
+    from codegen.model import Model
+    from codegen.transcribe.program import ControlProgram
+
+    if not isinstance(model, Model):
+        raise ArgumentError("particles have no general form", "measure another problem")
+    program = transcribe.transcribe(general.general_model(model), choices.scheme, choices.method, choices.controls)
+    if isinstance(program, ControlProgram):
+        return lower.lower(program, general.general_derivatives(program, derive.control_derivatives(program)))
+    program = general.general_step(program)
+    return lower.lower(program, derive.step_derivatives(program))
 
 
 def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Origin:
@@ -119,6 +141,7 @@ def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Ori
     for option in ("scheme", "method"):
         words += [f"--{option} {value}" for value in (getattr(choices, option),) if value]
     words += ["--controls nodal"] if choices.controls == "nodal" else []
+    words += ["(in the general form, for measurements)"] if choices.general else []
     inputs = input_digest(path, arguments, *_choice_texts(choices), *versions())
     return Origin(path.name, " ".join(words), inputs, versions())
 
@@ -132,6 +155,8 @@ def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> s
         parts.append(choices.scheme)
     if choices.controls != "interval":
         parts.append(f"{choices.controls}_controls")
+    if choices.general:
+        parts.append("general_form")
     parts += [f"{key}_{value}" for key, value in sorted(arguments.items())]
     name = "_".join(parts)
     plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
@@ -158,7 +183,7 @@ def cache_folder() -> Path:
 def _choice_texts(choices: Choices) -> tuple[str, ...]:
     if choices.controls not in ("interval", "nodal"):
         raise ArgumentError(f"controls is {choices.controls!r}", "use interval or nodal")
-    return (choices.scheme or "", choices.method or "", choices.controls)
+    return (choices.scheme or "", choices.method or "", choices.controls, *(["general"] if choices.general else []))
 
 
 _USERS = ("drivers", "plots", "registration", "report", "stress", "cli.py", "output.py", "terminal.py")

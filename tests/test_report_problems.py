@@ -20,7 +20,7 @@ from codegen.report import building, gallery, records, sections_control, section
 from codegen.report.building import Variant, Workshop
 from codegen.report.compare import regressions
 from codegen.report.extent import Extent
-from codegen.report.orders import is_exhausted, measured_order
+from codegen.report.orders import is_exhausted, measured_order, verdict
 from codegen.report.reference_motion import conserved, reference_motion
 from codegen.report.store import Case, Store
 
@@ -104,7 +104,8 @@ def test_orders_are_measured_above_the_plateau(order):
     rounding = [1e-13 * (1.0 + 0.5 * np.sin(7.0 * n)) for n in steps]
     errors = [3.0 * (n / 10) ** -order + r for n, r in zip(steps, rounding, strict=True)]
     found = measured_order(steps, errors)
-    assert found == pytest.approx(order, abs=0.05)
+    assert found is not None
+    assert found.value == pytest.approx(order, abs=0.05)
     assert is_exhausted(steps, errors) == (order > 4)
 
 
@@ -112,8 +113,48 @@ def test_an_order_wants_three_points():
     assert measured_order([10, 20], [1e-2, 1e-3]) is None
     assert measured_order([10, 20, 40], [1e-2, None, 1e-3]) is None
     assert measured_order([10, 20, 40, 80], [1e-2, 1e-4, 1e-6, 1e-8], floor=1e-7) is None  # the reference ends it
-    assert measured_order([10, 20, 40], [1e-2, 2.5e-3, 6.25e-4]) == pytest.approx(2.0)
+    found = measured_order([10, 20, 40], [1e-2, 2.5e-3, 6.25e-4])
+    assert found is not None
+    assert (found.value, found.coarsest, found.finest) == (pytest.approx(2.0), 10, 40)
     assert measured_order([10, 20, 40, 80, 160], [1.4, 1.2, 0.9, 0.7, 0.6]) is None  # nothing like the exact motion
+
+
+THIRDS = [round(24 * 2 ** (k / 3)) for k in range(20)]
+"""Numbers of steps that grow by a third of a doubling, as far as integers allow."""
+
+
+def test_an_order_is_that_of_the_asymptotic_range():
+    """Where a term that vanishes faster prevails on coarse grids, these do not count: 1e3 N^-4 + N^-2 is of order 2."""
+    found = measured_order(THIRDS, [1e3 * n**-4.0 + n**-2.0 for n in THIRDS])
+    assert found is not None
+    assert found.value == pytest.approx(2.0, abs=0.02)
+    assert found.coarsest > 300
+    assert verdict(found, 2) == ""
+
+
+def test_no_order_is_reported_before_the_asymptotic_range():
+    """The same, ended by rounding before the slower term shows; and errors that swing."""
+    coarse = THIRDS[:9]
+    assert measured_order(coarse, [1e6 * n**-6.0 + n**-2.0 for n in coarse]) is None
+    swinging = [n**-2.0 * (2.0 + np.sin(3.0 * np.log(n))) for n in THIRDS]
+    assert measured_order(THIRDS, swinging) is None
+    assert verdict(None, 2) == "not asymptotic"
+
+
+@pytest.mark.parametrize(
+    ("order", "expected", "said"),
+    [
+        (2.05, 2, ""),
+        (3.0, 2, "superconvergent"),
+        (1.8, 2, "below the expected order"),
+        (5.75, 6, ""),
+        (8.35, 8, "superconvergent"),
+        (3.85, 4, "below the expected order"),
+    ],
+)
+def test_verdicts_on_orders(order, expected, said):
+    found = measured_order(THIRDS, [10.0 * n**-order for n in THIRDS])
+    assert verdict(found, expected) == said
 
 
 GOOD = {"problem": "p", "case": "c", "status": "solved", "error": 1e-4, "seconds": 0.01, "order": 2.0}
@@ -202,17 +243,28 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
         for v in gallery.choose(problems[1], store, TINY).variants
     }
     assert len(orders) == 3
-    for stated, order in orders.values():  # that of the highest order reaches rounding at once on so short a motion
-        assert order is not None or stated > 2
-        assert order is None or abs(order - stated) < (0.1 if stated < 6 else 0.3)
+    for stated, order in orders.values():
+        assert order is not None
+        assert abs(order.value - stated) < (0.1 if stated < 6 else 0.3)
     control = gallery.choose(problems[0], store, TINY)
     assert control.left
+    for variant in control.variants:  # controls are constant on intervals, so that order 2 is all there is
+        assert sections_control.expected_order(store, problems[0], variant) == min(variant.order, 2)
     assert store.get(building.SURVEYS, "effort")["exact cost"] == pytest.approx(12.0, rel=1e-15)
     rows = sections_control.rows_of(store, problems[0], control.variants[0])
     for values, error in zip(rows, sections_control.errors(store, problems[0], control.variants[0]), strict=True):
         assert error == pytest.approx(
             1.0 / (values["steps"] ** 2 - 1), rel=1e-6
         )  # 12 N^2/(N^2 - 1) is the discrete cost
+    for name in ("effort", "oscillator"):  # with nothing left out there is more of everything, and the same answer
+        runs = dict(store.rows(f"{name}: general form"))
+        assert runs
+        for label, run in runs.items():
+            assert run["general status"] == "solved"
+            assert run["difference"] < 1e-9
+            lines = [store.get(building.MODULES, f"{name}; {form}")["lines"] for form in (label.split(",")[0], label)]
+            assert lines[0] < lines[1]
+        assert f"{name}: what is left out" in text
     assert {name for name, _ in store.rows("effort: drivers")} == {"newton", "slsqp", "trust-constr", "fsolve"}
 
     def refuse(*_arguments, **_options):

@@ -19,9 +19,10 @@ from codegen.stress import page, pool
 from codegen.stress.cases import DEFECTS, OUTCOMES, Case, Setup
 from codegen.stress.classify import classify
 from codegen.stress.families import FAMILIES, QUICK, all_cases, quick_cases
-from codegen.stress.families.common import EVERY_SCHEME, ORDERS, oscillation, promised, setup
+from codegen.stress.families.common import EVERY_SCHEME, HIGHER_ORDER, ORDERS, oscillation, promised, setup
 from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
-from codegen.stress.limits import spectral_radius, stable_limit
+from codegen.stress.limits import GROWTH, spectral_radius, stable_limit
+from codegen.stress.linear import angle, growth, swing
 from codegen.stress.measure import measure
 from codegen.stress.references import REFERENCES
 from codegen.stress.systems import FORCES, LIMITS, frequency, plate_gradient
@@ -51,7 +52,7 @@ def test_cases_expect_honest_outcomes_and_name_what_exists(family):
 
 
 def test_schemes_and_orders_are_those_of_the_registry():
-    for method, name in EVERY_SCHEME:
+    for method, name in (*EVERY_SCHEME, *HIGHER_ORDER):
         scheme = METHODS[method][name]
         assert ORDERS.get(name, 1) == scheme.order
         assert name in LIMITS
@@ -116,6 +117,37 @@ def test_an_energy_that_is_no_number_is_not_bounded():
     case = replace(PLAIN, bound=math.nan, expect="bounded")
     assert classify(case, GOOD).passed
     assert not classify(case, replace(GOOD, drift=math.nan)).passed
+
+
+# ---- Schemes of higher order on the oscillator ----
+
+
+@pytest.mark.parametrize("name", sorted({name for _, name in HIGHER_ORDER}))
+def test_limits_of_stability_are_those_of_the_tables(name):
+    """No growth up to the limit, and growth beyond."""
+    limit = LIMITS[name]
+    below = [0.5, 1.5, 50.0] if math.isinf(limit) else [0.1 * limit, 0.5 * limit, 0.8 * limit, 0.999 * limit]
+    assert all(growth(name, x) <= 1.0 + GROWTH for x in below)
+    if math.isfinite(limit):
+        assert growth(name, 1.001 * limit) > 1.0 + GROWTH
+
+
+def test_collocation_turns_by_the_angle_of_a_pade_approximant():
+    """Gauss' methods turn by twice the argument of the numerator of exp's diagonal Padé approximant."""
+    x = 0.7
+    assert angle("gauss-4", x) == pytest.approx(2.0 * math.atan2(x / 2, 1 - x**2 / 12), rel=1e-15)
+    assert angle("gauss-6", x) == pytest.approx(2.0 * math.atan2(x / 2 - x**3 / 120, 1 - x**2 / 10), rel=1e-15)
+    assert swing("gauss-6", x) == pytest.approx(0.0, abs=1e-15)
+    assert math.isnan(angle("yoshida-4", 1.6))
+
+
+@pytest.mark.parametrize("name", ["yoshida-4", "blanes-moan-6"])
+def test_generated_steps_are_as_stable_as_the_tables_say(name):
+    module = as_machine_code(generate(OWN_PROBLEMS / "oscillator.py", {}, Choices(name, "hamiltonian")))
+    case = next(c for c in CASES if c.setup.scheme == name and c.reference == "stable_step")
+    assert stable_limit(module, case) == pytest.approx(LIMITS[name], rel=1e-3)
+    for x in (0.4, 1.4):
+        assert spectral_radius(module, "oscillator", x) == pytest.approx(growth(name, x), rel=1e-6)
 
 
 # ---- Worker processes ----
@@ -308,5 +340,5 @@ def test_generic_cases_vary_one_parameter_at_a_time():
 
 def test_every_scheme_has_its_limit_on_the_oscillator_case():
     wanted = {case.setup.label for case in CASES if case.reference == "stable_step"}
-    assert len(wanted) == len(EVERY_SCHEME)
+    assert len(wanted) == len(EVERY_SCHEME) + len(HIGHER_ORDER)
     assert callable(stable_limit)

@@ -75,7 +75,7 @@ def refine(
     """Solve on N, 2N, 4N, ... intervals, each from the solution before; the last result, with an error estimate.
 
     `solve` takes a number of intervals and a start; `warm` is the first one. The summary gains,
-    with at least one doubling, the cost extrapolated by the scheme's stated order and its distance from the last one
+    with at least one doubling, the cost extrapolated by the order of optima and its distance from the last one
     as an error estimate, and the order that three grids show. A grid that fails ends the sequence with that result.
     """
     first = result = solve(steps, None if warm is None else transferred(module, warm, steps))
@@ -92,9 +92,19 @@ def refine(
     return replace(result, summary=summary, attempts=first.attempts)
 
 
+def order_of_optima(module: ControlModule) -> int:
+    """The order at which costs converge: the scheme's own, but 2 at most where there are controls.
+
+    A control that is constant on each interval, or linear between nodes, approximates a smooth one at order 2, and the
+    cost at its minimum no better, whatever the scheme of the motion.
+    """
+    order = int(module.metadata["order"])
+    return min(order, 2) if module.metadata["control_names"] else order
+
+
 def _estimates(module: ControlModule, costs: list[float]) -> dict[str, float]:
     """What a sequence of costs on halved steps tells of their limit."""
-    order = module.metadata["order"]
+    order = order_of_optima(module)
     summary: dict[str, float] = {}
     if len(costs) > 1:
         error = (costs[-1] - costs[-2]) / (2**order - 1)

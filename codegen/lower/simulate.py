@@ -214,7 +214,7 @@ def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
         lines += ["", "where each p_k = -D1 Ld - f- and p_k1 = D2 Ld + f+ (position-momentum form)."]
     if program.unknowns:
         lines += ["", f"These are solved for {_listed(program.unknowns)}; the rest is explicit."]
-    if program.method == "variational":
+    if program.velocities:
         lines += ["", "Velocities of the step are unknowns in place of positions, so that no digits cancel:", ""]
         lines += [f"    {v} = ({after} - {before})/{_divisor(time)}" for v, after, before, time in program.velocities]
     lines += ["", "Operations of one evaluation, before and after common subexpressions are shared:", ""]

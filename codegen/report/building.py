@@ -22,19 +22,21 @@ MODULES, SURVEYS = "modules", "surveys"
 
 @dataclass(frozen=True)
 class Variant:
-    """A problem with a method and a scheme of a stated order, and arguments of problem()."""
+    """A problem with a method and a scheme of a stated order, arguments of problem(), and its form."""
 
     problem: Path
     method: str
     scheme: str
     order: int
     arguments: tuple[tuple[str, str], ...] = ()
+    general: bool = False
+    """Whether nothing is left out."""
 
     @property
     def label(self) -> str:
         """Method, scheme and arguments in words."""
         settings = "".join(f", {name} = {value}" for name, value in self.arguments)
-        return f"{self.method} {self.scheme}{settings}"
+        return f"{self.method} {self.scheme}{settings}{', general form' if self.general else ''}"
 
     @property
     def case(self) -> str:
@@ -130,12 +132,12 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     from codegen import drivers
     from codegen.drivers.compilation import compile_all, packed_operations
 
-    begin = time.perf_counter()
+    begin, busy = time.perf_counter(), time.process_time()
     try:
         path = _derived(variant, folder)
     except CodegenError as error:
         return {"status": "refused", "message": str(error)}
-    derived = time.perf_counter()
+    derived, busy_derived = time.perf_counter(), time.process_time()
     module = load(path)
     loaded = time.perf_counter()
     with packed_operations():
@@ -143,18 +145,22 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
             drivers.solve(module, steps=2)
         else:
             compile_all(module)
-    compiled = time.perf_counter()
+    compiled, busy_compiled = time.perf_counter(), time.process_time()
     if module.metadata["task"] == "control":
         drivers.solve(module, steps=min(10, module.metadata["steps"]))  # compiles what scipy's optimisers call
+    is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
     return {
         "status": "built",
         "file": path.name,
         "derivation seconds": derived - begin,
+        "derivation processor seconds": busy_derived - busy,
         "load seconds": loaded - derived,
-        "compile seconds": compiled - loaded if machine_code_counts(module)[0] else None,  # else read from disk
+        "compile seconds": compiled - loaded if is_new else None,
+        "compile processor seconds": busy_compiled - busy_derived if is_new else None,
         **size_of(path),
         "operations": {name: list(counts) for name, counts in module.metadata["operations"].items()},
         "left out": list(module.metadata["left_out"]),
+        "solver": module.metadata.get("solver"),
         "order": module.metadata["order"],
         "steps": module.metadata["steps"],
     }
@@ -171,6 +177,7 @@ def size_of(path: Path) -> dict[str, int]:
 def _derived(variant: Variant, folder: Path) -> Path:
     from codegen.compiler import build
 
+    arguments = dict(variant.arguments)
     return build(
-        variant.problem, dict(variant.arguments), scheme=variant.scheme, method=variant.method, out=folder
+        variant.problem, arguments, scheme=variant.scheme, method=variant.method, general=variant.general, out=folder
     ).path

@@ -9,15 +9,18 @@ from dataclasses import dataclass
 class Extent:
     """Limits: doublings of the number of steps, schemes per control problem, seconds of a solve, repetitions.
 
-    A ladder of steps is taken no further once a solve takes more than `limit` seconds; drivers of scipy are only asked
+    A ladder of steps is taken no further once a solve takes more than `limit` seconds; that of a control problem gets
+    `more_doublings` while its order has not settled and solves take an eighth of that; drivers of scipy are only asked
     where there are at most `driver_unknowns` unknowns. At most `most_schemes` schemes of a control problem count,
     and `most_simulated` of a simulation; those of a control problem have at most the order `most_order`, since modules
     of schemes with many stages take long to make, and with `only_default_of_phases` several phases have one scheme.
+    The general form, which leaves nothing out, is made of modules of up to `general_operations` operations.
     """
 
     quick: bool = False
     simulation_doublings: int = 12
     control_doublings: int = 4
+    more_doublings: int = 3
     most_schemes: int = 10
     most_simulated: int = 99
     most_order: int = 6
@@ -25,12 +28,14 @@ class Extent:
     limit: float = 2.0
     repeat: int = 3
     driver_unknowns: int = 300
+    general_operations: int = 100_000
 
 
 FULL = Extent()
 """One problem with all schemes."""
 GALLERY = Extent(
     control_doublings=3,
+    more_doublings=2,
     most_schemes=2,
     most_order=2,
     only_default_of_phases=True,
@@ -38,18 +43,21 @@ GALLERY = Extent(
     limit=1.0,
     repeat=2,
     driver_unknowns=150,
+    general_operations=200,
 )
 """A folder of problems in less than 20 minutes on two processors."""
 QUICK = Extent(
     quick=True,
     simulation_doublings=5,
     control_doublings=3,
+    more_doublings=0,
     most_schemes=2,
     most_order=2,
     most_simulated=4,
     limit=0.5,
     repeat=1,
     driver_unknowns=0,
+    general_operations=0,
 )
 """What continuous integration can afford."""
 QUICK_PROBLEMS = ("pendulum", "linear_pendulum")

@@ -17,13 +17,16 @@ COLOURS = {
     "symplectic-euler-adjoint": "#7FCDBB", "stormer-verlet": PINK, "trapezoidal": PINK, "rectangle": "#7A5230",
     "rk4": DARK, "gauss-4": SKY, "gauss-6": "#084594", "lobatto-4": "#6A3D9A", "yoshida-4": "#B3A100",
     "yoshida-6": "#8C6D31", "yoshida-8": "#637939", "suzuki-4": "#E7969C", "kahan-li-6": "#843C39",
-    "kahan-li-8": "#A55194", "mclachlan-4": GREY,
+    "kahan-li-8": "#C2185B", "mclachlan-4": GREY, "blanes-moan-4": "#31A354", "blanes-moan-6": "#393B79",
+    "position-verlet": "#D6616B",
 }  # fmt: skip
 """Colours of schemes; those that are not here take the spare ones in the order of their names."""
 _SPARE = ("#393B79", "#D6616B", "#31A354", "#756BB1", "#636363", "#E6550D")
 _MARKERS = {1: "", 2: "", 4: "o", 6: "s", 8: "^"}
 
 
+MANY = 12
+"""More lines than this want larger axes."""
 LEAST_SPAN = 10.0
 """Of an axis of steps or seconds: a narrower one would magnify nothing but the clock's noise."""
 
@@ -66,8 +69,8 @@ def look(line: Line) -> dict[str, Any]:
 def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | None = None) -> Figure:
     """One row for every kind of error (its name, and a line for each scheme): against steps, and against seconds."""
     count = len({line.label for _, lines in groups for line in lines})
-    height = 2.75 * len(groups) + 0.2 * math.ceil(count / 3)
-    figure = Figure(figsize=(9.2, height + 0.3), layout="constrained")
+    height = (2.75 if count <= MANY else 3.9) * len(groups) + 0.2 * math.ceil(count / 3)
+    figure = Figure(figsize=(9.2 if count <= MANY else 10.8, height + 0.3), layout="constrained")
     axes = figure.subplots(len(groups), 2, squeeze=False, sharey="row")
     for (name, lines), (left, right) in zip(groups, axes, strict=True):
         for line in lines:
@@ -81,7 +84,8 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
             for place in (left, right):
                 place.axhline(floor, color=GREY, linewidth=0.8, linestyle=":")
             left.annotate("bound of the reference's error", (0.01, floor), xycoords=("axes fraction", "data"),
-                          fontsize=7.5, color=GREY, va="bottom")  # fmt: skip
+                          fontsize=7.5, color=DARK, va="bottom",
+                          bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
         for place in (left, right):
             place.yaxis.set_major_locator(LogLocator(numticks=8))
             place.minorticks_off()

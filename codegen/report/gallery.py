@@ -11,7 +11,7 @@ from typing import Any
 
 from codegen.machine import machine
 from codegen.output import write_text
-from codegen.report import overview, records
+from codegen.report import leaving_out, overview, records
 from codegen.report.building import SURVEYS, Variant, Workshop, build_all, surveyed, workers
 from codegen.report.compare import Regression
 from codegen.report.extent import Extent
@@ -58,6 +58,8 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
             selection = [choose(problem, store, extent) for problem in problems]
             wanted = {v.case: v for chosen in selection for v in (*chosen.variants, *_extra_variants(chosen.problem))}
             build_all(pool, workshop, wanted.values(), lambda name: told(1, f"building {name}"))
+            forms = [v for c in selection for v in leaving_out.wanted(store, c.problem, c.variants, extent)]
+            build_all(pool, workshop, forms, lambda name: told(1, f"building {name}"))
         for done, chosen in enumerate(selection):
             for case in _cases(chosen, workshop, extent):
                 told(done + 2, f"{chosen.problem.stem}: {case.name}")
@@ -90,6 +92,7 @@ def _extra_variants(problem: Path) -> list[Variant]:
 def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Any:
     if chosen.task in KINDS:
         yield from KINDS[chosen.task].cases(chosen.problem, chosen.variants, workshop, extent)
+        yield from leaving_out.cases(chosen.problem, chosen.variants, workshop, extent)
     if chosen.problem.stem in EXTRAS:
         yield from EXTRAS[chosen.problem.stem].cases(chosen.problem, workshop, extent)
 
@@ -123,7 +126,8 @@ def _sections(chosen: Chosen, store: Store) -> list[Section]:
     found = KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {title_of(problem)}")
     if name in EXTRAS:
         found += EXTRAS[name].sections(store, problem)
-    return [*found, modules(store, chosen.variants, f"{name}: modules, and what they leave out", chosen.left)]
+    found.append(modules(store, chosen.variants, f"{name}: modules", chosen.left))
+    return found + leaving_out.section(store, problem, chosen.variants, f"{name}: what is left out")
 
 
 def title_of(problem: Path) -> str:

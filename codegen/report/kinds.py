@@ -18,30 +18,32 @@ from codegen.report import (
 )
 from codegen.report.building import Variant, Workshop
 from codegen.report.extent import Extent
+from codegen.report.orders import Order
 from codegen.report.section import Section
 from codegen.report.store import Case, Store, Values
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A task: its cases, its sections, rows of a scheme by growing N, their errors, and its measured order."""
+    """A task: its cases and sections; a scheme's rows by growing N, their errors, measured and expected order."""
 
     cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
     sections: Callable[[Store, Path, Sequence[Variant], str], list[Section]]
     rows: Callable[[Store, Path, Variant], list[Values]]
     errors: Callable[[Store, Path, Variant], list[float | None]]
-    order: Callable[[Store, Path, Variant], float | None]
+    order: Callable[[Store, Path, Variant], Order | None]
+    expected: Callable[[Store, Path, Variant], int]
     error: str
 
 
 KINDS = {
     "simulate": Kind(
         simulations.cases, sections_simulation.sections, sections_simulation.rows_of, sections_simulation.errors,
-        sections_simulation.order_of, "trajectory",
+        sections_simulation.order_of, sections_simulation.expected_order, "trajectory",
     ),
     "control": Kind(
         optima.cases, sections_control.sections, sections_control.rows_of, sections_control.errors,
-        sections_control.order_of, "cost",
+        sections_control.order_of, sections_control.expected_order, "cost",
     ),
 }  # fmt: skip
 """Kinds of problems by task; landmark registration has a study of its own."""

@@ -47,7 +47,7 @@ def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:
         )
     kind = KINDS[chosen.task]
     orders = [(kind.order(store, chosen.problem, v), v) for v in chosen.variants]
-    known = [(order, v) for order, v in orders if order is not None]
+    known = [(order.value, v) for order, v in orders if order is not None]
     best = max(known, key=lambda pair: pair[0], default=None)
     default = chosen.variants[0]
     made: Any = store.get(MODULES, default.case) or {}

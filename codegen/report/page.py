@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,13 @@ def page(title: str, introduction: str, sections: Sequence[Section], environment
     template = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).get_template("page.html.j2")
-    return template.render(
-        title=title, introduction=introduction, sections=sections, environment=[*environment.items()]
-    )
+    return template.render(title=title, introduction=introduction, sections=sections, environment=[*_flat(environment)])
+
+
+def _flat(environment: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Names and values, of records inside the record as well."""
+    for name, value in environment.items():
+        if isinstance(value, Mapping):
+            yield from ((f"{name}, {inner}", entry) for inner, entry in value.items())
+        else:
+            yield name, value

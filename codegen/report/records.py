@@ -12,6 +12,7 @@ from codegen.errors import ArgumentError
 from codegen.report.building import MODULES
 from codegen.report.compare import Regression, regressions
 from codegen.report.kinds import KINDS
+from codegen.report.orders import verdict
 from codegen.report.store import Store
 
 if TYPE_CHECKING:
@@ -42,10 +43,12 @@ def record(selection: Sequence[Chosen], store: Store, environment: Mapping[str, 
 def _cases(chosen: Chosen, store: Store) -> Iterator[dict[str, Any]]:
     kind, name = KINDS[chosen.task], chosen.problem.stem
     for variant in chosen.variants:
-        made = store.get(MODULES, variant.case) or {}
+        made, order = store.get(MODULES, variant.case) or {}, kind.order(store, chosen.problem, variant)
+        expected = kind.expected(store, chosen.problem, variant)
         yield {
             "problem": name, "case": variant.label, "status": made.get("status"), "lines": made.get("lines"),
-            "order": kind.order(store, chosen.problem, variant), "stated order": variant.order,
+            "order": order and order.value, "stated order": variant.order, "expected order": expected,
+            "order verdict": verdict(order, expected) if made.get("status") == "built" else "",
         }  # fmt: skip
         rows = kind.rows(store, chosen.problem, variant)
         for values, error in zip(rows, kind.errors(store, chosen.problem, variant), strict=True):

@@ -50,9 +50,12 @@ def field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector
     return field
 
 
-def reference_motion(module: SimulateModule, checkpoints: int) -> Motion:
-    """DOP853 through the field of an explicit Euler module, restarted at every checkpoint."""
-    duration = duration_of(module)
+def reference_motion(module: SimulateModule, checkpoints: int, duration: float | None = None) -> Motion:
+    """DOP853 through the field of an explicit Euler module, restarted at every checkpoint.
+
+    Without a `duration`, over the problem's own.
+    """
+    duration = duration_of(module) if duration is None else duration
     field, start, times = field_of(module, duration), start_of(module), np.linspace(0.0, duration, checkpoints + 1)
     runs = []
     for tolerance in (LOOSE, TIGHT):

@@ -11,11 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Table:
-    """A table: what it shows, the names of its columns, and rows of texts."""
+    """A table: what it shows, the names of its columns, rows of texts; `kind` is "words" if these are sentences."""
 
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    kind: str = "numbers"
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ def seconds(value: float | None) -> str:
     if value is None or not math.isfinite(value):
         return "–"
     if value < 1.0:
-        return f"{number(1e3 * value)} ms"
-    return f"{number(value)} s"
+        return f"{number(1e3 * value)}\N{NO-BREAK SPACE}ms"
+    return f"{number(value)}\N{NO-BREAK SPACE}s"
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:

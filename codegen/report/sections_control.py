@@ -11,12 +11,21 @@ from codegen.report.building import Variant
 from codegen.report.figures import svg
 from codegen.report.figures_problems import Line, times_of_drivers, work_precision
 from codegen.report.optima import case_name, drivers_of, errors_of, references_of
-from codegen.report.orders import measured_order
+from codegen.report.orders import ABOVE_REFERENCE, SETTLED, Order, measured_order, order_text
 from codegen.report.section import Picture, Section, Table, number, seconds
 from codegen.report.store import Store, Values
 
 OTHER_OPTIMUM = 0.02
 """Where the finest cost is off by more than this part and errors do not shrink, another local optimum is suspected."""
+
+
+_ORDERS = (
+    "Orders are measured where those between successive grids agree within "
+    f"{SETTLED:g}, over three grids at least and at {ABOVE_REFERENCE:g} times the reference's error or above. Where "
+    "there is no such range, because the grids are too coarse, or because the optimal control switches or a bound "
+    "becomes active at times that no grid meets, convergence is called not asymptotic. Superconvergent are schemes "
+    "whose first error cancels in the cost, as where they differ from one of higher order by an impulse at the ends."
+)
 
 
 def rows_of(store: Store, problem: Path, variant: Variant) -> list[Values]:
@@ -38,7 +47,7 @@ def relative_error(values: Values, exact: float | None) -> float | None:
     return float(abs(values["cost"] - exact) / (abs(exact) or 1.0))
 
 
-def order_of(store: Store, problem: Path, variant: Variant) -> float | None:
+def order_of(store: Store, problem: Path, variant: Variant) -> Order | None:
     """The measured order of a scheme, from errors of the cost."""
     reference = store.get(references_of(problem), "cost") or {}
     floor = (reference.get("error") or 0.0) / (abs(reference.get("cost") or 0.0) or 1.0)
@@ -46,11 +55,17 @@ def order_of(store: Store, problem: Path, variant: Variant) -> float | None:
     return measured_order(steps, errors(store, problem, variant), floor)
 
 
+def expected_order(store: Store, problem: Path, variant: Variant) -> int:
+    """The order that the cost is to have: the scheme's, but 2 at most where controls are constant on intervals."""
+    known = (values.get("expected order") for values in rows_of(store, problem, variant))
+    return next((int(order) for order in known if order is not None), variant.order)
+
+
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
     """Cost errors against steps and time, drivers beside each other."""
     reference = store.get(references_of(problem), "cost") or {}
     measured = [v for v in variants if rows_of(store, problem, v)]
-    texts, pictures = [_reference_text(reference)], []
+    texts, pictures = [_reference_text(reference), _ORDERS], []
     lines = [_line(store, problem, v) for v in measured]
     if any(error for line in lines for error in line.errors):
         floor = reference["error"] / (abs(reference["cost"]) or 1.0)
@@ -71,7 +86,7 @@ def _reference_text(reference: Values) -> str:
     if reference.get("cost") is None:
         return f"There is no reference cost: {reference.get('how', 'no scheme was built')}."
     relative = reference["error"] / (abs(reference["cost"]) or 1.0)
-    accuracy = f"; its last correction, relative: {number(relative, 2)}" if relative > 1e-14 else ""
+    accuracy = f"; two extrapolations differ by {number(relative, 2)} of it" if relative > 1e-14 else ""
     return f"Reference cost {reference['cost']:.12g}: {reference['how']}{accuracy}."
 
 
@@ -87,17 +102,22 @@ def _table(store: Store, problem: Path, variants: Sequence[Variant]) -> Table:
         values, wrong = rows_of(store, problem, variant), errors(store, problem, variant)
         last = values[-1]
         failed = [f"{v['steps']}: {v['status']}" for v in values if v["status"] != "solved"]
-        order = order_of(store, problem, variant)
-        elsewhere = wrong[-1] is not None and wrong[-1] > OTHER_OPTIMUM and (order is None or order < 0.5)
+        order, expected = order_of(store, problem, variant), expected_order(store, problem, variant)
+        elsewhere = wrong[-1] is not None and wrong[-1] > OTHER_OPTIMUM and (order is None or order.value < 0.5)
         rows.append((
-            variant.label, str(variant.order), number(order), f"{last['steps']}",
+            variant.label, str(variant.order), str(expected), order_text(order, expected), f"{last['steps']}",
             "–" if last["cost"] is None else f"{last['cost']:.9g}", number(wrong[-1], 2), seconds(last["seconds"]),
             str(last["iterations"]), number(last["residual"], 2), number(last["stationarity"], 2),
             "; ".join([*failed, *(["another local optimum?"] if elsewhere else [])]),
         ))  # fmt: skip
-    head = ("scheme", "stated order", "measured", "finest N", "cost", "relative error", "solve time", "iterations",
+    head = ("scheme", "scheme's order", "expected of the cost", "measured",
+            "finest N", "cost", "relative error", "solve time", "iterations",
             "residual", "stationarity", "remarks")  # fmt: skip
-    return Table("Every scheme on its finest grid, and the order that the ladder of grids shows.", head, tuple(rows))
+    caption = (
+        "Every scheme on its finest grid, and the order that the ladder of grids shows. A control that is constant on "
+        "each interval approximates a smooth one at order 2, so that 2 is expected of schemes of higher order, too."
+    )
+    return Table(caption, head, tuple(rows))
 
 
 def _drivers_table(found: dict[str, Values], exact: float | None) -> Table:
@@ -119,4 +139,4 @@ def _drivers_table(found: dict[str, Values], exact: float | None) -> Table:
                  tuple(rows))  # fmt: skip
 
 
-__all__ = ["errors", "optima", "order_of", "relative_error", "rows_of", "sections"]
+__all__ = ["errors", "expected_order", "optima", "order_of", "relative_error", "rows_of", "sections"]

@@ -1,4 +1,4 @@
-"""Sections about the modules themselves: sizes, times of making them, and what was left out."""
+"""Sections about the modules themselves: sizes, and times of making them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from codegen.report.store import Store
 
 
 def modules(store: Store, variants: Sequence[Variant], title: str, left: Sequence[str] = ()) -> Section:
-    """Times and sizes of every module, operations of its kernels, refusals, and what the first one omits."""
+    """Times and sizes of every module, operations of its kernels, and refusals."""
     rows, refused = [], []
     for variant in variants:
         values = store.get(MODULES, variant.case)
@@ -21,22 +21,22 @@ def modules(store: Store, variants: Sequence[Variant], title: str, left: Sequenc
             continue
         before, after = (sum(pair[i] for pair in values["operations"].values()) for i in (0, 1))
         rows.append((
-            variant.label, number(values["derivation seconds"]), number(values["compile seconds"]),
+            variant.label, number(values["derivation processor seconds"]), number(values["compile processor seconds"]),
             number(values["load seconds"]), str(values["lines"]), str(values["kernel lines"]),
             f"{values['bytes'] / 1024:.1f}", f"{before} → {after}", str(len(values["left out"])),
         ))  # fmt: skip
     head = ("module", "derive [s]", "compile [s]", "load [s]", "lines", "of these kernels", "KiB",
             "operations, before → after sharing", "parts left out")  # fmt: skip
-    texts = [_omissions(store, variants)]
+    texts = []
     if refused:
         texts.append("Schemes that do not apply: " + "; ".join(refused) + ".")
     if left:
         texts.append(f"Not measured, to keep the report short: {_by_method(left)}.")
     table = Table(
-        "Modules. Operations are those of one evaluation of every kernel; two modules were made at a time on two "
-        "processes, so that times of making them are upper bounds.", head, tuple(rows),
+        "Modules. Operations are those of one evaluation of every kernel. Times are the processor's; the first module "
+        "of a problem is derived while sympy's own tables are still empty.", head, tuple(rows),
     )  # fmt: skip
-    return Section(title, tuple(text for text in texts if text), (table,) if rows else ())
+    return Section(title, tuple(texts), (table,) if rows else ())
 
 
 def _by_method(labels: Sequence[str]) -> str:
@@ -46,15 +46,3 @@ def _by_method(labels: Sequence[str]) -> str:
         method, scheme = label.split(" ", 1)
         groups.setdefault(method, []).append(scheme)
     return "; ".join(f"{method} {listed(schemes)}" for method, schemes in groups.items())
-
-
-def _omissions(store: Store, variants: Sequence[Variant]) -> str:
-    for variant in variants:
-        values = store.get(MODULES, variant.case) or {}
-        if values.get("left out"):
-            return (
-                f"Left out of {variant.label}, because the problem does not need it: "
-                + "; ".join(values["left out"])
-                + "."
-            )
-    return ""

@@ -11,6 +11,7 @@ import numpy as np
 from codegen.errors import CodegenError
 from codegen.load import SimulateModule, is_simulation
 from codegen.report.building import Variant, Workshop
+from codegen.report.convergence import Spans, order_values, spans_of
 from codegen.report.extent import Extent
 from codegen.report.optima import well_timed
 from codegen.report.orders import is_exhausted
@@ -33,6 +34,11 @@ def references_of(problem: Path) -> str:
     return f"{problem.stem}: reference"
 
 
+def orders_of(problem: Path) -> str:
+    """The section of the store that holds the measurements of orders."""
+    return f"{problem.stem}: orders"
+
+
 def case_name(variant: Variant, steps: int) -> str:
     """The name of a case."""
     return f"{variant.label}; N {steps}"
@@ -51,7 +57,13 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     if not euler:
         return
     yield Case(references_of(problem), "motion", lambda: _reference(_simulation(workshop, euler[0])))
+    spans = _spans(_simulation(workshop, euler[0]), store, problem)
     for variant in built:
+        yield Case(
+            orders_of(problem),
+            variant.label,
+            lambda v=variant: order_values(_simulation(workshop, v), spans, extent.limit),  # type: ignore[misc]
+        )
         own_steps = int(workshop.module(variant).metadata["steps"])
         rungs = ladder(own_steps, extent.simulation_doublings)
         for steps in rungs:
@@ -75,6 +87,13 @@ def _simulation(workshop: Workshop, variant: Variant) -> SimulateModule:
     module = workshop.module(variant)
     assert is_simulation(module)
     return module
+
+
+def _spans(euler: SimulateModule, store: Store, problem: Path) -> Spans:
+    """The spans on which orders are measured, each computed when it is first needed."""
+    reference = store.get(references_of(problem), "motion")
+    assert reference is not None
+    return Spans(spans_of(euler, reference["times"], np.array(reference["states"], dtype=float)))
 
 
 def _reference(module: SimulateModule) -> Values:

@@ -14,7 +14,7 @@ from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.extent import Extent
 from codegen.report.figures import svg
 from codegen.report.optima import solved
-from codegen.report.orders import measured_order
+from codegen.report.orders import measured_order, order_text
 from codegen.report.section import Picture, Section, Table, number, seconds
 from codegen.report.store import Case, Store, Values
 
@@ -64,7 +64,8 @@ def sections(store: Store, problem: Path) -> list[Section]:
         values = _rows(store, label)
         wrong = [abs(v["cost"] - exact) for v in values]
         rows.append((
-            label, f"{method} {scheme}", str(order), number(measured_order([v["steps"] for v in values], wrong)),
+            label, f"{method} {scheme}", str(order),
+            order_text(measured_order([v["steps"] for v in values], wrong), order),
             number(wrong[0], 2), number(wrong[-1], 2), seconds(values[0]["seconds"]), seconds(values[-1]["seconds"]),
             str(sum(v["status"] != "solved" for v in values)),
         ))  # fmt: skip

@@ -23,7 +23,7 @@ from codegen.plots.style import BLUE, DARK, GREY, RED
 from codegen.report.building import Variant, Workshop
 from codegen.report.extent import Extent
 from codegen.report.figures import svg
-from codegen.report.orders import measured_order
+from codegen.report.orders import measured_order, order_text
 from codegen.report.section import Picture, Section, Table, number, seconds
 from codegen.report.store import Case, Store, Values
 
@@ -134,7 +134,7 @@ def _table(store: Store) -> Table:
             rows.append((
                 label, str(revolutions), str(last["steps"]), f"{last['cost']:.8g}", seconds(last["seconds"]),
                 str(last["iterations"]), number(last.get("miss")), number(last.get("velocity miss")),
-                number(measured_order([v["steps"] for v in values], missed)),
+                order_text(measured_order([v["steps"] for v in values], missed), 2),
                 str(sum(v["status"] != "solved" for v in values)),
             ))  # fmt: skip
     head = ("method", "revolutions", "N", "cost", "time", "iterations", "miss of R-K", "its velocity miss",

@@ -12,6 +12,8 @@ from codegen.stress.systems import REST, frequency
 
 LEAST, MOST = 0.02, 1e4
 """Steps times frequency between which the limit is looked for."""
+POINTS = 1500
+"""So many steps are tried between them; the first window of instability of some compositions is 2 % wide."""
 GROWTH = 1e-4
 """A spectral radius above one by more than this is growth; explicit Euler's is (h omega)^2/2 above one."""
 
@@ -32,7 +34,7 @@ def stable_limit(module: Any, case: Case) -> float:
 def _bisected(is_stable: Any) -> float:
     if not is_stable(LEAST):
         return 0.0
-    grid = np.geomspace(LEAST, MOST, 60)
+    grid = np.geomspace(LEAST, MOST, POINTS)
     below = LEAST
     for above in grid[1:]:
         if not is_stable(above):

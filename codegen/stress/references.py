@@ -14,7 +14,9 @@ from scipy.integrate import solve_ivp
 
 from codegen.drivers.result import Result
 from codegen.stress.cases import Case
+from codegen.stress.families.common import ORDERS
 from codegen.stress.limits import stable_limit
+from codegen.stress.linear import angle
 from codegen.stress.systems import DEFAULTS, FORCES, LIMITS, chain_acceleration, plate_gradient
 
 Vector = Any
@@ -57,10 +59,14 @@ def stable_step(module: Any, case: Case, result: Result) -> float:
 def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
     """The scheme's own closed form: q_k = cos((k + s) theta)/cos(s theta).
 
-    theta = 2 atan(h omega/2) for midpoint, 2 asin(h omega/2) for Störmer-Verlet (s = 0) and symplectic Euler (s = 1/2).
+    theta = 2 atan(h omega/2) for midpoint, 2 asin(h omega/2) for Störmer-Verlet (s = 0) and symplectic Euler (s = 1/2);
+    from the tables of schemes of higher order (s = 0).
     """
     x = result.t[-1] / result.steps * of_case(case).get("omega", 1.0) / 2.0
-    theta = 2.0 * (math.atan(x) if result.scheme == "midpoint" else math.asin(x))
+    if ORDERS.get(result.scheme, 1) > 2:
+        theta = angle(result.scheme, 2.0 * x)
+    else:
+        theta = 2.0 * (math.atan(x) if result.scheme == "midpoint" else math.asin(x))
     shift = 0.5 if result.scheme == "symplectic-euler" else 0.0
     k = np.round(result.t / (result.t[-1] / result.steps))
     exact = np.cos((k + shift) * theta) / np.cos(shift * theta)
@@ -116,11 +122,12 @@ def _integrated(field: Callable[[float, Vector], Vector], start: Vector, t: Vect
 
 
 def two_bodies(module: Any, case: Case, result: Result) -> float:
-    """A circle: the relative place turns with omega = sqrt(G (m1 + m2)) at unit distance."""
+    """A circle of radius d: the relative place turns with omega = sqrt(G (m1 + m2)/d^3); errors are relative to d."""
     masses = dict(case.values).get("m", (1.0, 0.001))
-    angle = math.sqrt(sum(masses)) * result.t
     relative = result.q[:, 2:] - result.q[:, :2]
-    return float(np.abs(relative - np.stack([np.cos(angle), np.sin(angle)], axis=1)).max())
+    distance = float(np.linalg.norm(relative[0]))
+    turned = math.sqrt(sum(masses) / distance**3) * result.t
+    return float(np.abs(relative / distance - np.stack([np.cos(turned), np.sin(turned)], axis=1)).max())
 
 
 def regulator(module: Any, case: Case, result: Result) -> float:

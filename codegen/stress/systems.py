@@ -141,5 +141,22 @@ LIMITS = {
     "stormer-verlet": 2.0,
     "rectangle": 2.0,
     "trapezoidal": 2.0,
+    "rk4": math.sqrt(8.0),
+    "gauss-4": math.inf,
+    "gauss-6": math.inf,
+    "lobatto-4": math.sqrt(8.0),
+    "yoshida-4": 1.5734,
+    "suzuki-4": 2.7210,
+    "yoshida-6": 2.2691,
+    "kahan-li-6": 2.5326,
+    "yoshida-8": 3.3932,
+    "kahan-li-8": 3.0964,
+    "mclachlan-4": 3.0355,
+    "blanes-moan-4": 3.1328,
+    "blanes-moan-6": 6.1452,
 }
-"""Largest stable h omega on the oscillator, from the traces of the step's matrix (0: none, infinite: any step)."""
+"""Largest stable h omega on the oscillator, from the traces of the step's matrix (0: none, infinite: any step).
+
+Those of compositions are the first at which a motion grows by 1e-4 in a step, computed from their published fractions
+by `codegen.stress.linear`; beyond some of them other stable steps follow.
+"""

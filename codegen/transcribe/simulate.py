@@ -200,7 +200,7 @@ def _euler_guesses(
     phase: Model, scheme: OneStep | RungeKutta, left: Sequence[Symbol], unknowns: Sequence[Symbol]
 ) -> dict[Symbol, Expr]:
     """Start every stage and the right node from explicit Euler steps that begin at the left node."""
-    rates = dict(zip(left, _rates_of_change(phase, left), strict=True))
+    rates = dict(zip(left, rates_of_change(phase, left), strict=True))
     if isinstance(scheme, RungeKutta):
         places, end = list(scheme.places), S.One
     else:
@@ -218,7 +218,7 @@ def _euler_guesses(
 def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
     """Guess the velocities of a step: those of the left node, or of half a step later where that costs little."""
     dimension = len(phase.coordinates)
-    rates = _rates_of_change(phase, left)
+    rates = rates_of_change(phase, left)
     velocities, slopes = rates[:dimension], rates[dimension:]
     if any(velocity.has(*left[:dimension]) for velocity in velocities):
         return velocities
@@ -227,7 +227,7 @@ def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
     return [velocity.xreplace(later) for velocity in velocities]
 
 
-def _rates_of_change(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
+def rates_of_change(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
     """The forced Hamiltonian vector field at the left node."""
     velocity = [diff(phase.function, p) for p in phase.rates]
     slope = [f - diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True)]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from codegen.stress.cases import Case
-from codegen.stress.families import chaos, control, horizons, inputs, orbits, particles, stiff
+from codegen.stress.families import chaos, control, higher_order, horizons, inputs, orbits, particles, stiff
 
 FAMILIES = {
     "stiff": stiff.cases,
     "orbits": orbits.cases,
     "chaos": chaos.cases,
     "horizons": horizons.cases,
+    "higher order": higher_order.cases,
     "control": control.cases,
     "particles": particles.cases,
     "inputs": inputs.cases,
