@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import cache
 
-import mpmath  # type: ignore[import-untyped]
+import mpmath
 import sympy
 from sympy import Expr, Rational, S, Symbol
 

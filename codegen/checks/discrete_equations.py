@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import mpmath  # type: ignore[import-untyped]
+import mpmath
 import sympy
 from sympy import Expr, S, Symbol
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import mpmath  # type: ignore[import-untyped]
+import mpmath
 import sympy
 
 from codegen.checks.base import Context, Finding, does_not_apply

@@ -121,8 +121,10 @@ def _sections(chosen: Chosen, store: Store) -> list[Section]:
     problem, name = chosen.problem, chosen.problem.stem
     survey = store.get(SURVEYS, name) or {}
     if chosen.task not in KINDS:
-        reason = survey.get("message") or f"its task, {chosen.task}, has a report of its own: codegen report {name}.py"
-        return [Section(f"{name}: not measured here", (reason,))]
+        if survey.get("status") == "refused" or name not in EXTRAS:
+            reason = survey.get("message") or f"problems with the task {chosen.task} are not measured"
+            return [Section(f"{name}: not measured here", (reason,))]
+        return EXTRAS[name].sections(store, problem)
     found = KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {title_of(problem)}")
     if name in EXTRAS:
         found += EXTRAS[name].sections(store, problem)

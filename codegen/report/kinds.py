@@ -12,6 +12,7 @@ from codegen.report import (
     sections_simulation,
     simulations,
     thesis_craft,
+    thesis_landmarks,
     thesis_linear,
     thesis_orbit,
     thesis_pendulum,
@@ -46,7 +47,7 @@ KINDS = {
         sections_control.order_of, sections_control.expected_order, "cost",
     ),
 }  # fmt: skip
-"""Kinds of problems by task; landmark registration has a study of its own."""
+"""Kinds of problems by task; landmark registration is studied apart from them, as one of the extras."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ EXTRAS = {
     "pendulum": Extra(thesis_pendulum.variants, thesis_pendulum.cases, thesis_pendulum.sections),
     "linear_pendulum": Extra(thesis_linear.variants, thesis_linear.cases, thesis_linear.sections),
     "orbital_transfer": Extra(thesis_orbit.variants, thesis_orbit.cases, thesis_orbit.sections),
+    "image_registration": Extra(thesis_landmarks.variants, thesis_landmarks.cases, thesis_landmarks.sections),
     "hovercraft": Extra(thesis_craft.variants, thesis_craft.cases, thesis_craft.sections),
 }
 """Experiments by the names of problem files."""

@@ -41,7 +41,7 @@ def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:
             name,
             chosen.task or "–",
             *["–"] * 5,
-            "refused" if status == "refused" else "see its own study",
+            "refused" if status == "refused" else "see its study below",
             "–",
             "–",
         )

@@ -24,13 +24,17 @@ _INTRODUCTION = (
 
 def render(settings: Settings, store: Store, environment: Mapping[str, Any]) -> str:
     """The text of the page."""
-    sections: list[Section] = of_thesis(settings, store) + ([] if settings.quick else of_questions(settings, store))
     introduction = _INTRODUCTION
     if settings.quick:
         introduction += (
             " This is the quick form: one set of landmarks, three numbers of steps, the fast routes, no open questions."
         )
-    return page(_TITLE, introduction, sections, environment)
+    return page(_TITLE, introduction, of_study(settings, store), environment)
+
+
+def of_study(settings: Settings, store: Store) -> list[Section]:
+    """The sections of the study of landmark registration."""
+    return of_thesis(settings, store) + ([] if settings.quick else of_questions(settings, store))
 
 
 def page(title: str, introduction: str, sections: Sequence[Section], environment: Mapping[str, Any]) -> str:
