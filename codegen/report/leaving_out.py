@@ -17,7 +17,7 @@ from codegen.report.optima import MOST_STEPS, well_timed
 from codegen.report.section import Section, Table, number, seconds
 from codegen.report.store import Case, Store, Values
 
-PARTICLES = "particles"
+PARTICLES, _MAKING = "particles", ("derivation", "compile")
 _FORMS = {
     "simulate": (
         "inner stages and the state at the right node are all unknowns of Newton's method, with a dense Jacobian "
@@ -118,12 +118,13 @@ def _answer(variant: Variant, run: Values) -> str:
 
 
 def _table(variant: Variant, made: Values, other: Values, run: Values) -> Table:
+    derive, compile_ = ([m.get(f"{what} processor seconds") for m in (made, other)] for what in _MAKING)
     pairs: list[tuple[str, Any, Any, Callable[[Any], str]]] = [
         ("lines", made["lines"], other["lines"], str),
         ("of these kernels", made["kernel lines"], other["kernel lines"], str),
         ("operations of all kernels", _operations(made), _operations(other), str),
-        ("derive", made["derivation processor seconds"], other["derivation processor seconds"], seconds),
-        ("compile", made["compile processor seconds"], other["compile processor seconds"], seconds),
+        ("derive", derive[0], derive[1], seconds),
+        ("compile", compile_[0], compile_[1], seconds),
         (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds),
     ]
     rows = tuple((name, *("–" if v is None else show(v) for v in (a, b)), _ratio(a, b)) for name, a, b, show in pairs)

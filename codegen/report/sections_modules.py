@@ -21,9 +21,10 @@ def modules(store: Store, variants: Sequence[Variant], title: str, left: Sequenc
             continue
         before, after = (sum(pair[i] for pair in values["operations"].values()) for i in (0, 1))
         rows.append((
-            variant.label, number(values["derivation processor seconds"]), number(values["compile processor seconds"]),
-            number(values["load seconds"]), str(values["lines"]), str(values["kernel lines"]),
-            f"{values['bytes'] / 1024:.1f}", f"{before} → {after}", str(len(values["left out"])),
+            variant.label, number(values.get("derivation processor seconds")),
+            number(values.get("compile processor seconds")), number(values["load seconds"]),
+            str(values["lines"]), str(values["kernel lines"]), f"{values['bytes'] / 1024:.1f}",
+            f"{before} → {after}", str(len(values["left out"])),
         ))  # fmt: skip
     head = ("module", "derive [s]", "compile [s]", "load [s]", "lines", "of these kernels", "KiB",
             "operations, before → after sharing", "parts left out")  # fmt: skip
