@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from codegen.report.optima import MOST_STEPS, well_timed
 from codegen.report.section import Section, Table, number, seconds
 from codegen.report.store import Case, Store, Values
 
-PARTICLES, _MAKING = "particles", ("derivation", "compile")
+PARTICLES = "particles"
 _FORMS = {
     "simulate": (
         "inner stages and the state at the right node are all unknowns of Newton's method, with a dense Jacobian "
@@ -118,13 +118,12 @@ def _answer(variant: Variant, run: Values) -> str:
 
 
 def _table(variant: Variant, made: Values, other: Values, run: Values) -> Table:
-    derive, compile_ = ([m.get(f"{what} processor seconds") for m in (made, other)] for what in _MAKING)
-    pairs: list[tuple[str, Any, Any, Callable[[Any], str]]] = [
+    pairs: list[tuple[Any, ...]] = [
         ("lines", made["lines"], other["lines"], str),
         ("of these kernels", made["kernel lines"], other["kernel lines"], str),
         ("operations of all kernels", _operations(made), _operations(other), str),
-        ("derive", derive[0], derive[1], seconds),
-        ("compile", compile_[0], compile_[1], seconds),
+        ("derive", *(other.get(f"{form} derivation processor seconds") for form in ("plain", "general")), seconds),
+        ("compile", *(m.get("compile processor seconds") for m in (made, other)), seconds),
         (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds),
     ]
     rows = tuple((name, *("–" if v is None else show(v) for v in (a, b)), _ratio(a, b)) for name, a, b, show in pairs)
