@@ -43,7 +43,7 @@ GALLERY = Extent(
     limit=1.0,
     repeat=2,
     driver_unknowns=150,
-    general_operations=200,
+    general_operations=60,
 )
 """A folder of problems in less than 20 minutes on two processors."""
 QUICK = Extent(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,12 +118,12 @@ def _answer(variant: Variant, run: Values) -> str:
 
 
 def _table(variant: Variant, made: Values, other: Values, run: Values) -> Table:
-    pairs: list[tuple[str, Any, Any, Callable[[Any], str]]] = [
+    pairs: list[tuple[Any, ...]] = [
         ("lines", made["lines"], other["lines"], str),
         ("of these kernels", made["kernel lines"], other["kernel lines"], str),
         ("operations of all kernels", _operations(made), _operations(other), str),
-        ("derive", made["derivation processor seconds"], other["derivation processor seconds"], seconds),
-        ("compile", made["compile processor seconds"], other["compile processor seconds"], seconds),
+        ("derive", *(other.get(f"{form} derivation processor seconds") for form in ("plain", "general")), seconds),
+        ("compile", *(m.get("compile processor seconds") for m in (made, other)), seconds),
         (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds),
     ]
     rows = tuple((name, *("–" if v is None else show(v) for v in (a, b)), _ratio(a, b)) for name, a, b, show in pairs)

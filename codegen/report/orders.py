@@ -24,7 +24,7 @@ SMALL = 1e-6
 """... provided that it is smaller than this."""
 LARGE = 0.5
 """Relative errors from here on belong to motions that have little to do with the exact one, and show no order."""
-SETTLED, SETTLED_HIGH, HIGH = 0.05, 0.15, 5.0
+SETTLED, SETTLED_HIGH, HIGH = 0.03, 0.15, 5.0
 """Local orders have settled if they differ by no more than this; by the second, if they are above the third."""
 TOLERANCE, TOLERANCE_HIGH = 0.1, 0.3
 """How far a measured order may be from the expected one; the second from order 6 on."""

@@ -93,7 +93,7 @@ def _fastest(store: Store, problem: Path, variants: Sequence[Variant]) -> str:
             least, best = min(times, key=lambda pair: pair[0])
             own = next((t for t, v in times if v == variants[0]), None)
             beside = f", {number(own / least, 2)} times as fast as {variants[0].label}" if own and own > least else ""
-            said.append(f"{error:g} by {best.label} in {seconds(least)}{beside}")
+            said.append(f"{number(error, 1)} by {best.label} in {seconds(least)}{beside}")
     return f"Fastest to an error of the trajectory of {'; '.join(said)}." if said else ""
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from codegen import drivers
-from codegen.drivers.refinement import source_steps, transferred
+from codegen.drivers.refinement import order_of_optima, source_steps, transferred
 from codegen.errors import ArgumentError, NumericsError
 
 
@@ -45,3 +45,13 @@ def test_start_of_another_problem_is_refused(interpreted):
 def test_simulations_are_not_refined(pendulum):
     with pytest.raises(ArgumentError, match="optimisation"):
         drivers.solve(pendulum, doublings=1)
+
+
+def test_costs_are_extrapolated_by_the_order_of_optima(interpreted):
+    """With a control that is constant on intervals the cost is of order 2, also by Gauss' method of order 4."""
+    module = interpreted("double_integrator_effort", scheme="gauss-4")
+    result = drivers.solve(module, steps=4, doublings=2)
+    assert module.metadata["order"] == 4
+    assert order_of_optima(module) == 2
+    assert result.summary["observed_order"] == pytest.approx(2.0, abs=0.1)
+    assert abs(result.summary["cost_extrapolated"] - 12.0) < 0.02 * abs(result.cost - 12.0)

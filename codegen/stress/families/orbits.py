@@ -50,9 +50,12 @@ def ellipse(scheme: SchemeOf, e: float, steps: int) -> Case:
         bound = math.nan
     elif math.isfinite(bound):
         expect, reason = "accurate", "the step resolves the closest approach"
+    elif order_of(scheme) > 2 and h_omega < 2.0:
+        expect, reason = "bounded", "a high order may pass the closest approach in steps as long as that lasts"
     return Case(
         f"Kepler, e = {e:g}, {steps} steps", "orbits", setup("kepler", scheme), expect, reason, steps,
         (("start", start(e)), ("duration", duration)), every=max(1, steps // 2000), reference="kepler", bound=bound,
         drift=0.1 if scheme[1] in SYMPLECTIC else 0.01, h_omega=h_omega,
+        allowed=("unsuitable",) if expect == "bounded" else (),
         textbook=steps <= 2000 and scheme[1] in TEXTBOOK,
     )  # fmt: skip
