@@ -11,7 +11,7 @@ import math
 from functools import cache
 from typing import Any
 
-import mpmath  # type: ignore[import-untyped]
+import mpmath
 
 from codegen import schemes
 from codegen.schemes import Composition, RungeKutta
