@@ -1,7 +1,6 @@
 """The real page in a real browser, against a real server."""
 
 import http.client
-import re
 import socket
 import urllib.error
 import urllib.request
@@ -141,8 +140,7 @@ def test_what_cannot_be_opened_is_refused_and_the_session_goes_on(chromium, addr
     visit.upload("Bend one image", files / "fixed.png")
     visit.until(lambda v: v.points("moving") == [])
     assert visit.page.evaluate("document.documentElement.scrollWidth") <= 400  # nothing sticks out of a narrow window
-    # A known defect: where an opened image replaces figures, BokehJS may hear of changes of a figure that it has not.
-    assert [said for said in visit.problems if not re.fullmatch(r"reference p\d+ isn't known", said)] == []
+    assert visit.problems == []
     visit.context.close()
 
 

@@ -28,7 +28,7 @@ class Visitor:
 
     def click(self, side, x, y):
         """What the browser sends after a click."""
-        source = self.view.sources[side]
+        source = self.view.points[side].source
         click = {"x": x, "y": y, "id": 0, "edition": 0}
         source.data = {name: [*column, click.get(name, 0)] for name, column in source.data.items()}
 
@@ -61,6 +61,16 @@ def test_ten_sessions_at_once_stay_separate(solver):
         assert view.session.work.pairs[1].fixed == (6.0 + k, 21.0)
         np.testing.assert_array_equal(view.shown.registration.pairs.fixed[1], [6.0 + k, 21.0])
         assert list(view.controls.table.value["moving_x"]) == [5.0 + k] * 2
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_points_that_are_not_wanted_stay_hidden_whatever_is_drawn(wanted):
+    result = Visitor(0).view.result
+    result.show_points(wanted)
+    for moment in (1.0, 0.5, 1.0, 1.0):
+        result.show_carried(np.array([[3.0, 4.0]]), moment)
+        assert {renderer.visible for renderer in result.point_renderers} == {wanted and moment == 1.0}
+        assert len(result.carried.data["x"]) == (moment < 1.0)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("<b>"), ZeroDivisionError(), MemoryError()])

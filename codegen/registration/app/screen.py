@@ -6,13 +6,14 @@ import traceback
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from bokeh.models import ColumnDataSource
+import numpy as np
 
 from codegen.errors import CodegenError
 from codegen.registration.app import solving
 from codegen.registration.app.autosave import Store
-from codegen.registration.app.canvas import Canvas, point_rows, point_source
+from codegen.registration.app.canvas import Canvas, Points, point_rows
 from codegen.registration.app.controls import Controls, table_rows
+from codegen.registration.app.picture import Picture
 from codegen.registration.app.result import ResultCanvas
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Shown, Wanted
@@ -37,7 +38,13 @@ class Screen:
         self.store, self.token = store, token
         self.worker, self.slow = Worker(deliver, QUICK), Worker(deliver, SLOW, slow)
         self.controls = Controls()
-        self.sources: dict[Side, ColumnDataSource] = {"moving": point_source(), "fixed": point_source()}
+        self.points: dict[Side, Points] = {"moving": Points(), "fixed": Points()}
+        self.canvases: dict[Side, Canvas] = {side: Canvas(points, side) for side, points in self.points.items()}
+        self.result = ResultCanvas(self.points["fixed"], "result")
+        for points in self.points.values():
+            points.released.on_change("data", self._released)
+            self.result.answers(points)
+        self._straight: bool | None = None  # whether the moving image has its grid, as far as it was drawn
         self.shown: Shown | None = None
         self.certified: Certified | None = None
         self._writing = False
@@ -54,32 +61,28 @@ class Screen:
         self._changed()
 
     def _show_images(self) -> None:
-        """New figures for new images."""
-        moving, fixed = self.session.moving, self.session.picture("fixed")
-        self.canvases: dict[Side, Canvas] = {
-            "moving": Canvas(moving.shape, self.sources, "moving", "moving"),
-            "fixed": Canvas(fixed.shape, self.sources, "fixed", "fixed"),
-        }
-        self.result = ResultCanvas(fixed.shape, self.sources, "result")
-        for canvas in (*self.canvases.values(), self.result):
-            canvas.released.on_change("data", self._released)
-        self.canvases["moving"].show(moving.preview)
-        self.canvases["fixed"].show(fixed.preview)
-        self.shown = self.certified = None
+        """Other images in the same figures."""
+        pictures: dict[Side, Picture] = {side: self.session.picture(side) for side in self.canvases}
+        for side, canvas in self.canvases.items():
+            canvas.resize(pictures[side].shape)
+            canvas.show(pictures[side].preview)
+        self.result.resize(pictures["fixed"].shape)
+        self.result.show(np.zeros((1, 1, 4), np.uint8))  # nothing, until it has been computed
+        self.result.show_areas(None)
+        self.shown = self.certified = self._straight = None
         self._show_settings()
         self._show_points()
         self._compare()
-        # Last, because a change of a figure that the browser has not been sent yet would reach it before the figure.
-        self.layout.show_canvases(self.session, self.canvases, self.result)
+        self.layout.show_images(self.session)
         self.layout.status(["computing …"])
         self.draw()
 
     def _show_points(self) -> None:
         self._writing = True
         try:
-            for side, source in self.sources.items():
+            for side, points in self.points.items():
                 edition = self.session.editions[side].publish(self.session.work)
-                source.data = point_rows(self.session.work, side, edition, self.session.selected)
+                points.source.data = point_rows(self.session.work, side, edition, self.session.selected)
             self._show_table()
         finally:
             self._writing = False
@@ -91,8 +94,8 @@ class Screen:
     def _highlight(self) -> None:
         """Another pair is highlighted, and nothing has moved."""
         number = self.session.number(self.session.selected or 0)
-        for side, source in self.sources.items():
-            rows = point_rows(self.session.work, side, 0, self.session.selected)
+        for side, points in self.points.items():
+            source, rows = points.source, point_rows(self.session.work, side, 0, self.session.selected)
             if len(rows["size"]) == len(source.data["size"]):
                 source.patch({name: [(slice(None), rows[name])] for name in ("size", "rim")})
         self._writing = True
@@ -147,13 +150,14 @@ class Screen:
     def _drawn(self, shown: Shown) -> None:
         self.shown = shown
         self.session.registration = shown.registration
-        self.result.show(shown.image)
-        self.result.show_grid(shown.grid)
+        self.result.show(shown.image, shown.grid)
         self.result.show_carried(shown.carried, shown.wanted.time)
         if shown.wanted.hasty:
             return
-        straight = solving.grid(self.session.moving, None, 0.0) if shown.wanted.grid else ([], [])
-        self.canvases["moving"].show_grid(straight)
+        if self._straight is not shown.wanted.grid:
+            self._straight = shown.wanted.grid
+            straight = solving.grid(self.session.moving, None, 0.0) if self._straight else ([], [])
+            self.canvases["moving"].show(self.session.moving.preview, straight)
         self._writing = True
         self._show_table()
         self._writing = False

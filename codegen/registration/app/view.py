@@ -15,7 +15,7 @@ from codegen.registration.app.autosave import Store
 from codegen.registration.app.bridge import Browser, FileButton
 from codegen.registration.app.layout import Layout
 from codegen.registration.app.reading import LIMITS, example, picture_from
-from codegen.registration.app.rows import Changes
+from codegen.registration.app.rows import Changes, dragged
 from codegen.registration.app.screen import Screen
 from codegen.registration.app.session import Session
 from codegen.registration.app.state import Place, Settings, Side
@@ -61,9 +61,10 @@ class View(Screen):
 
     def _connect(self) -> None:
         c = self.controls
-        for side, source in self.sources.items():
-            source.on_change("data", partial(self._rows_changed, side))
-            source.selected.on_change("indices", partial(self._point_chosen, side))
+        for side, points in self.points.items():
+            points.source.on_change("data", partial(self._rows_changed, side))
+            points.source.selected.on_change("indices", partial(self._point_chosen, side))
+            points.dragging.on_change("data", partial(self._dragged, side))
         c.table.param.watch(self._row_chosen, "selection")
         for widget, act in {
             c.undo: self.session.undo, c.redo: self.session.redo, c.clear: self.session.clear, c.delete: self._delete,
@@ -104,7 +105,7 @@ class View(Screen):
         self._changed()
 
     def _rows_changed(self, side: Side, attr: str, old: Any, new: Any) -> None:
-        """The browser sent the points of an image: clicks, or a drag that may not be over yet."""
+        """The browser sent the points of an image: clicks, or the end of a drag."""
         if self._writing:
             return
         changes = self.session.editions[side].changes(new, self.session.work)
@@ -112,10 +113,15 @@ class View(Screen):
             self._expect(side, changes.added)
         if changes.moved:
             self.session.follow(side, replace(changes, added=(), removed=()))
-            if self.controls.live.value:
-                self.draw(hasty=True)
         if changes.removed:
             self.do(partial(self.session.remove, *changes.removed))
+
+    def _dragged(self, side: Side, attr: str, old: Any, new: Any) -> None:
+        """The browser told where the point is that is being dragged."""
+        for identity, place in dragged(new):
+            self.session.move(identity, side, place, settled=False)
+            if self.controls.live.value:
+                self.draw(hasty=True)
 
     def _expect(self, side: Side, places: Sequence[Place]) -> None:
         """Add pairs as soon as it is known where the partners of the points that were clicked are to be expected."""
@@ -133,7 +139,7 @@ class View(Screen):
         return [self.session.expected(side, place) for place in places]
 
     def _point_chosen(self, side: Side, attr: str, old: Any, new: list[int]) -> None:
-        identities = self.sources[side].data["id"]
+        identities = self.points[side].source.data["id"]
         if new and new[0] < len(identities) and identities[new[0]]:
             self._choose(int(identities[new[0]]))
 
