@@ -15,6 +15,7 @@ from codegen.registration.app import exports, reading, solving
 from codegen.registration.app.autosave import MOST_WORKS, Store, new_token
 from codegen.registration.app.history import History
 from codegen.registration.app.picture import Picture
+from codegen.registration.app.rows import Editions
 from codegen.registration.app.session import Session
 from codegen.registration.app.state import MOST_PAIRS, Settings, Work, pairs_of
 from codegen.registration.images import read_image
@@ -33,7 +34,10 @@ def picture(shape=SHAPE, dtype=np.uint8, name="a.png"):
 
 @pytest.fixture
 def session():
-    return Session(picture(), picture((50, 70), name="b.png"))
+    """A session, and for its tables what a page would remember of what it sent."""
+    made = Session(picture(), picture((50, 70), name="b.png"))
+    made.editions = {side: Editions(side) for side in ("moving", "fixed")}
+    return made
 
 
 def places(session, side):

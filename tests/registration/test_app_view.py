@@ -28,7 +28,7 @@ class Visitor:
 
     def click(self, side, x, y):
         """What the browser sends after a click."""
-        source = self.view.points[side].source
+        source = self.view.canvases[side].points.source
         click = {"x": x, "y": y, "id": 0, "edition": 0}
         source.data = {name: [*column, click.get(name, 0)] for name, column in source.data.items()}
 

@@ -56,10 +56,18 @@ if (source.selected.indices.length) {{
   figure.y_range.setv({{ start: bottom + y, end: top + y }})
 }}
 """
+# The same point in the other figure moves when the image does: moving it with the mouse would cost a picture each time.
 _ANSWERED = f"""
 {_TELL}
-dragging.__told = 0
-if (dragging.__behind) tell()
+if (dragging.__row !== undefined) {{
+  const [id] = dragging.get_column("id"), row = twin ? Array.from(twin.get_column("id")).indexOf(id) : -1
+  if (id && row >= 0) {{
+    for (const name of ["x", "y"]) twin.get_column(name)[row] = dragging.get_column(name)[0]
+    twin.change.emit()
+  }}
+  dragging.__told = 0
+  if (dragging.__behind) tell()
+}}
 """
 # The tool tells of the end of a drag itself; this comes after it. A point that stayed selected would be dragged along.
 _RELEASED = """
@@ -74,9 +82,10 @@ _CHOSEN = "setTimeout(() => { source.selected.indices = [] }, 0)"
 
 
 class Points:
-    """The points of one side as its figures share them: a table, and which of them is being dragged to where."""
+    """The points of one side as one figure has them: a table, and which of them is being dragged to where."""
 
-    def __init__(self) -> None:
+    def __init__(self, side: Side) -> None:
+        self.side = side
         columns = ("x", "y", "id", "edition", "label", "colour", "inside", "size", "rim")
         self.source = ColumnDataSource({name: [] for name in columns}, name="points")
         self.dragging = ColumnDataSource({"id": [], "x": [], "y": []})
@@ -177,9 +186,10 @@ class Canvas:
         for event, code in {"panstart": _BEGUN, "pan": _DRAGGED, "panend": _RELEASED, "tap": _CHOSEN}.items():
             self.figure.js_on_event(event, CustomJS(args=known, code=code))
 
-    def answers(self, points: Points) -> None:
-        """A new image here says that a drag has been followed, and that the next position may be told."""
-        known = {"source": points.source, "dragging": points.dragging, "patience": PATIENCE}
+    def answers(self, points: Points, twin: Points | None) -> None:
+        """A new image here says that a drag has been followed, by its twin too, and that the next may be told."""
+        known = {"source": points.source, "dragging": points.dragging, "patience": PATIENCE,
+                 "twin": twin.source if twin else None}  # fmt: skip
         self.picture.js_on_change("data", CustomJS(args=known, code=_ANSWERED))
 
 

@@ -15,6 +15,7 @@ from codegen.registration.app.canvas import Canvas, Points, point_rows
 from codegen.registration.app.controls import Controls, table_rows
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.result import ResultCanvas
+from codegen.registration.app.rows import Editions
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Shown, Wanted
 from codegen.registration.app.state import Side
@@ -38,12 +39,13 @@ class Screen:
         self.store, self.token = store, token
         self.worker, self.slow = Worker(deliver, QUICK), Worker(deliver, SLOW, slow)
         self.controls = Controls()
-        self.points: dict[Side, Points] = {"moving": Points(), "fixed": Points()}
-        self.canvases: dict[Side, Canvas] = {side: Canvas(points, side) for side, points in self.points.items()}
-        self.result = ResultCanvas(self.points["fixed"], "result")
-        for points in self.points.values():
+        moving, fixed, again = self.points = (Points("moving"), Points("fixed"), Points("fixed"))
+        self.canvases: dict[Side, Canvas] = {"moving": Canvas(moving, "moving"), "fixed": Canvas(fixed, "fixed")}
+        self.result = ResultCanvas(again, "result")
+        self.editions = {points: Editions(points.side) for points in self.points}
+        for points, twin in ((moving, None), (fixed, again), (again, fixed)):
             points.released.on_change("data", self._released)
-            self.result.answers(points)
+            self.result.answers(points, twin)
         self._straight: bool | None = None  # whether the moving image has its grid, as far as it was drawn
         self.shown: Shown | None = None
         self.certified: Certified | None = None
@@ -80,9 +82,9 @@ class Screen:
     def _show_points(self) -> None:
         self._writing = True
         try:
-            for side, points in self.points.items():
-                edition = self.session.editions[side].publish(self.session.work)
-                points.source.data = point_rows(self.session.work, side, edition, self.session.selected)
+            for points in self.points:
+                edition = self.editions[points].publish(self.session.work)
+                points.source.data = point_rows(self.session.work, points.side, edition, self.session.selected)
             self._show_table()
         finally:
             self._writing = False
@@ -94,8 +96,8 @@ class Screen:
     def _highlight(self) -> None:
         """Another pair is highlighted, and nothing has moved."""
         number = self.session.number(self.session.selected or 0)
-        for side, points in self.points.items():
-            source, rows = points.source, point_rows(self.session.work, side, 0, self.session.selected)
+        for points in self.points:
+            source, rows = points.source, point_rows(self.session.work, points.side, 0, self.session.selected)
             if len(rows["size"]) == len(source.data["size"]):
                 source.patch({name: [(slice(None), rows[name])] for name in ("size", "rim")})
         self._writing = True

@@ -13,6 +13,7 @@ from codegen.errors import CodegenError
 from codegen.registration.app import exports, solving
 from codegen.registration.app.autosave import Store
 from codegen.registration.app.bridge import Browser, FileButton
+from codegen.registration.app.canvas import Points
 from codegen.registration.app.layout import Layout
 from codegen.registration.app.reading import LIMITS, example, picture_from
 from codegen.registration.app.rows import Changes, dragged
@@ -61,10 +62,10 @@ class View(Screen):
 
     def _connect(self) -> None:
         c = self.controls
-        for side, points in self.points.items():
-            points.source.on_change("data", partial(self._rows_changed, side))
-            points.source.selected.on_change("indices", partial(self._point_chosen, side))
-            points.dragging.on_change("data", partial(self._dragged, side))
+        for points in self.points:
+            points.source.on_change("data", partial(self._rows_changed, points))
+            points.source.selected.on_change("indices", partial(self._point_chosen, points))
+            points.dragging.on_change("data", partial(self._dragged, points.side))
         c.table.param.watch(self._row_chosen, "selection")
         for widget, act in {
             c.undo: self.session.undo, c.redo: self.session.redo, c.clear: self.session.clear, c.delete: self._delete,
@@ -104,11 +105,11 @@ class View(Screen):
         self.layout.message("")
         self._changed()
 
-    def _rows_changed(self, side: Side, attr: str, old: Any, new: Any) -> None:
+    def _rows_changed(self, points: Points, attr: str, old: Any, new: Any) -> None:
         """The browser sent the points of an image: clicks, or the end of a drag."""
         if self._writing:
             return
-        changes = self.session.editions[side].changes(new, self.session.work)
+        side, changes = points.side, self.editions[points].changes(new, self.session.work)
         if changes.added:
             self._expect(side, changes.added)
         if changes.moved:
@@ -138,8 +139,8 @@ class View(Screen):
     def _expectations(self, side: Side, places: Sequence[Place]) -> list[Place]:
         return [self.session.expected(side, place) for place in places]
 
-    def _point_chosen(self, side: Side, attr: str, old: Any, new: list[int]) -> None:
-        identities = self.points[side].source.data["id"]
+    def _point_chosen(self, points: Points, attr: str, old: Any, new: list[int]) -> None:
+        identities = points.source.data["id"]
         if new and new[0] < len(identities) and identities[new[0]]:
             self._choose(int(identities[new[0]]))
 
