@@ -79,9 +79,11 @@ class Layout:
         """A remark on the pairs, or none."""
         self._note.object, self._note.visible = f"<p>{escape(text)}</p>", bool(text)
 
-    def status(self, parts: list[str], folds: bool | None = None) -> None:
-        """One line on the present registration, and whether it folds if that is known."""
+    def status(self, parts: list[str], folds: bool | None = None, busy: bool = False) -> None:
+        """One line on the present registration, and whether it folds if that is known; `busy` for what takes long."""
         text = " · ".join(escape(part) for part in parts)
+        if busy:
+            text = f'<i class="spinner"></i> {text}'
         if folds is not None:
             text = f'<b class="{"bad" if folds else "good"}">{"folds" if folds else "no folding"}</b> {text}'
         self._status.object = f'<div class="status">{text}</div>'

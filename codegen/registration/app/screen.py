@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import traceback
+from concurrent.futures import Future
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from codegen.errors import CodegenError
-from codegen.registration.app import solving
+from codegen.registration.app import preparing, solving
 from codegen.registration.app.autosave import Store
 from codegen.registration.app.canvas import Canvas, Points, point_rows
 from codegen.registration.app.controls import Controls, table_rows
@@ -19,7 +20,7 @@ from codegen.registration.app.rows import Editions
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Shown, Wanted
 from codegen.registration.app.state import Side
-from codegen.registration.app.worker import Deliver, Worker, slow
+from codegen.registration.app.worker import Deliver, Worker, delivered, slow
 
 if TYPE_CHECKING:
     from codegen.registration.app.layout import Layout
@@ -46,6 +47,7 @@ class Screen:
         for points, twin in ((moving, None), (fixed, again), (again, fixed)):
             points.released.on_change("data", self._released)
             self.result.answers(points, twin)
+        self._awaited: Future[None] | None = None  # the solver that is being compiled
         self._straight: bool | None = None  # whether the moving image has its grid, as far as it was drawn
         self.shown: Shown | None = None
         self.certified: Certified | None = None
@@ -137,11 +139,28 @@ class Screen:
         mapped = self.controls.mode.value == "Areas" and self.certified is not None
         self.layout.legend(self.result.extreme if mapped else None)
 
+    def _ready(self) -> bool:
+        """Whether the solver of the present scheme is at hand, if one is needed; otherwise all is drawn when it is."""
+        if not self.session.work.pairs:
+            return True
+        solver = preparing.prepared(self.session.work.settings.scheme)
+        if not solver.done() and self._awaited is not solver:
+            self._awaited = solver
+            solver.add_done_callback(lambda _: delivered(self.deliver, self._arrived))
+        if solver.done() and (error := solver.exception()) is not None:
+            self.deliver(partial(self.fail, error))
+            return False
+        return solver.done()
+
+    def _arrived(self) -> None:
+        """The solver has been made ready, or could not be."""
+        self._awaited = None
+        self.draw()
+
     def draw(self, hasty: bool = False) -> None:
         """Register the present pairs beside the event loop, and show what comes of it."""
-        wanted = Wanted(
-            self.session.task(), float(self.controls.time.value or 0.0), bool(self.controls.grid.value), hasty
-        )
+        time, grid = float(self.controls.time.value or 0.0), bool(self.controls.grid.value)
+        wanted = Wanted(self.session.task(), time, grid, hasty, waiting=not self._ready())
         previous, known = self.session.registration, None
         if self.shown is not None and not self.shown.wanted.hasty and not hasty:
             same = self.shown.wanted.task.revision == wanted.task.revision
@@ -186,6 +205,9 @@ class Screen:
     def _tell(self) -> None:
         """One line on the registration that is shown."""
         shown, certified = self.shown, self.certified
+        if self._awaited is not None:
+            self.layout.status([preparing.COMPILING], busy=True)
+            return
         if shown is None or shown.registration is None:
             self.layout.status([] if self.session.work.pairs else ["no pairs yet: click in an image"])
             return
@@ -204,7 +226,7 @@ class Screen:
             job = partial(self.store.save, self.token, self.session.moving, self.session.fixed, self.session.work)
             self.slow.ask("save", job, lambda _: None, self.fail)
 
-    def fail(self, error: Exception) -> None:
+    def fail(self, error: BaseException) -> None:
         """Show what went wrong; the session goes on."""
         self._tell()
         if isinstance(error, CodegenError):

@@ -40,11 +40,12 @@ class Wanted:
     time: float = 1.0
     grid: bool = False
     hasty: bool = False  # while dragging: nearest pixels, and no search for the number of steps
+    waiting: bool = False  # the solver is not ready: nothing is moved
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The answer: `registration` is None without pairs. `image` is RGBA of the fixed image's preview."""
+    """The answer: `registration` is None without pairs or solver. `image` is RGBA of the fixed image's preview."""
 
     wanted: Wanted
     registration: Registration | None
@@ -67,9 +68,9 @@ class Certified:
 
 
 def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
-    """The registration of a task, from that of a moment ago; None without pairs. Raises the errors of `register`."""
+    """The registration of a task, from that of a moment ago; None without pairs or solver. As `register` it raises."""
     work = wanted.task.work
-    if not work.pairs:
+    if not work.pairs or wanted.waiting:
         return None
     steps = min(previous.steps, HASTY_STEPS) if wanted.hasty and previous is not None else None
     shapes, method = arguments(wanted.task)

@@ -9,7 +9,7 @@ from typing import Any
 
 import panel as pn
 
-from codegen.errors import CodegenError
+from codegen.errors import CodegenError, RegistrationError
 from codegen.registration.app import exports, solving
 from codegen.registration.app.autosave import Store
 from codegen.registration.app.bridge import Browser, FileButton
@@ -169,6 +169,8 @@ class View(Screen):
 
     def _choose_sigma(self, event: Any) -> None:
         """Ask for the best sigma, which takes a while."""
+        if not self._solver_at_hand():
+            return
         self.layout.status(["choosing the distance …"])
         settings = self.session.work.settings
 
@@ -182,6 +184,13 @@ class View(Screen):
         if not self._writing:
             settings = Settings(c.align.value, float(c.sigma.value or 0.0), c.scheme.value, c.interpolation.value)
             self.deliver(partial(self.do, partial(self.session.set, settings)))
+
+    def _solver_at_hand(self) -> bool:
+        """Whether there is a solver for what takes long; the visitor is told when there is none yet."""
+        ready = self._ready()
+        if not ready and self._awaited is not None:
+            self.fail(RegistrationError("the solver is still being compiled", "try again when the image is warped"))
+        return ready
 
     # --- images and landmark files --------------------------------------------------------------------------------
 
@@ -213,6 +222,8 @@ class View(Screen):
 
     def export(self, kind: str) -> None:
         """Make a file beside the event loop and let the browser save it."""
+        if kind != "landmarks" and not self._solver_at_hand():
+            return
         task = self.session.task()
         jobs: dict[str, Callable[[], Any]] = {
             "warped_image": partial(exports.warped_image, task),

@@ -73,9 +73,16 @@ class Worker:
             finally:
                 self._pool.submit(self._run)
 
-        try:
-            self._deliver(then)
-        except Exception:  # the session has been closed: its page is gone
+        if not delivered(self._deliver, then):
             with self._lock:
                 self._waiting.clear()
                 self._running = False
+
+
+def delivered(deliver: Deliver, act: Callable[[], None]) -> bool:
+    """Hand a function to a session's thread; False when the session has been closed."""
+    try:
+        deliver(act)
+    except Exception:  # its page is gone, and nobody can be told
+        return False
+    return True
