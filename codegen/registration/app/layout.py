@@ -63,9 +63,10 @@ class Layout:
             self._figures[name].css_classes = ["card", "figure", *(["alone"] if alone else [])]
         self._help.object = HELP_ALONE if alone else HELP
 
-    def message(self, text: str) -> None:
-        """Say what went wrong, or nothing any more."""
-        self._message.object = f'<div role="alert">{escape(text)}</div>' if text else ""
+    def message(self, text: str, wrong: bool = True) -> None:
+        """Say what went wrong, or what is worth knowing, or nothing any more."""
+        role = "alert" if wrong else "status"
+        self._message.object = f'<div role="{role}">{escape(text)}</div>' if text else ""
         self._message.visible = bool(text)
 
     def legend(self, extreme: float | None) -> None:
@@ -78,6 +79,11 @@ class Layout:
     def note(self, text: str) -> None:
         """A remark on the pairs, or none."""
         self._note.object, self._note.visible = f"<p>{escape(text)}</p>", bool(text)
+
+    @property
+    def line(self) -> str:
+        """The present line on the registration, as HTML."""
+        return str(self._status.object)
 
     def status(self, parts: list[str], folds: bool | None = None, busy: bool = False) -> None:
         """One line on the present registration, and whether it folds if that is known; `busy` for what takes long."""

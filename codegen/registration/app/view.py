@@ -15,7 +15,7 @@ from codegen.registration.app.autosave import Store
 from codegen.registration.app.bridge import Browser, FileButton
 from codegen.registration.app.canvas import Points
 from codegen.registration.app.layout import Layout
-from codegen.registration.app.reading import LIMITS, example, picture_from
+from codegen.registration.app.reading import LIMITS, Files, example, in_order, picture_from
 from codegen.registration.app.rows import Changes, dragged
 from codegen.registration.app.screen import Screen
 from codegen.registration.app.session import Session
@@ -47,8 +47,9 @@ class View(Screen):
             "Bend one image": opener(later(partial(self._open, None)), label="Bend one image", accept=IMAGES),
         }
         self.load_landmarks = FileButton(
-            later(self._load), later(self.fail), label="Load landmarks", accept=LANDMARKS, most=MOST_LANDMARK_BYTES
-        )
+            later(self._load), later(self.fail), label="Load landmarks", accept=LANDMARKS, most=MOST_LANDMARK_BYTES,
+            count=2,
+        )  # fmt: skip
         self.layout = Layout(self)
         self._connect()
         self._show_images()
@@ -94,16 +95,20 @@ class View(Screen):
     def _do(self, act: Callable[[], Any], event: Any) -> None:
         self.do(act)
 
-    def do(self, act: Callable[[], Any]) -> None:
-        """Do something to the session that ends in itself, and show what became of it; errors become a message."""
+    def do(self, act: Callable[[], Any]) -> bool:
+        """Do something to the session that ends in itself, and show what became of it; errors become a message.
+
+        Whether there was none.
+        """
         try:
             act()
         except CodegenError as error:
             self.fail(error)
             self._show_points()
-            return
+            return False
         self.layout.message("")
         self._changed()
+        return True
 
     def _rows_changed(self, points: Points, attr: str, old: Any, new: Any) -> None:
         """The browser sent the points of an image: clicks, or the end of a drag."""
@@ -194,8 +199,9 @@ class View(Screen):
 
     # --- images and landmark files --------------------------------------------------------------------------------
 
-    def _open(self, side: Side | None, name: str, data: bytes) -> None:
+    def _open(self, side: Side | None, files: Files) -> None:
         def opened() -> None:
+            ((name, data),) = files
             picture = picture_from(data, name)
             if side is None:
                 self.session.open_alone(picture)
@@ -205,9 +211,14 @@ class View(Screen):
 
         self.do(opened)
 
-    def _load(self, name: str, data: bytes) -> None:
-        shapes = self._frames()
-        self.do(lambda: self.session.load(parse_landmarks([(name, data)], frames=shapes)))
+    def _load(self, files: Files) -> None:
+        def loaded() -> None:
+            ordered, remark[:] = in_order(files)
+            self.session.load(parse_landmarks(ordered, frames=self._frames()))
+
+        remark: list[str] = []
+        if self.do(loaded) and remark:
+            self.layout.message(remark[0], wrong=False)
 
     def _frames(self) -> Frames:
         return Frames(self.session.moving.shape, self.session.picture("fixed").shape)

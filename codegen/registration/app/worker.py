@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeAlias
 
 Job: TypeAlias = Callable[[], Any]
-Deliver: TypeAlias = Callable[[Callable[[], None]], None]
+Deliver: TypeAlias = Callable[[Callable[[], Any]], None]
 
 # Sessions take turns, one job each; what takes long must not keep anyone's dragged point waiting.
 quick = ThreadPoolExecutor(1, thread_name_prefix="registration-quick")
@@ -79,7 +79,7 @@ class Worker:
                 self._running = False
 
 
-def delivered(deliver: Deliver, act: Callable[[], None]) -> bool:
+def delivered(deliver: Deliver, act: Callable[[], Any]) -> bool:
     """Hand a function to a session's thread; False when the session has been closed."""
     try:
         deliver(act)
