@@ -151,6 +151,10 @@ class Visit:
         waiting.value.save_as(path)
         return path
 
+    def box(self, label):
+        """A checkbox."""
+        return self.page.locator(f'input[type=checkbox]:has(+ :text-is("{label}"))')
+
     def press(self, name):
         self.page.get_by_role("button", name=name, exact=True).click()
 

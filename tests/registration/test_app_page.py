@@ -141,21 +141,21 @@ def test_what_is_shown_can_be_chosen_and_one_image_can_be_bent(chromium, address
     slider.press("End")
     visit.until(lambda v: np.array_equal(v.image("result"), warped) and "Text" in v.drawn("result"))
 
-    page.get_by_label("Points").uncheck()
+    visit.box("Points").uncheck()
     visit.until(lambda v: "Text" not in v.drawn("result"))
-    page.get_by_label("Grid").uncheck()
+    visit.box("Grid").uncheck()
     visit.until(lambda v: not v.columns("result", "xs")[0])  # drawn anew, and the points are still away
     assert "Text" not in visit.drawn("result")
-    page.get_by_label("Points").check()
+    visit.box("Points").check()
     visit.until(lambda v: "Text" in v.drawn("result"))
 
     visit.press("Choose it")
     best = round(choose_sigma(pairs, SHAPE, fixed_shape=SHAPE), 3)
-    visit.until(lambda v: float(v.page.get_by_label("May miss by, pixels").input_value()) == best)
+    visit.until(lambda v: float(v.page.locator("input.bk-input[type=text]").input_value()) == best)
 
     visit.upload("Bend one image", files / "moving.png")
     visit.until(lambda v: v.points("moving") == [])
-    assert page.get_by_text("Fixed: ").is_hidden()
+    visit.until(lambda v: v.page.get_by_text("Fixed: ").is_hidden())
     visit.wait_for("no pairs yet")
     visit.until(lambda v: np.array_equal(v.image("result")[..., :3], expected))
     visit.click("moving", 40.0, 30.0)
