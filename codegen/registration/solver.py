@@ -18,9 +18,9 @@ from codegen.errors import ModuleError, SchemeError
 from codegen.load import load
 from codegen.registration.flow import FlowModule, require_passive
 
+ARGUMENTS = {"passive": "True"}
 PROBLEM = "image_registration.py"
 DEFAULT_SCHEME = "midpoint"
-ARGUMENTS = {"passive": "True"}
 
 
 def problem_file() -> Path:

@@ -13,9 +13,10 @@ from codegen.registration.app.layout import STYLE
 from codegen.registration.app.result import MODES
 from codegen.registration.app.state import Work
 from codegen.registration.formats import FORMATS
+from codegen.registration.solver import DEFAULT_SCHEME
 
 ALIGNMENTS = {"similarity": "similarity", "affine": "affine", "none": "none"}
-SCHEMES = ("midpoint", "explicit-euler")
+SCHEMES = tuple(dict.fromkeys((DEFAULT_SCHEME, "midpoint", "rk4", "explicit-euler")))
 _TABLE_STYLE = r"""
 .tabulator { font-size: 12px; border: 1px solid #d7dde3; }
 .tabulator-row .tabulator-cell { font-size: 12px; }
