@@ -16,11 +16,11 @@ from codegen.errors import RegistrationError
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Task
 from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
-from codegen.registration.register import Registration, register
+from codegen.registration.register import FIRST_STEPS, Registration, register
 
 COARSE = 8.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
-HASTY_BLOCK, HASTY_STEPS = 2, (5, 10)
+HASTY_BLOCK, HASTY_STEPS = 2, (FIRST_STEPS, 2 * FIRST_STEPS)
 """While a point is dragged: larger pixels, and the first of these numbers of steps with which there is a solution."""
 MOST_LEFT_OUT = 60
 """With more landmarks, leaving out each in turn takes longer than anyone waits."""
