@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-from codegen.terminal import working
-
 # Nothing of codegen.registration may be imported before the command runs: it brings numba.
 
 Images = Annotated[
@@ -25,7 +23,6 @@ def app(
     """Register images in the browser: click pairs of points, drag them, see the warp; Ctrl+C ends it."""
     from codegen.registration import app as page
 
-    with working("Preparing the solver"):
-        page.prepare(images or [])
+    page.prepare(images or [])
     typer.echo(f"http://localhost:{port} (Ctrl+C ends it)")
     page.serve(images or [], port, show=not no_browser)

@@ -81,10 +81,8 @@ def build(
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
     choices = Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
-    digest = input_digest(path, arguments, *_choice_texts(choices), *versions(), _own_digest())
-    name = module_name(path, arguments, choices)
-    store = cache_folder() / digest[:20] / f"{name}.py"
-    cached = store.is_file()
+    store = _store(path, arguments, choices)
+    name, cached = store.stem, store.is_file()
     if cached:
         text = store.read_text(encoding="utf-8")
     else:
@@ -97,6 +95,16 @@ def build(
     target = Path(out) / f"{name}.py"
     written = emit.write(target, text)
     return Build(target, name, time.perf_counter() - begin, cached, written)
+
+
+def stored(path: Path, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
+    """Where the cache keeps the module of a problem file once it has been built."""
+    return _store(path, arguments, Choices(None if scheme == DEFAULT_SCHEME else scheme))
+
+
+def _store(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
+    digest = input_digest(path, arguments, *_choice_texts(choices), *versions(), _own_digest())
+    return cache_folder() / digest[:20] / f"{module_name(path, arguments, choices)}.py"
 
 
 def generate(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
@@ -186,7 +194,9 @@ def _choice_texts(choices: Choices) -> tuple[str, ...]:
     return (choices.scheme or "", choices.method or "", choices.controls, *(["general"] if choices.general else []))
 
 
-_USERS = ("drivers", "plots", "registration", "report", "stress", "cli.py", "output.py", "terminal.py")
+_USERS = (
+    "drivers", "plots", "registration", "report", "stress", "app_command.py", "cli.py", "output.py", "terminal.py",
+)  # fmt: skip
 """Parts of this package on which no generated text depends."""
 
 

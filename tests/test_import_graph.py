@@ -76,6 +76,7 @@ def test_after_lowering_there_is_no_sympy():
         ("import codegen.cli", ("sympy", "numba", "scipy", "matplotlib")),
         ("import codegen.load, codegen.drivers", ("sympy",)),
         ("import codegen.registration", ("sympy", "numba", "nibabel", "SimpleITK", "skimage")),
+        ("import codegen.registration.app.server", ("sympy", "numba")),
         ("import codegen.report.study, codegen.report.page, codegen.report.gallery", ("sympy",)),
         ("from generated import orbital_transfer", ("sympy", "codegen", "matplotlib")),  # numba itself imports scipy
     ],

@@ -18,6 +18,7 @@ from codegen.errors import ModuleError, SchemeError
 from codegen.load import load
 from codegen.registration.flow import FlowModule, require_passive
 
+ARGUMENTS = {"passive": "True"}
 PROBLEM = "image_registration.py"
 DEFAULT_SCHEME = "rk4"
 
@@ -31,6 +32,19 @@ def problem_file() -> Path:
     raise ModuleError(f"{PROBLEM} is missing from the installation", "install the package again")
 
 
+def is_compiled(scheme: str = DEFAULT_SCHEME) -> bool:
+    """Whether the module of a scheme and its machine code are on disk, so that nobody has to wait for them."""
+    from codegen.compiler import build, stored
+
+    if not stored(problem_file(), ARGUMENTS, scheme=scheme).is_file():
+        return False
+    return _has_machine_code(build(problem_file(), ARGUMENTS, scheme=scheme).path)
+
+
+def _has_machine_code(path: Path) -> bool:
+    return any((path.parent / "__pycache__").glob(f"{path.stem}.carry_points-*.nbi"))
+
+
 @cache
 def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     """The generated module of a scheme, derived and compiled when it is needed for the first time on a machine.
@@ -40,11 +54,11 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     from codegen.compiler import build
     from codegen.drivers.compilation import compilers
 
-    made = build(problem_file(), {"passive": "True"}, scheme=scheme)
+    made = build(problem_file(), ARGUMENTS, scheme=scheme)
     module = require_passive(load(made.path))
     if module.metadata["adaptive"]:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
-    if not any((made.path.parent / "__pycache__").glob(f"{made.path.stem}.carry_points-*.nbi")):
+    if not _has_machine_code(made.path):
         print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
         with compilers() as processes:
             processes.compile(made.path)

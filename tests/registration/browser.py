@@ -10,6 +10,7 @@ import urllib.request
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -66,6 +67,14 @@ def browser():
         launched.close()
 
 
+_IMAGE = f"""(name) => {{ {_MODEL}
+  const source = model.renderers[0].data_source, image = source.get_column("image")[0]
+  return [image.shape, Array.from(new Uint8Array(image.buffer, image.byteOffset, 4 * image.length))] }}"""
+_COLUMN = f"""([name, column]) => {{ {_MODEL}
+  return Array.from(model.renderers[0].data_source.get_column(column)).map((values) => Array.from(values)) }}"""
+_DRAWN = f"(name) => {{ {_MODEL} return model.renderers.filter((r) => r.visible).map((r) => r.glyph.type) }}"
+
+
 class Visit:
     """One visitor's page."""
 
@@ -86,6 +95,19 @@ class Visit:
 
     def points(self, figure):
         return self.page.evaluate(_POINTS, figure)
+
+    def image(self, figure):
+        """The image that a figure shows, RGBA, shape (h, w, 4)."""
+        shape, values = self.page.evaluate(_IMAGE, figure)
+        return np.array(values, np.uint8).reshape(*shape, 4)
+
+    def columns(self, figure, name):
+        """A column of the table behind a figure's image."""
+        return self.page.evaluate(_COLUMN, [figure, name])
+
+    def drawn(self, figure):
+        """What a figure draws, from back to front: kinds of glyphs that are visible."""
+        return self.page.evaluate(_DRAWN, figure)
 
     def until(self, what, seconds=60.0):
         """Wait until a function of this visit is true."""
@@ -128,6 +150,10 @@ class Visit:
         path = folder / waiting.value.suggested_filename
         waiting.value.save_as(path)
         return path
+
+    def box(self, label):
+        """A checkbox."""
+        return self.page.locator(f'input[type=checkbox]:has(+ :text-is("{label}"))')
 
     def press(self, name):
         self.page.get_by_role("button", name=name, exact=True).click()

@@ -9,14 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from codegen.errors import CodegenError, ImageError, LandmarkError
+from codegen.errors import CodegenError, ImageError, LandmarkError, PointsError
 from codegen.registration import LandmarkPairs, register, warp
 from codegen.registration.app import exports, reading, solving
 from codegen.registration.app.autosave import MOST_WORKS, Store, new_token
 from codegen.registration.app.history import History
 from codegen.registration.app.picture import Picture
+from codegen.registration.app.rows import Editions
 from codegen.registration.app.session import Session
 from codegen.registration.app.state import MOST_PAIRS, Settings, Work, pairs_of
+from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import read_image
 
 SHAPE = (40, 60)
@@ -33,7 +35,10 @@ def picture(shape=SHAPE, dtype=np.uint8, name="a.png"):
 
 @pytest.fixture
 def session():
-    return Session(picture(), picture((50, 70), name="b.png"))
+    """A session, and for its tables what a page would remember of what it sent."""
+    made = Session(picture(), picture((50, 70), name="b.png"))
+    made.editions = {side: Editions(side) for side in ("moving", "fixed")}
+    return made
 
 
 def places(session, side):
@@ -212,6 +217,37 @@ def test_what_is_too_large_is_refused_before_it_is_decoded(monkeypatch):
         reading.picture_from(header + b"\x00" * 100, "bomb.png")
     with pytest.raises(ImageError, match="bytes"):
         reading.picture_from(b"\x89PNG" + bytes(reading.LIMITS.bytes), "large.png")
+
+
+PAIR = LandmarkPairs([[1.0, 2.0], [8.0, 9.0]], [[2.0, 4.0], [9.0, 7.0]])
+TWO_FILES = [form for form in FORMATS.values() if form.files == 2]
+
+
+@pytest.mark.parametrize("form", TWO_FILES, ids=lambda form: form.name)
+@pytest.mark.parametrize(
+    ("moving", "fixed", "turned", "why"),
+    [("a", "b", False, "order"), ("moving", "fixed", False, "names"), ("moving", "fixed", True, "names"),
+     ("a", "b_target", False, "names"), ("a", "b_target", True, "names"), ("x_source", "a", True, "names")],
+)  # fmt: skip
+def test_two_landmark_files_are_told_apart_by_name_or_else_by_order(form, moving, fixed, turned, why):
+    texts = landmark_texts(PAIR, form.name)
+    files = [(name + form.suffixes[0], text.encode()) for name, text in zip((moving, fixed), texts)]
+    ordered, (remark,) = reading.in_order(files[::-1] if turned else files)
+    found = reading.parse_landmarks(ordered)
+    np.testing.assert_array_equal((found.moving, found.fixed), (PAIR.moving, PAIR.fixed))
+    assert remark.startswith(f"{moving}{form.suffixes[0]} was taken for the moving image")
+    assert why in remark
+
+
+@pytest.mark.parametrize("form", FORMATS.values(), ids=lambda form: form.name)
+def test_a_landmark_file_without_its_partner_is_refused_with_the_remedy(form):
+    frames = Frames(SHAPE, SHAPE)
+    single = [("points" + form.suffixes[0], landmark_texts(PAIR, form.name, frames)[0].encode())]
+    if form.files == 2:
+        with pytest.raises(PointsError, match=r"one image only; choose the moving and the fixed file together"):
+            reading.in_order(single)
+    else:
+        assert reading.in_order(single) == (single, [])
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (513, 7), (1100, 300)])

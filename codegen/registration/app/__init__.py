@@ -33,20 +33,17 @@ def page(*images: Path | str, session: Session | None = None) -> Viewable:
 
 
 def prepare(images: Sequence[Path] = ()) -> None:
-    """Read the images, and build and compile the solver, so that the page answers at once.
+    """Read the images, and begin to make the solver ready, which goes on while the page is being served.
 
     Raises ArgumentError when the extra `app` is missing, and the errors of reading images.
     """
     _require_panel()
-    from codegen.registration.app.reading import example, session_of
-    from codegen.registration.app.solving import Wanted, certified, shown
+    from codegen.registration.app.preparing import prepared
+    from codegen.registration.app.reading import session_of
+    from codegen.registration.solver import DEFAULT_SCHEME
 
     session_of(images)
-    wanted = Wanted(example().task(), grid=True)
-    answer = shown(wanted, None)
-    if answer.registration is not None:
-        shown(Wanted(wanted.task, hasty=True), answer.registration)
-        certified(wanted, answer.registration, lambda: False)
+    prepared(DEFAULT_SCHEME)
 
 
 def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True) -> None:

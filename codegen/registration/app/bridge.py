@@ -11,28 +11,34 @@ from panel.custom import JSComponent
 from codegen.errors import CodegenError, ImageError
 from codegen.registration.app.exports import Download
 
-OpenedFile = Callable[[str, bytes], None]
+OpenedFiles = Callable[[list[tuple[str, bytes]]], None]
 
 
 class FileButton(JSComponent):  # type: ignore[misc]
-    """A button that opens a file: it is refused in the browser when it is too large, and again here."""
+    """A button that opens a file, or up to `count` together; what is too large is refused in the browser and here."""
 
     label = param.String("Open")
     accept = param.String("")
     most = param.Integer(1 << 20)
+    count = param.Integer(1)
 
     _esm = """
     export function render({ model, el }) {
       const button = document.createElement("button"), input = document.createElement("input")
       button.className = "opener"; button.type = "button"; button.textContent = model.label
-      input.type = "file"; input.accept = model.accept; input.hidden = true
+      input.type = "file"; input.accept = model.accept; input.hidden = true; input.multiple = model.count > 1
       input.setAttribute("aria-label", model.label)
       button.onclick = () => input.click()
       input.onchange = async () => {
-        const file = input.files[0]
-        if (!file) return
-        if (file.size > model.most) model.send_msg({ refused: file.name, size: file.size })
-        else model.send_msg({ name: file.name, data: await file.arrayBuffer() })
+        const files = [...input.files], large = files.find((file) => file.size > model.most)
+        if (!files.length) return
+        if (large) model.send_msg({ refused: large.name, size: large.size })
+        else if (files.length > model.count) model.send_msg({ chosen: files.length })
+        else {
+          const names = files.map((file) => file.name), data = []
+          for (const file of files) data.push(await file.arrayBuffer())
+          model.send_msg({ names, data })
+        }
         input.value = ""
       }
       model.on("label", () => { button.textContent = model.label })
@@ -50,7 +56,7 @@ class FileButton(JSComponent):  # type: ignore[misc]
     """
     ]
 
-    def __init__(self, opened: OpenedFile, failed: Callable[[Exception], None], **values: Any) -> None:
+    def __init__(self, opened: OpenedFiles, failed: Callable[[Exception], None], **values: Any) -> None:
         super().__init__(**values)
         self._opened, self._failed = opened, failed
 
@@ -61,12 +67,16 @@ class FileButton(JSComponent):  # type: ignore[misc]
                 size = int(message["size"])
                 finding = f"the file has {size / 2**20:.0f} MB, and {self.most / 2**20:.0f} MB are allowed"
                 raise ImageError(finding, "use codegen warp")
-            data = message["data"]
-            if not isinstance(data, bytes | bytearray | memoryview):
+            if "chosen" in message:
+                raise ImageError(f"{int(message['chosen'])} files were chosen", f"choose {self.count} at most")
+            files = list(zip(message["names"], message["data"], strict=True))
+            if not 0 < len(files) <= self.count or not all(
+                isinstance(d, bytes | bytearray | memoryview) for _, d in files
+            ):
                 raise ImageError("no file arrived", "choose it again")
-            if len(data) > self.most:
-                raise ImageError(f"the file has {len(data)} bytes, and {self.most} are allowed", "use codegen warp")
-            self._opened(str(message["name"]), bytes(data))
+            if (size := max(len(data) for _, data in files)) > self.most:
+                raise ImageError(f"the file has {size} bytes, and {self.most} are allowed", "use codegen warp")
+            self._opened([(str(name), bytes(data)) for name, data in files])
         except CodegenError as error:
             self._failed(error)
         except (KeyError, TypeError, ValueError):

@@ -1,52 +1,78 @@
-"""One figure of the page: an image and the points on it, which can be clicked and dragged."""
+"""One figure of the page: an image and the points on it, which can be clicked and dragged.
+
+Figures are made once for each session and then shown other images: what the browser is told of a new figure may arrive
+before the figure itself does, because Panel and Bokeh send their messages independently of each other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import (
-    ColumnDataSource,
-    CustomJS,
-    PointDrawTool,
-    Range1d,
-    WheelZoomTool,
-)
+from bokeh.models import ColumnDataSource, CustomJS, PointDrawTool, Range1d, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from codegen.registration.app.picture import rgba
 from codegen.registration.app.state import Side, Work
 
+Lines: TypeAlias = tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]
+
 # Okabe and Ito's colours, which the colour-blind tell apart; black, and yellow on white, are left out.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-WHILE_DRAGGING = 40
-"""Milliseconds between messages of a drag."""
+PATIENCE = 300
+"""Milliseconds after which the browser tells of a drag although what it told last has not been answered."""
 
 _BEGUN = """
 const { x_range, y_range } = figure
-window.__ranges = [x_range.start, x_range.end, y_range.end, y_range.start]
+dragging.__ranges = [x_range.start, x_range.end, y_range.end, y_range.start]
 """
-# A point that is dragged is told of now and then; a drag of the empty image shifts a view that was zoomed into.
-_DRAGGED = """
-const now = Date.now()
-if (source.selected.indices.length) {
-  if (now - (window.__dragged ?? 0) < every) return
-  window.__dragged = now
-  source.setv({ data: source.data }, { check_eq: false })
-} else {
-  const [left, right, top, bottom] = window.__ranges
+# One position is under way at a time, so that nothing piles up where the machine is slow; the newest follows an answer.
+_TELL = """
+const tell = () => {
+  const row = dragging.__row, now = Date.now()
+  if (row === undefined || !source.get_column("id")[row]) return
+  dragging.__behind = now - (dragging.__told ?? 0) < patience
+  if (dragging.__behind) return
+  dragging.__told = now
+  const [id, x, y] = ["id", "x", "y"].map((name) => [source.get_column(name)[row]])
+  dragging.data = { id, x, y }
+}
+"""
+# A drag of a point moves it; a drag of the empty image shifts a view that was zoomed into.
+_DRAGGED = f"""
+{_TELL}
+if (source.selected.indices.length) {{
+  dragging.__row = source.selected.indices[0]
+  tell()
+}} else {{
+  const [left, right, top, bottom] = dragging.__ranges
+  const [width] = picture.get_column("dw"), [height] = picture.get_column("dh")
   const within = (shift, low, high, least, most) => Math.min(Math.max(shift, least - low), most - high)
   const x = within(-cb_obj.delta_x * (right - left) / figure.inner_width, left, right, -0.5, width - 0.5)
   const y = within(-cb_obj.delta_y * (bottom - top) / figure.inner_height, top, bottom, -0.5, height - 0.5)
-  figure.x_range.setv({ start: left + x, end: right + x })
-  figure.y_range.setv({ start: bottom + y, end: top + y })
-}
+  figure.x_range.setv({{ start: left + x, end: right + x }})
+  figure.y_range.setv({{ start: bottom + y, end: top + y }})
+}}
+"""
+# The same point in the other figure moves when the image does: moving it with the mouse would cost a picture each time.
+_ANSWERED = f"""
+{_TELL}
+if (dragging.__row !== undefined) {{
+  const [id] = dragging.get_column("id"), row = twin ? Array.from(twin.get_column("id")).indexOf(id) : -1
+  if (id && row >= 0) {{
+    for (const name of ["x", "y"]) twin.get_column(name)[row] = dragging.get_column(name)[0]
+    twin.change.emit()
+  }}
+  dragging.__told = 0
+  if (dragging.__behind) tell()
+}}
 """
 # The tool tells of the end of a drag itself; this comes after it. A point that stayed selected would be dragged along.
 _RELEASED = """
+dragging.__row = undefined
+dragging.__told = 0
 setTimeout(() => {
   source.selected.indices = []
   released.data = { count: [released.data.count[0] + 1] }
@@ -55,10 +81,15 @@ setTimeout(() => {
 _CHOSEN = "setTimeout(() => { source.selected.indices = [] }, 0)"
 
 
-def point_source() -> ColumnDataSource:
-    """An empty table of points."""
-    columns = ("x", "y", "id", "edition", "label", "colour", "inside", "size", "rim")
-    return ColumnDataSource({name: [] for name in columns}, name="points")
+class Points:
+    """The points of one side as one figure has them: a table, and which of them is being dragged to where."""
+
+    def __init__(self, side: Side) -> None:
+        self.side = side
+        columns = ("x", "y", "id", "edition", "label", "colour", "inside", "size", "rim")
+        self.source = ColumnDataSource({name: [] for name in columns}, name="points")
+        self.dragging = ColumnDataSource({"id": [], "x": [], "y": []})
+        self.released = ColumnDataSource({"count": [0]})
 
 
 def point_rows(work: Work, side: Side, edition: int, selected: int | None) -> dict[str, Any]:
@@ -79,50 +110,56 @@ def point_rows(work: Work, side: Side, edition: int, selected: int | None) -> di
 
 
 class Canvas:
-    """A figure for images of one shape (height, width); with a side, its points can be drawn and dragged."""
+    """A figure for images of any shape, with the points of one side, which can be drawn and dragged."""
 
-    def __init__(self, shape: Sequence[int], sources: dict[Side, ColumnDataSource], side: Side, label: str) -> None:
-        height, width = int(shape[0]), int(shape[1])
-        self.shape = (height, width)
+    def __init__(self, points: Points, label: str) -> None:
+        self.shape = (0, 0)
         self.figure = figure(
-            x_range=Range1d(-0.5, width - 0.5), y_range=Range1d(height - 0.5, -0.5), aspect_ratio=width / height,
-            sizing_mode="scale_width", tools="", toolbar_location=None, min_border=0, outline_line_color="#c5ccd3",
-            background_fill_color="#f2f4f6", name=label, margin=0,
+            x_range=Range1d(-0.5, 0.5), y_range=Range1d(0.5, -0.5), sizing_mode="scale_width", tools="",
+            toolbar_location=None, min_border=0, outline_line_color="#c5ccd3", background_fill_color="#f2f4f6",
+            name=label, margin=0,
         )  # fmt: skip
         self.figure.axis.visible = False
         self.figure.grid.visible = False
-        self.image = _image_source()
-        self._draw_image(self.image)
-        self.source = sources[side]
-        self._lines()
-        self._points()
+        self.picture = image_source({"xs": [], "ys": []})
+        self.draw_image(self.picture)
+        self.points = points
+        self._between()
+        lines = {"xs": "xs", "ys": "ys", "source": self.picture}
+        self.figure.multi_line(**lines, line_color="#ffffff", line_width=2.2, line_alpha=0.55)
+        self.figure.multi_line(**lines, line_color="#20303f", line_width=0.9, line_alpha=0.9)
+        self._marks()
 
-    def show(self, image: NDArray[np.uint8]) -> None:
-        """Show another image, 8 bits."""
-        put_image(self.image, image, self.shape)
+    def resize(self, shape: tuple[int, int]) -> None:
+        """Make room for images of a shape (height, width), and show all of it."""
+        self.shape = (int(shape[0]), int(shape[1]))
+        height, width = self.shape
+        self.figure.aspect_ratio = width / height
+        self.figure.x_range.update(start=-0.5, end=width - 0.5)
+        self.figure.y_range.update(start=height - 0.5, end=-0.5)
 
-    def show_grid(self, lines: tuple[list[Any], list[Any]]) -> None:
-        """Draw the lines of a grid, lists of x and of y."""
-        self.grid.data = {"xs": lines[0], "ys": lines[1]}
+    def show(self, image: NDArray[np.uint8], grid: Lines = ([], [])) -> None:
+        """Show another image of 8 bits, with the lines of a grid over it: lists of x and of y; all in one message."""
+        put_image(self.picture, image, self.shape, xs=[_joined(grid[0])], ys=[_joined(grid[1])])
 
-    def _draw_image(self, source: ColumnDataSource) -> Any:
+    def draw_image(self, source: ColumnDataSource) -> Any:
+        """Let the figure show the image that a table holds."""
         return self.figure.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=source)
 
-    def _lines(self) -> None:
-        self.grid = ColumnDataSource({"xs": [], "ys": []})
-        self.figure.multi_line("xs", "ys", source=self.grid, line_color="#ffffff", line_width=2.2, line_alpha=0.55)
-        self.figure.multi_line("xs", "ys", source=self.grid, line_color="#20303f", line_width=0.9, line_alpha=0.9)
+    def _between(self) -> None:
+        """Draw more between the image and the grid."""
 
-    def _points(self) -> None:
+    def _marks(self) -> None:
+        source = self.points.source
         marks = self.figure.scatter(
-            "x", "y", source=self.source, size="size", fill_color="colour", fill_alpha="inside", line_color="colour",
+            "x", "y", source=source, size="size", fill_color="colour", fill_alpha="inside", line_color="colour",
             line_width=2.5,
         )  # fmt: skip
         rims = self.figure.scatter(
-            "x", "y", source=self.source, size="size", fill_color=None, line_color="rim", line_width=1.2
+            "x", "y", source=source, size="size", fill_color=None, line_color="rim", line_width=1.2
         )
         text = {
-            "x": "x", "y": "y", "text": "label", "source": self.source, "x_offset": 8, "y_offset": -5,
+            "x": "x", "y": "y", "text": "label", "source": source, "x_offset": 8, "y_offset": -5,
             "text_font": value("Helvetica, Arial, DejaVu Sans, sans-serif"), "text_font_size": "12px",
             "text_font_style": "bold",
         }  # fmt: skip
@@ -141,22 +178,33 @@ class Canvas:
         self.figure.toolbar.active_tap = draw
         self.figure.toolbar.active_drag = draw
         self.figure.toolbar.active_scroll = zoom
-        self.released = ColumnDataSource({"count": [0]})
-        shape = {"figure": self.figure, "height": self.shape[0], "width": self.shape[1]}
-        dragged = CustomJS(args={"source": self.source, "every": WHILE_DRAGGING, **shape}, code=_DRAGGED)
-        self.figure.js_on_event("panstart", CustomJS(args={"figure": self.figure}, code=_BEGUN))
-        self.figure.js_on_event("pan", dragged)
-        self.figure.js_on_event(
-            "panend", CustomJS(args={"source": self.source, "released": self.released}, code=_RELEASED)
-        )
-        self.figure.js_on_event("tap", CustomJS(args={"source": self.source}, code=_CHOSEN))
+        self._follow_the_mouse()
+
+    def _follow_the_mouse(self) -> None:
+        known = {"figure": self.figure, "picture": self.picture, "source": self.points.source,
+                 "dragging": self.points.dragging, "released": self.points.released, "patience": PATIENCE}  # fmt: skip
+        for event, code in {"panstart": _BEGUN, "pan": _DRAGGED, "panend": _RELEASED, "tap": _CHOSEN}.items():
+            self.figure.js_on_event(event, CustomJS(args=known, code=code))
+
+    def answers(self, points: Points, twin: Points | None) -> None:
+        """A new image here says that a drag has been followed, by its twin too, and that the next may be told."""
+        known = {"source": points.source, "dragging": points.dragging, "patience": PATIENCE,
+                 "twin": twin.source if twin else None}  # fmt: skip
+        self.picture.js_on_change("data", CustomJS(args=known, code=_ANSWERED))
 
 
-def put_image(source: ColumnDataSource, image: NDArray[np.uint8], shape: tuple[int, int]) -> None:
+def put_image(source: ColumnDataSource, image: NDArray[np.uint8], shape: tuple[int, int], **more: Any) -> None:
     """Let a table for one image hold this one, stretched over an image of the given shape (height, width)."""
     packed = np.ascontiguousarray(rgba(image)).view(np.uint32)[..., 0]
-    source.data = {"image": [packed], "x": [-0.5], "y": [-0.5], "dw": [shape[1]], "dh": [shape[0]]}
+    source.data = {"image": [packed], "x": [-0.5], "y": [-0.5], "dw": [shape[1]], "dh": [shape[0]], **more}
 
 
-def _image_source() -> ColumnDataSource:
-    return ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+def _joined(lines: list[NDArray[np.float64]]) -> NDArray[np.float32]:
+    """Coordinates of many lines as those of one with gaps, because every array makes two messages."""
+    parts = [part for line in lines for part in (line, [np.nan])]
+    return np.concatenate(parts).astype(np.float32) if parts else np.empty(0, np.float32)
+
+
+def image_source(more: dict[str, list[Any]] | None = None) -> ColumnDataSource:
+    """An empty table for one image."""
+    return ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []} | (more or {}))

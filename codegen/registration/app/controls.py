@@ -13,9 +13,10 @@ from codegen.registration.app.layout import STYLE
 from codegen.registration.app.result import MODES
 from codegen.registration.app.state import Work
 from codegen.registration.formats import FORMATS
+from codegen.registration.solver import DEFAULT_SCHEME
 
 ALIGNMENTS = {"similarity": "similarity", "affine": "affine", "none": "none"}
-SCHEMES = ("midpoint", "explicit-euler")
+SCHEMES = tuple(dict.fromkeys((DEFAULT_SCHEME, "midpoint", "rk4", "explicit-euler")))
 _TABLE_STYLE = r"""
 .tabulator { font-size: 12px; border: 1px solid #d7dde3; }
 .tabulator-row .tabulator-cell { font-size: 12px; }
@@ -80,7 +81,7 @@ def _table() -> pn.widgets.Tabulator:
     titles = dict(zip(places, "xyxy")) | {"number": "#", "residual": "residual", "left_out": "left out"}
     groups = {"moving": ["moving_x", "moving_y"], "fixed": ["fixed_x", "fixed_y"], "error": list(errors)}
     return pn.widgets.Tabulator(
-        pd.DataFrame({name: [] for name in ("number", "name", *places, *errors)}),
+        table_rows(Work(), None, None),
         show_index=False, disabled=True, selectable=1, height=236, sizing_mode="stretch_width", layout="fit_columns",
         titles=titles, groups=groups, theme="simple",
         formatters=dict.fromkeys(places, right) | dict.fromkeys(errors, fine),
@@ -91,17 +92,21 @@ def _table() -> pn.widgets.Tabulator:
 
 
 def table_rows(work: Work, residuals: NDArray[np.float64] | None, left_out: NDArray[np.float64] | None) -> pd.DataFrame:
-    """The table; errors that are not known, or belong to other pairs, are left open."""
+    """The table; errors that are not known, or belong to other pairs, are left open.
+
+    Whatever is known, columns keep their types: with others the browser would build the table anew, and while it does,
+    Panel 1.9 may wait for that in a loop without end.
+    """
     count = len(work.pairs)
     moving = np.array([pair.moving for pair in work.pairs]).reshape(-1, 2)
     fixed = np.array([pair.fixed for pair in work.pairs]).reshape(-1, 2)
 
-    def known(errors: NDArray[np.float64] | None) -> list[float | None]:
-        return list(errors) if errors is not None and len(errors) == count else [None] * count
+    def known(errors: NDArray[np.float64] | None) -> pd.Series[Any]:
+        return pd.Series(errors if errors is not None and len(errors) == count else [None] * count, dtype=object)
 
     return pd.DataFrame(
         {
-            "number": range(1, count + 1), "name": [pair.name for pair in work.pairs],
+            "number": np.arange(1, count + 1), "name": pd.Series([pair.name for pair in work.pairs], dtype=object),
             "moving_x": moving[:, 0], "moving_y": moving[:, 1], "fixed_x": fixed[:, 0], "fixed_y": fixed[:, 1],
             "residual": known(residuals), "left_out": known(left_out),
         }

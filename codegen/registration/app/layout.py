@@ -11,7 +11,6 @@ import panel as pn
 if TYPE_CHECKING:
     from codegen.registration.app.canvas import Canvas
     from codegen.registration.app.session import Session
-    from codegen.registration.app.state import Side
     from codegen.registration.app.view import View
 
 STYLE = (files("codegen.registration.app") / "style.css").read_text()
@@ -33,7 +32,11 @@ class Layout:
         self._help = _html(HELP, sizing_mode="stretch_width")
         self._note = _html("", visible=False)
         self._legend = _html("", visible=False, sizing_mode="stretch_width")
-        self._canvases = _box(gap="10px")
+        named: dict[str, Canvas] = dict(view.canvases.items()) | {"result": view.result}
+        self._titles = {name: _html("", sizing_mode="stretch_width") for name in named}
+        self._titles["result"].object = _title("Warped", "moving to fixed; points can be dragged here, too")
+        self._figures = {name: _figure(self._titles[name], canvas.figure) for name, canvas in named.items()}
+        self._figures["result"].append(self._legend)
         header = _bar(_html("<h1>Image registration by landmarks</h1>"), self._status, justify_content="space-between")
         opening = _bar(*view.openers.values(), view.load_landmarks, c.example)
         left = _card("Pairs, in pixels", _bar(c.undo, c.redo, c.delete, c.clear), c.table, self._note, kind="wide")
@@ -45,25 +48,25 @@ class Layout:
         right = _stack(_card("Registration", methods, distances))
         lower = _box(left, middle, right, gap="10px")
         self.root = pn.Column(
-            view.browser, header, opening, self._help, self._message, self._canvases, lower,
+            view.browser, header, opening, self._help, self._message, _box(*self._figures.values(), gap="10px"), lower,
             css_classes=["page"], sizing_mode="stretch_width", stylesheets=[STYLE],
         )  # fmt: skip
 
-    def show_canvases(self, session: Session, canvases: dict[Side, Canvas], result: Canvas) -> None:
-        """Put figures for the present images into the page."""
+    def show_images(self, session: Session) -> None:
+        """Name the present images above their figures, and hide that of the fixed image where there is none."""
         alone = session.fixed is None
         moving, fixed = session.moving, session.picture("fixed")
-        shown = [_figure(f"Moving: {moving.name}", _extent(moving.shape), canvases["moving"].figure, alone)]
-        if not alone:
-            shown.append(_figure(f"Fixed: {fixed.name}", _extent(fixed.shape), canvases["fixed"].figure))
-        shown.append(_figure("Warped", "moving to fixed; points can be dragged here, too", result.figure, alone))
-        shown[-1].append(self._legend)
-        self._canvases.objects = shown
+        self._titles["moving"].object = _title(f"Moving: {moving.name}", _extent(moving.shape))
+        self._titles["fixed"].object = _title(f"Fixed: {fixed.name}", _extent(fixed.shape))
+        self._figures["fixed"].visible = not alone
+        for name in ("moving", "result"):
+            self._figures[name].css_classes = ["card", "figure", *(["alone"] if alone else [])]
         self._help.object = HELP_ALONE if alone else HELP
 
-    def message(self, text: str) -> None:
-        """Say what went wrong, or nothing any more."""
-        self._message.object = f'<div role="alert">{escape(text)}</div>' if text else ""
+    def message(self, text: str, wrong: bool = True) -> None:
+        """Say what went wrong, or what is worth knowing, or nothing any more."""
+        role = "alert" if wrong else "status"
+        self._message.object = f'<div role="{role}">{escape(text)}</div>' if text else ""
         self._message.visible = bool(text)
 
     def legend(self, extreme: float | None) -> None:
@@ -77,9 +80,16 @@ class Layout:
         """A remark on the pairs, or none."""
         self._note.object, self._note.visible = f"<p>{escape(text)}</p>", bool(text)
 
-    def status(self, parts: list[str], folds: bool | None = None) -> None:
-        """One line on the present registration, and whether it folds if that is known."""
+    @property
+    def line(self) -> str:
+        """The present line on the registration, as HTML."""
+        return str(self._status.object)
+
+    def status(self, parts: list[str], folds: bool | None = None, busy: bool = False) -> None:
+        """One line on the present registration, and whether it folds if that is known; `busy` for what takes long."""
         text = " · ".join(escape(part) for part in parts)
+        if busy:
+            text = f'<i class="spinner"></i> {text}'
         if folds is not None:
             text = f'<b class="{"bad" if folds else "good"}">{"folds" if folds else "no folding"}</b> {text}'
         self._status.object = f'<div class="status">{text}</div>'
@@ -108,11 +118,13 @@ def _stack(*cards: Any) -> pn.Column:
     return pn.Column(*cards, css_classes=["stack"], margin=0, stylesheets=[STYLE])
 
 
-def _figure(title: str, note: str, figure: Any, alone: bool = False) -> pn.Column:
-    heading = _html(f"<h2>{escape(title)} <small>{escape(note)}</small></h2>", sizing_mode="stretch_width")
+def _title(title: str, note: str) -> str:
+    return f"<h2>{escape(title)} <small>{escape(note)}</small></h2>"
+
+
+def _figure(title: Any, figure: Any) -> pn.Column:
     picture = pn.pane.Bokeh(figure, sizing_mode="scale_width", margin=0)
-    kinds = ["card", "figure", *(["alone"] if alone else [])]
-    return pn.Column(heading, picture, css_classes=kinds, margin=0, stylesheets=[STYLE])
+    return pn.Column(title, picture, css_classes=["card", "figure"], margin=0, stylesheets=[STYLE])
 
 
 def _extent(shape: tuple[int, int]) -> str:

@@ -8,10 +8,9 @@ import numpy as np
 from bokeh.models import ColumnDataSource, CustomJS, LinearColorMapper
 from numpy.typing import NDArray
 
-from codegen.registration.app.canvas import Canvas, put_image
+from codegen.registration.app.canvas import Canvas, Points, image_source, put_image
 from codegen.registration.app.picture import rgba
 from codegen.registration.app.solving import Certified
-from codegen.registration.app.state import Side
 
 MODES = ("Warped", "Blink", "Checkerboard", "Blend", "Areas")
 SQUARES = 10
@@ -41,32 +40,29 @@ def diverging(count: int = 129) -> list[str]:
 class ResultCanvas(Canvas):
     """The frame of the fixed image: the warped image, with the fixed one or the map of det J over it."""
 
-    def __init__(self, shape: Sequence[int], sources: dict[Side, ColumnDataSource], label: str) -> None:
-        self._mode = MODES[0]
-        self._fixed: NDArray[np.uint8] | None = None
-        super().__init__(shape, sources, "fixed", label)
+    def __init__(self, points: Points, label: str) -> None:
+        self._points_wanted = True
+        self._arrived = True
+        super().__init__(points, label)
         blink = CustomJS(args={"fixed": self._over, "every": BLINK_MILLISECONDS}, code=_BLINKING)
         self._over.js_on_change("tags", blink)  # tags: whether to blink, and whether to be visible otherwise
 
-    def _lines(self) -> None:
-        self.over = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
-        self._over = self._draw_image(self.over)
+    def _between(self) -> None:
+        self.over = image_source()
+        self._over = self.draw_image(self.over)
         self._over.visible = False
-        self.areas = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+        self.areas = image_source()
         self.mapper = LinearColorMapper(palette=diverging(), low=-1.0, high=1.0)
         self._areas = self.figure.image(
             image="image", x="x", y="y", dw="dw", dh="dh", source=self.areas, color_mapper=self.mapper, alpha=0.8
         )
         self._areas.visible = False
         self.extreme = 0.0  # the largest of |log2 det J| on the map
-        super()._lines()
         self.carried = ColumnDataSource({"x": [], "y": []})
-        dots = self.figure.scatter("x", "y", source=self.carried, size=7, fill_color="#111111", line_color="#ffffff")
-        self._dots = dots
+        self.figure.scatter("x", "y", source=self.carried, size=7, fill_color="#111111", line_color="#ffffff")
 
     def compare(self, mode: str, fixed: NDArray[np.uint8]) -> None:
         """Show the warped image in one of MODES."""
-        self._mode = mode
         over = rgba(fixed).copy()
         if mode == "Checkerboard":
             over[..., 3] = np.where(_squares(over.shape[:2]), over[..., 3], 0)
@@ -92,15 +88,20 @@ class ResultCanvas(Canvas):
 
     def show_carried(self, points: NDArray[np.float64], time: float) -> None:
         """Small dots where landmarks are on their way; at the end the points themselves stand there."""
-        between = time < 1.0
-        self.carried.data = {"x": points[:, 0] if between else [], "y": points[:, 1] if between else []}
-        for renderer in self.point_renderers:
-            renderer.visible = not between
+        arrived = time >= 1.0
+        if not (arrived and self._arrived):  # otherwise there is nothing to be changed while a point is dragged
+            self.carried.data = {"x": [], "y": []} if arrived else {"x": points[:, 0], "y": points[:, 1]}
+        self._arrived = arrived
+        self._draw_points()
 
-    def show_points(self, shown: bool) -> None:
-        """Draw the landmarks, or leave the picture free of them."""
+    def show_points(self, wanted: bool) -> None:
+        """Draw the landmarks once they have arrived, or leave the picture free of them."""
+        self._points_wanted = wanted
+        self._draw_points()
+
+    def _draw_points(self) -> None:
         for renderer in self.point_renderers:
-            renderer.visible = shown
+            renderer.visible = self._points_wanted and self._arrived
 
 
 def _squares(shape: Sequence[int]) -> NDArray[np.bool_]:

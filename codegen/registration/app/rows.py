@@ -82,6 +82,12 @@ class Editions:
         return added, dragged
 
 
+def dragged(rows: Mapping[str, Sequence[Any]]) -> list[tuple[int, Place]]:
+    """The pair whose point is being dragged, and where to; nothing where the browser sent anything else."""
+    read = [_row(x, y, identity, 0) for x, y, identity in zip(rows["x"], rows["y"], rows["id"], strict=False)]
+    return [(row[2], row[:2]) for row in read if row is not None and row[2] > 0]
+
+
 def _row(x: Any, y: Any, identity: Any, edition: Any) -> tuple[float, float, int, int] | None:
     """A row as numbers; None where the browser sent anything else."""
     try:

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import traceback
+from concurrent.futures import Future
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from bokeh.models import ColumnDataSource
+import numpy as np
 
 from codegen.errors import CodegenError
-from codegen.registration.app import solving
+from codegen.registration.app import preparing, solving
 from codegen.registration.app.autosave import Store
-from codegen.registration.app.canvas import Canvas, point_rows, point_source
+from codegen.registration.app.canvas import Canvas, Points, point_rows
 from codegen.registration.app.controls import Controls, table_rows
+from codegen.registration.app.picture import Picture
 from codegen.registration.app.result import ResultCanvas
+from codegen.registration.app.rows import Editions
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Shown, Wanted
 from codegen.registration.app.state import Side
-from codegen.registration.app.worker import Deliver, Worker, slow
+from codegen.registration.app.worker import Deliver, Worker, delivered, slow
 
 if TYPE_CHECKING:
     from codegen.registration.app.layout import Layout
@@ -37,7 +40,15 @@ class Screen:
         self.store, self.token = store, token
         self.worker, self.slow = Worker(deliver, QUICK), Worker(deliver, SLOW, slow)
         self.controls = Controls()
-        self.sources: dict[Side, ColumnDataSource] = {"moving": point_source(), "fixed": point_source()}
+        moving, fixed, again = self.points = (Points("moving"), Points("fixed"), Points("fixed"))
+        self.canvases: dict[Side, Canvas] = {"moving": Canvas(moving, "moving"), "fixed": Canvas(fixed, "fixed")}
+        self.result = ResultCanvas(again, "result")
+        self.editions = {points: Editions(points.side) for points in self.points}
+        for points, twin in ((moving, None), (fixed, again), (again, fixed)):
+            points.released.on_change("data", self._released)
+            self.result.answers(points, twin)
+        self._awaited: Future[None] | None = None  # the solver that is being compiled
+        self._straight: bool | None = None  # whether the moving image has its grid, as far as it was drawn
         self.shown: Shown | None = None
         self.certified: Certified | None = None
         self._writing = False
@@ -54,32 +65,28 @@ class Screen:
         self._changed()
 
     def _show_images(self) -> None:
-        """New figures for new images."""
-        moving, fixed = self.session.moving, self.session.picture("fixed")
-        self.canvases: dict[Side, Canvas] = {
-            "moving": Canvas(moving.shape, self.sources, "moving", "moving"),
-            "fixed": Canvas(fixed.shape, self.sources, "fixed", "fixed"),
-        }
-        self.result = ResultCanvas(fixed.shape, self.sources, "result")
-        for canvas in (*self.canvases.values(), self.result):
-            canvas.released.on_change("data", self._released)
-        self.canvases["moving"].show(moving.preview)
-        self.canvases["fixed"].show(fixed.preview)
-        self.shown = self.certified = None
+        """Other images in the same figures."""
+        pictures: dict[Side, Picture] = {side: self.session.picture(side) for side in self.canvases}
+        for side, canvas in self.canvases.items():
+            canvas.resize(pictures[side].shape)
+            canvas.show(pictures[side].preview)
+        self.result.resize(pictures["fixed"].shape)
+        self.result.show(np.zeros((1, 1, 4), np.uint8))  # nothing, until it has been computed
+        self.result.show_areas(None)
+        self.shown = self.certified = self._straight = None
         self._show_settings()
         self._show_points()
         self._compare()
-        # Last, because a change of a figure that the browser has not been sent yet would reach it before the figure.
-        self.layout.show_canvases(self.session, self.canvases, self.result)
+        self.layout.show_images(self.session)
         self.layout.status(["computing …"])
         self.draw()
 
     def _show_points(self) -> None:
         self._writing = True
         try:
-            for side, source in self.sources.items():
-                edition = self.session.editions[side].publish(self.session.work)
-                source.data = point_rows(self.session.work, side, edition, self.session.selected)
+            for points in self.points:
+                edition = self.editions[points].publish(self.session.work)
+                points.source.data = point_rows(self.session.work, points.side, edition, self.session.selected)
             self._show_table()
         finally:
             self._writing = False
@@ -91,8 +98,8 @@ class Screen:
     def _highlight(self) -> None:
         """Another pair is highlighted, and nothing has moved."""
         number = self.session.number(self.session.selected or 0)
-        for side, source in self.sources.items():
-            rows = point_rows(self.session.work, side, 0, self.session.selected)
+        for points in self.points:
+            source, rows = points.source, point_rows(self.session.work, points.side, 0, self.session.selected)
             if len(rows["size"]) == len(source.data["size"]):
                 source.patch({name: [(slice(None), rows[name])] for name in ("size", "rim")})
         self._writing = True
@@ -132,11 +139,28 @@ class Screen:
         mapped = self.controls.mode.value == "Areas" and self.certified is not None
         self.layout.legend(self.result.extreme if mapped else None)
 
+    def _ready(self) -> bool:
+        """Whether the solver of the present scheme is at hand, if one is needed; otherwise all is drawn when it is."""
+        if not self.session.work.pairs:
+            return True
+        solver = preparing.prepared(self.session.work.settings.scheme)
+        if not solver.done() and self._awaited is not solver:
+            self._awaited = solver
+            solver.add_done_callback(lambda _: delivered(self.deliver, self._arrived))
+        if solver.done() and (error := solver.exception()) is not None:
+            self.deliver(partial(self.fail, error))
+            return False
+        return solver.done()
+
+    def _arrived(self) -> None:
+        """The solver has been made ready, or could not be."""
+        self._awaited = None
+        self.draw()
+
     def draw(self, hasty: bool = False) -> None:
         """Register the present pairs beside the event loop, and show what comes of it."""
-        wanted = Wanted(
-            self.session.task(), float(self.controls.time.value or 0.0), bool(self.controls.grid.value), hasty
-        )
+        time, grid = float(self.controls.time.value or 0.0), bool(self.controls.grid.value)
+        wanted = Wanted(self.session.task(), time, grid, hasty, waiting=not self._ready())
         previous, known = self.session.registration, None
         if self.shown is not None and not self.shown.wanted.hasty and not hasty:
             same = self.shown.wanted.task.revision == wanted.task.revision
@@ -147,13 +171,14 @@ class Screen:
     def _drawn(self, shown: Shown) -> None:
         self.shown = shown
         self.session.registration = shown.registration
-        self.result.show(shown.image)
-        self.result.show_grid(shown.grid)
+        self.result.show(shown.image, shown.grid)
         self.result.show_carried(shown.carried, shown.wanted.time)
         if shown.wanted.hasty:
             return
-        straight = solving.grid(self.session.moving, None, 0.0) if shown.wanted.grid else ([], [])
-        self.canvases["moving"].show_grid(straight)
+        if self._straight is not shown.wanted.grid:
+            self._straight = shown.wanted.grid
+            straight = solving.grid(self.session.moving, None, 0.0) if self._straight else ([], [])
+            self.canvases["moving"].show(self.session.moving.preview, straight)
         self._writing = True
         self._show_table()
         self._writing = False
@@ -180,6 +205,9 @@ class Screen:
     def _tell(self) -> None:
         """One line on the registration that is shown."""
         shown, certified = self.shown, self.certified
+        if self._awaited is not None:
+            self.layout.status([preparing.COMPILING], busy=True)
+            return
         if shown is None or shown.registration is None:
             self.layout.status([] if self.session.work.pairs else ["no pairs yet: click in an image"])
             return
@@ -198,7 +226,7 @@ class Screen:
             job = partial(self.store.save, self.token, self.session.moving, self.session.fixed, self.session.work)
             self.slow.ask("save", job, lambda _: None, self.fail)
 
-    def fail(self, error: Exception) -> None:
+    def fail(self, error: BaseException) -> None:
         """Show what went wrong; the session goes on."""
         self._tell()
         if isinstance(error, CodegenError):

@@ -11,7 +11,7 @@ import numpy as np
 from codegen.errors import LandmarkError
 from codegen.registration.app.history import History
 from codegen.registration.app.picture import Picture
-from codegen.registration.app.rows import Changes, Editions
+from codegen.registration.app.rows import Changes
 from codegen.registration.app.state import MOST_PAIRS, Pair, Place, Settings, Side, Work, other, pairs_of
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.register import Registration
@@ -41,7 +41,6 @@ class Session:
         self.selected: int | None = None
         self.registration: Registration | None = None
         self.revision = 0
-        self.editions: dict[Side, Editions] = {"moving": Editions("moving"), "fixed": Editions("fixed")}
         self._last_identity = max((pair.identity for pair in self.work.pairs), default=0)
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from time import sleep
 from typing import Any
@@ -11,15 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from codegen.errors import RegistrationError
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Task
 from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
-from codegen.registration.register import Registration, register
+from codegen.registration.register import FIRST_STEPS, Registration, register
 
 COARSE = 8.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
-HASTY_BLOCK, HASTY_STEPS = 2, 10
-"""While a point is dragged the picture has larger pixels, and the flow at most so many steps."""
+HASTY_BLOCK, HASTY_STEPS = 2, (FIRST_STEPS, 2 * FIRST_STEPS)
+"""While a point is dragged: larger pixels, and the first of these numbers of steps with which there is a solution."""
 MOST_LEFT_OUT = 60
 """With more landmarks, leaving out each in turn takes longer than anyone waits."""
 PORTIONS, PAUSE = 20, 0.01
@@ -40,11 +42,12 @@ class Wanted:
     time: float = 1.0
     grid: bool = False
     hasty: bool = False  # while dragging: nearest pixels, and no search for the number of steps
+    waiting: bool = False  # the solver is not ready: nothing is moved
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The answer: `registration` is None without pairs. `image` is RGBA of the fixed image's preview."""
+    """The answer: `registration` is None without pairs or solver. `image` is RGBA of the fixed image's preview."""
 
     wanted: Wanted
     registration: Registration | None
@@ -67,13 +70,16 @@ class Certified:
 
 
 def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
-    """The registration of a task, from that of a moment ago; None without pairs. Raises the errors of `register`."""
+    """The registration of a task, from that of a moment ago; None without pairs or solver. As `register` it raises."""
     work = wanted.task.work
-    if not work.pairs:
+    if not work.pairs or wanted.waiting:
         return None
-    steps = min(previous.steps, HASTY_STEPS) if wanted.hasty and previous is not None else None
     shapes, method = arguments(wanted.task)
-    return register(work.landmarks(), **shapes, **method, steps=steps, start=previous)
+    attempts: tuple[int | None, ...] = HASTY_STEPS if wanted.hasty and previous is not None else (None,)
+    for steps in attempts[:-1]:
+        with suppress(RegistrationError):
+            return register(work.landmarks(), **shapes, **method, steps=steps, start=previous)
+    return register(work.landmarks(), **shapes, **method, steps=attempts[-1], start=previous)
 
 
 def shown(wanted: Wanted, previous: Registration | None, known: Registration | None = None) -> Shown:

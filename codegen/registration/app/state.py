@@ -10,6 +10,7 @@ import numpy as np
 
 from codegen.errors import LandmarkError
 from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.solver import DEFAULT_SCHEME
 
 Side: TypeAlias = Literal["moving", "fixed"]
 Place: TypeAlias = tuple[float, float]
@@ -53,7 +54,7 @@ class Settings:
 
     align: str = "similarity"
     sigma: float = 0.0
-    scheme: str = "midpoint"
+    scheme: str = DEFAULT_SCHEME
     interpolation: str = "linear"
 
 

@@ -9,13 +9,14 @@ from typing import Any
 
 import panel as pn
 
-from codegen.errors import CodegenError
+from codegen.errors import CodegenError, RegistrationError
 from codegen.registration.app import exports, solving
 from codegen.registration.app.autosave import Store
 from codegen.registration.app.bridge import Browser, FileButton
+from codegen.registration.app.canvas import Points
 from codegen.registration.app.layout import Layout
-from codegen.registration.app.reading import LIMITS, example, picture_from
-from codegen.registration.app.rows import Changes
+from codegen.registration.app.reading import LIMITS, Files, example, in_order, picture_from
+from codegen.registration.app.rows import Changes, dragged
 from codegen.registration.app.screen import Screen
 from codegen.registration.app.session import Session
 from codegen.registration.app.state import Place, Settings, Side
@@ -46,8 +47,9 @@ class View(Screen):
             "Bend one image": opener(later(partial(self._open, None)), label="Bend one image", accept=IMAGES),
         }
         self.load_landmarks = FileButton(
-            later(self._load), later(self.fail), label="Load landmarks", accept=LANDMARKS, most=MOST_LANDMARK_BYTES
-        )
+            later(self._load), later(self.fail), label="Load landmarks", accept=LANDMARKS, most=MOST_LANDMARK_BYTES,
+            count=2,
+        )  # fmt: skip
         self.layout = Layout(self)
         self._connect()
         self._show_images()
@@ -61,9 +63,10 @@ class View(Screen):
 
     def _connect(self) -> None:
         c = self.controls
-        for side, source in self.sources.items():
-            source.on_change("data", partial(self._rows_changed, side))
-            source.selected.on_change("indices", partial(self._point_chosen, side))
+        for points in self.points:
+            points.source.on_change("data", partial(self._rows_changed, points))
+            points.source.selected.on_change("indices", partial(self._point_chosen, points))
+            points.dragging.on_change("data", partial(self._dragged, points.side))
         c.table.param.watch(self._row_chosen, "selection")
         for widget, act in {
             c.undo: self.session.undo, c.redo: self.session.redo, c.clear: self.session.clear, c.delete: self._delete,
@@ -92,30 +95,39 @@ class View(Screen):
     def _do(self, act: Callable[[], Any], event: Any) -> None:
         self.do(act)
 
-    def do(self, act: Callable[[], Any]) -> None:
-        """Do something to the session that ends in itself, and show what became of it; errors become a message."""
+    def do(self, act: Callable[[], Any]) -> bool:
+        """Do something to the session that ends in itself, and show what became of it; errors become a message.
+
+        Whether there was none.
+        """
         try:
             act()
         except CodegenError as error:
             self.fail(error)
             self._show_points()
-            return
+            return False
         self.layout.message("")
         self._changed()
+        return True
 
-    def _rows_changed(self, side: Side, attr: str, old: Any, new: Any) -> None:
-        """The browser sent the points of an image: clicks, or a drag that may not be over yet."""
+    def _rows_changed(self, points: Points, attr: str, old: Any, new: Any) -> None:
+        """The browser sent the points of an image: clicks, or the end of a drag."""
         if self._writing:
             return
-        changes = self.session.editions[side].changes(new, self.session.work)
+        side, changes = points.side, self.editions[points].changes(new, self.session.work)
         if changes.added:
             self._expect(side, changes.added)
         if changes.moved:
             self.session.follow(side, replace(changes, added=(), removed=()))
-            if self.controls.live.value:
-                self.draw(hasty=True)
         if changes.removed:
             self.do(partial(self.session.remove, *changes.removed))
+
+    def _dragged(self, side: Side, attr: str, old: Any, new: Any) -> None:
+        """The browser told where the point is that is being dragged."""
+        for identity, place in dragged(new):
+            self.session.move(identity, side, place, settled=False)
+            if self.controls.live.value:
+                self.draw(hasty=True)
 
     def _expect(self, side: Side, places: Sequence[Place]) -> None:
         """Add pairs as soon as it is known where the partners of the points that were clicked are to be expected."""
@@ -132,8 +144,8 @@ class View(Screen):
     def _expectations(self, side: Side, places: Sequence[Place]) -> list[Place]:
         return [self.session.expected(side, place) for place in places]
 
-    def _point_chosen(self, side: Side, attr: str, old: Any, new: list[int]) -> None:
-        identities = self.sources[side].data["id"]
+    def _point_chosen(self, points: Points, attr: str, old: Any, new: list[int]) -> None:
+        identities = points.source.data["id"]
         if new and new[0] < len(identities) and identities[new[0]]:
             self._choose(int(identities[new[0]]))
 
@@ -162,6 +174,8 @@ class View(Screen):
 
     def _choose_sigma(self, event: Any) -> None:
         """Ask for the best sigma, which takes a while."""
+        if not self._solver_at_hand():
+            return
         self.layout.status(["choosing the distance …"])
         settings = self.session.work.settings
 
@@ -176,10 +190,18 @@ class View(Screen):
             settings = Settings(c.align.value, float(c.sigma.value or 0.0), c.scheme.value, c.interpolation.value)
             self.deliver(partial(self.do, partial(self.session.set, settings)))
 
+    def _solver_at_hand(self) -> bool:
+        """Whether there is a solver for what takes long; the visitor is told when there is none yet."""
+        ready = self._ready()
+        if not ready and self._awaited is not None:
+            self.fail(RegistrationError("the solver is still being compiled", "try again when the image is warped"))
+        return ready
+
     # --- images and landmark files --------------------------------------------------------------------------------
 
-    def _open(self, side: Side | None, name: str, data: bytes) -> None:
+    def _open(self, side: Side | None, files: Files) -> None:
         def opened() -> None:
+            ((name, data),) = files
             picture = picture_from(data, name)
             if side is None:
                 self.session.open_alone(picture)
@@ -189,9 +211,14 @@ class View(Screen):
 
         self.do(opened)
 
-    def _load(self, name: str, data: bytes) -> None:
-        shapes = self._frames()
-        self.do(lambda: self.session.load(parse_landmarks([(name, data)], frames=shapes)))
+    def _load(self, files: Files) -> None:
+        def loaded() -> None:
+            ordered, remark[:] = in_order(files)
+            self.session.load(parse_landmarks(ordered, frames=self._frames()))
+
+        remark: list[str] = []
+        if self.do(loaded) and remark:
+            self.layout.message(remark[0], wrong=False)
 
     def _frames(self) -> Frames:
         return Frames(self.session.moving.shape, self.session.picture("fixed").shape)
@@ -206,6 +233,8 @@ class View(Screen):
 
     def export(self, kind: str) -> None:
         """Make a file beside the event loop and let the browser save it."""
+        if kind != "landmarks" and not self._solver_at_hand():
+            return
         task = self.session.task()
         jobs: dict[str, Callable[[], Any]] = {
             "warped_image": partial(exports.warped_image, task),

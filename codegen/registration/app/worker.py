@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeAlias
 
 Job: TypeAlias = Callable[[], Any]
-Deliver: TypeAlias = Callable[[Callable[[], None]], None]
+Deliver: TypeAlias = Callable[[Callable[[], Any]], None]
 
 # Sessions take turns, one job each; what takes long must not keep anyone's dragged point waiting.
 quick = ThreadPoolExecutor(1, thread_name_prefix="registration-quick")
@@ -73,9 +73,16 @@ class Worker:
             finally:
                 self._pool.submit(self._run)
 
-        try:
-            self._deliver(then)
-        except Exception:  # the session has been closed: its page is gone
+        if not delivered(self._deliver, then):
             with self._lock:
                 self._waiting.clear()
                 self._running = False
+
+
+def delivered(deliver: Deliver, act: Callable[[], Any]) -> bool:
+    """Hand a function to a session's thread; False when the session has been closed."""
+    try:
+        deliver(act)
+    except Exception:  # its page is gone, and nobody can be told
+        return False
+    return True
