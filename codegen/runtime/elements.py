@@ -42,9 +42,8 @@ WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 if PHASES:
     LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
-IS_CURVATURE = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] == LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS]
-if PHASES:
-    IS_CURVATURE &= ~LOCAL_IS_MULTIPLIER[HESSIAN_ROWS]  # multipliers that an interval lacks must not become singular
+# The Lagrangian is linear in multipliers; what stands on their diagonal is a one for each that a node or interval lacks.
+IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
 
 
 @njit(error_model="numpy")
