@@ -38,6 +38,7 @@ FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of blo
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
+COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 if PHASES:
