@@ -398,7 +398,7 @@ ROWS = TAIL + SHARED  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
-# The Lagrangian is linear in multipliers; what stands on their diagonal is a one for each that a node or interval lacks.
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
 
 
@@ -2313,7 +2313,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_convoy_15020c857dda18c6"
+_IDENTITY = "codegen_convoy_296792e37f84ddfe"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

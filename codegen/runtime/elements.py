@@ -43,7 +43,7 @@ WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 if PHASES:
     LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
-# The Lagrangian is linear in multipliers; what stands on their diagonal is a one for each that a node or interval lacks.
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
 
 
