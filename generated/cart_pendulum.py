@@ -322,7 +322,7 @@ def end_gradient(unknowns, t, parameters, gradient):
 # the stationarity of the optimum.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
@@ -362,7 +362,7 @@ def add_end(part, first, size, body, gradient):
 # Sums over all unknowns that Newton's method needs at every iterate.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def measure(gradient, is_multiplier):
     """Max-norm and sum of the residual of the discrete equations, and max-norm of the stationarity.
 
@@ -416,8 +416,19 @@ class Point(NamedTuple):
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
     gradient = np.empty_like(unknowns)
-    cost = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters, gradient)
-    return Point(unknowns, gradient, cost, *measure(gradient, grid.is_multiplier))
+    return Point(
+        unknowns,
+        gradient,
+        *measured_gradient(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
+    """Fill the gradient of the Lagrangian; return the discrete cost, and norms of residual and stationarity."""
+    cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+    residual, violation, stationarity = measure(gradient, is_multiplier)
+    return cost, residual, violation, stationarity
 
 
 # Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
@@ -437,9 +448,11 @@ FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of blo
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
+COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
-IS_CURVATURE = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] == LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS]
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
+IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
 
 
 @njit(error_model="numpy")
@@ -545,8 +558,10 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
     for k in range(c + 1, count):
         i = order[k]
-        subtract_row(matrix[i, p] * reciprocal, matrix, p, width, matrix, i)
-        matrix[i, p] = 0.0
+        multiple = matrix[i, p] * reciprocal
+        if multiple != 0.0:  # most entries of an element matrix are zeros
+            subtract_row(multiple, matrix, p, width, matrix, i)
+            matrix[i, p] = 0.0
     for j in range(width):
         upper[p, j] = matrix[p, j] * reciprocal
     upper[p, p] = 0.0
@@ -564,9 +579,10 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     for k in range(c + 2, count):
         i = order[k]
         x, y = matrix[i, p], matrix[i, q]
-        subtract_row(x * first + y * both, matrix, p, width, matrix, i)
-        subtract_row(x * both + y * second, matrix, q, width, matrix, i)
-        matrix[i, p] = matrix[i, q] = 0.0
+        if x != 0.0 or y != 0.0:
+            subtract_row(x * first + y * both, matrix, p, width, matrix, i)
+            subtract_row(x * both + y * second, matrix, q, width, matrix, i)
+            matrix[i, p] = matrix[i, q] = 0.0
     for j in range(width):
         x, y = matrix[p, j], matrix[q, j]
         upper[p, j] = x * first + y * both
@@ -717,7 +733,7 @@ def subtract_condensed(coupling, inverse, element):
             weighted = 0.0
             for b in range(CONDENSED):
                 weighted += inverse[a, b] * coupling[b, i]
-            subtract_row(weighted, coupling, a, WIDTH, element, i)
+            subtract_row(weighted, coupling, a, COLUMNS, element, i)
 
 
 @njit(error_model="numpy")
@@ -915,7 +931,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             begin_front(element, rest)
             continue
         move_front(element, rest)
-        found = eliminate_rows(element, BLOCK, WIDTH, upper[body, k], inverse[body, k], order[body, k])
+        found = eliminate_rows(element, BLOCK, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
         if found < 0:
             return False, 0, 0
         negative += found
@@ -1024,7 +1040,7 @@ def forward(upper, order, right, last):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_forward(upper[k], order[k], BLOCK, WIDTH, front)
+        solve_forward(upper[k], order[k], BLOCK, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
         for i in range(NODE):
@@ -1049,7 +1065,7 @@ def backward(upper, inverse, order, last, right):
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
         solve_pivots(inverse[k], order[k], BLOCK, front)
-        solve_backward(upper[k], order[k], BLOCK, WIDTH, front)
+        solve_backward(upper[k], order[k], BLOCK, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
 
@@ -1212,17 +1228,17 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu):
-    """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
+def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals):
+    """Max-norm of the stationarity, sum of complementarities z d beyond rounding, least and largest z d, and sizes.
 
     The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
-    excess, off_centre, size = 0.0, 0.0, 0.0
+    excess, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
     for j in range(place.size):
         stationary[place[j]] -= side[j] * duals[j]
         product = duals[j] * distance[j]
-        off_centre = max(off_centre, abs(product - mu))
+        lowest, highest = min(lowest, product), max(highest, product)
         if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
             excess += product
         size += duals[j]
@@ -1235,30 +1251,26 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
             stationarity = max(stationarity, abs(stationary[i]))
             largest = max(largest, abs(unknowns[i]))
     mean = (multipliers + size) / max(count + place.size, 1)
-    return stationarity, excess, off_centre, mean, size / max(place.size, 1), largest
+    return stationarity, excess, lowest, highest, mean, size / max(place.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")
-def barrier_diagonal(is_multiplier, place, distance, duals, shift, dual_shift, diagonal):
-    """Fill `diagonal` with the shifts and the barrier's z / d."""
-    for i in range(diagonal.size):
+def add_barrier(gradient, is_multiplier, place, side, distance, duals, mu, shift, dual_shift, right, diagonal):
+    """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
+    for i in range(gradient.size):
+        right[i] = gradient[i]
         diagonal[i] = -dual_shift if is_multiplier[i] else shift
     for j in range(place.size):
+        right[place[j]] -= mu * side[j] / distance[j]
         diagonal[place[j]] += duals[j] / distance[j]
 
 
 @njit(cache=True, error_model="numpy")
-def add_barrier(gradient, place, side, distance, mu, result):
-    """Fill `result` with the gradient less mu s / d."""
-    for i in range(gradient.size):
-        result[i] = gradient[i]
-    for j in range(place.size):
-        result[place[j]] -= mu * side[j] / distance[j]
+def measure_step(unknowns, gradient, step, is_multiplier, place, side, distance, duals, mu, tau, dual_step):
+    """Fill `dual_step`; return the slope along the step, and its longest primal and dual lengths.
 
-
-@njit(cache=True, error_model="numpy")
-def step_duals(step, place, side, distance, duals, mu, tau, dual_step):
-    """Fill `dual_step`; return the longest primal and dual step that keep 1 - tau of every distance and dual (15)."""
+    They keep 1 - tau of every distance and of every dual (15).
+    """
     primal, dual = 1.0, 1.0
     for j in range(place.size):
         change = side[j] * step[place[j]]
@@ -1267,7 +1279,7 @@ def step_duals(step, place, side, distance, duals, mu, tau, dual_step):
             primal = -tau * distance[j] / change
         if -dual_step[j] * dual > tau * duals[j]:
             dual = -tau * duals[j] / dual_step[j]
-    return primal, dual
+    return slope_of(unknowns, gradient, step, is_multiplier), primal, dual
 
 
 @njit(cache=True, error_model="numpy")
@@ -1332,18 +1344,17 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
     grid, bounds, system, equations = search
     size = point.unknowns.size
-    diagonal, step, slopes = np.empty(size), np.empty(size), pull.copy()
+    diagonal, step, slopes = np.empty(size), np.empty(size), np.empty(size)
     dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
-    np.subtract.at(slopes, bounds.place, nu * bounds.side / distance)
-    right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
+    barrier = grid.is_multiplier, bounds.place, bounds.side, distance, duals, nu
     merit = sum_of_squares(grid, point) - nu * logarithms
     while damping < 1e12:
-        barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 0.0, diagonal)
+        add_barrier(pull, *barrier, damping, 0.0, slopes, diagonal)
         diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         if factor_kkt(grid, point.unknowns, 0.0, diagonal, system) is not None:
-            solve_kkt(grid, system, right, step)
+            solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, slopes - pull), step)
             step[grid.is_multiplier] = 0.0
-            length, dual_length = step_duals(step, *bounds[::2], distance, duals, nu, 0.99, dual_step)
+            _, length, dual_length = measure_step(point.unknowns, slopes, step, *barrier, 0.99, dual_step)
             unknowns, new_distance = np.empty(size), np.empty_like(distance)
             new_logarithms = move(point.unknowns, step, length, *bounds, unknowns, new_distance)
             trial = evaluate(grid, unknowns)
@@ -1460,7 +1471,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
         measured = measure_optimality(
-            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals, 0.0
+            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
         )
         point = point._replace(stationarity=measured[0])
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
@@ -1471,16 +1482,14 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             doubtful = iteration == 0 or shift > 0.0
             minimum = not doubtful or is_minimum(search, iterate, tolerance)
             return ("solved" if minimum else "saddle point"), point, iteration
-        if is_boundless(point, measured[5]):
+        if is_boundless(point, measured[6]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
             break
         while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
-            mu = max(least, min(0.2 * mu, mu**1.5))
+            # Newton's steps converge quadratically once the barrier is weak, and its weight may tend to zero as fast.
+            mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
             filtered = filtered[:1]
-            measured = measure_optimality(
-                point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals, mu
-            )
         step = regularised_step(search, iterate, mu, last_shift)
         if step is None:
             return "rank-deficient", point, iteration
@@ -1506,8 +1515,10 @@ def is_minimum(search, iterate, tolerance):
     """
     grid, bounds, system, _ = search
     shift = max(FLAT, 100.0 * tolerance)
-    diagonal = np.empty(iterate.point.unknowns.size)
-    barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, FLAT, diagonal)
+    diagonal, unused = np.empty((2, iterate.point.unknowns.size))
+    add_barrier(
+        unused, grid.is_multiplier, *bounds[::2], iterate.distance, iterate.duals, 0.0, shift, FLAT, unused, diagonal
+    )
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
@@ -1544,7 +1555,8 @@ def is_boundless(point, largest):
 
 def barrier_error(point, measured, mu):
     """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
-    stationarity, _, off_centre, mean, mean_dual, _ = measured
+    stationarity, _, lowest, highest, mean, mean_dual, _ = measured
+    off_centre = max(highest - mu, mu - lowest)
     scale, dual_scale = max(100.0, mean) / 100.0, max(100.0, mean_dual) / 100.0
     return max(stationarity / scale, point.residual, off_centre / dual_scale)
 
@@ -1555,19 +1567,16 @@ def regularised_step(search, iterate, mu, last_shift):
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
-    add_barrier(point.gradient, bounds.place, bounds.side, iterate.distance, mu, gradient)
+    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     shift, dual_shift = 0.0, 0.0
     while shift < 1e20:
-        barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, dual_shift, diagonal)
+        add_barrier(point.gradient, *barrier, shift, dual_shift, gradient, diagonal)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal)
-            slope = slope_of(point.unknowns, gradient, primal, grid.is_multiplier)
-            if np.isfinite(slope):
-                lengths = step_duals(
-                    primal, *bounds[::2], iterate.distance, iterate.duals, mu, max(0.99, 1.0 - mu), dual
-                )
-                return Step(primal, dual, gradient, slope, *lengths, shift)
+            measured = measure_step(point.unknowns, gradient, primal, *barrier, max(0.99, 1.0 - mu), dual)
+            if np.isfinite(measured[0]):
+                return Step(primal, dual, gradient, *measured, shift)
         elif dual_shift == 0.0 and (excess is None or excess < 0):
             dual_shift = 1e-8 * mu**0.25  # the equations may be dependent
             continue
@@ -1621,6 +1630,7 @@ def corrected(search, iterate, step, mu, trial, accepted):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
     grid, bounds, system, _ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
+    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
     for _ in range(CORRECTIONS):
         residual = length * residual + trial[0].gradient[grid.is_multiplier]
@@ -1628,9 +1638,7 @@ def corrected(search, iterate, step, mu, trial, accepted):
         solve_kkt(grid, system, right, correction)
         if not np.isfinite(correction).all():
             return None
-        length, _ = step_duals(
-            correction, *bounds[::2], iterate.distance, iterate.duals, mu, max(0.99, 1.0 - mu), unused
-        )
+        _, length, _ = measure_step(iterate.point.unknowns, right, correction, *barrier, max(0.99, 1.0 - mu), unused)
         trial = moved(grid, bounds, iterate.point.unknowns, correction, length)
         if accepted(trial, step.longest):
             return trial
@@ -2339,7 +2347,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pendulum_7068c1d424bfd27f"
+_IDENTITY = "codegen_cart_pendulum_8d093f017bf50563"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

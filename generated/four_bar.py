@@ -484,7 +484,7 @@ def end_gradient(unknowns, t, parameters, gradient):
 # the stationarity of the optimum.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
@@ -524,7 +524,7 @@ def add_end(part, first, size, body, gradient):
 # Sums over all unknowns that Newton's method needs at every iterate.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def measure(gradient, is_multiplier):
     """Max-norm and sum of the residual of the discrete equations, and max-norm of the stationarity.
 
@@ -578,8 +578,19 @@ class Point(NamedTuple):
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
     gradient = np.empty_like(unknowns)
-    cost = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters, gradient)
-    return Point(unknowns, gradient, cost, *measure(gradient, grid.is_multiplier))
+    return Point(
+        unknowns,
+        gradient,
+        *measured_gradient(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
+    """Fill the gradient of the Lagrangian; return the discrete cost, and norms of residual and stationarity."""
+    cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+    residual, violation, stationarity = measure(gradient, is_multiplier)
+    return cost, residual, violation, stationarity
 
 
 # Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
@@ -599,9 +610,11 @@ FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of blo
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
+COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
-IS_CURVATURE = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] == LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS]
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
+IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
 
 
 @njit(error_model="numpy")
@@ -707,8 +720,10 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
     for k in range(c + 1, count):
         i = order[k]
-        subtract_row(matrix[i, p] * reciprocal, matrix, p, width, matrix, i)
-        matrix[i, p] = 0.0
+        multiple = matrix[i, p] * reciprocal
+        if multiple != 0.0:  # most entries of an element matrix are zeros
+            subtract_row(multiple, matrix, p, width, matrix, i)
+            matrix[i, p] = 0.0
     for j in range(width):
         upper[p, j] = matrix[p, j] * reciprocal
     upper[p, p] = 0.0
@@ -726,9 +741,10 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     for k in range(c + 2, count):
         i = order[k]
         x, y = matrix[i, p], matrix[i, q]
-        subtract_row(x * first + y * both, matrix, p, width, matrix, i)
-        subtract_row(x * both + y * second, matrix, q, width, matrix, i)
-        matrix[i, p] = matrix[i, q] = 0.0
+        if x != 0.0 or y != 0.0:
+            subtract_row(x * first + y * both, matrix, p, width, matrix, i)
+            subtract_row(x * both + y * second, matrix, q, width, matrix, i)
+            matrix[i, p] = matrix[i, q] = 0.0
     for j in range(width):
         x, y = matrix[p, j], matrix[q, j]
         upper[p, j] = x * first + y * both
@@ -879,7 +895,7 @@ def subtract_condensed(coupling, inverse, element):
             weighted = 0.0
             for b in range(CONDENSED):
                 weighted += inverse[a, b] * coupling[b, i]
-            subtract_row(weighted, coupling, a, WIDTH, element, i)
+            subtract_row(weighted, coupling, a, COLUMNS, element, i)
 
 
 @njit(error_model="numpy")
@@ -1069,7 +1085,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             begin_front(element, rest)
             continue
         move_front(element, rest)
-        found = eliminate_rows(element, BLOCK, WIDTH, upper[body, k], inverse[body, k], order[body, k])
+        found = eliminate_rows(element, BLOCK, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
         if found < 0:
             return False, 0, 0
         negative += found
@@ -1178,7 +1194,7 @@ def forward(upper, order, right, last):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_forward(upper[k], order[k], BLOCK, WIDTH, front)
+        solve_forward(upper[k], order[k], BLOCK, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
         for i in range(NODE):
@@ -1203,7 +1219,7 @@ def backward(upper, inverse, order, last, right):
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
         solve_pivots(inverse[k], order[k], BLOCK, front)
-        solve_backward(upper[k], order[k], BLOCK, WIDTH, front)
+        solve_backward(upper[k], order[k], BLOCK, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
 
@@ -2086,7 +2102,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_four_bar_142b5dc10fe3a87e"
+_IDENTITY = "codegen_four_bar_76ba209433f94bf2"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -101,10 +101,10 @@ def compile_all_but_the_longest(module: Any) -> None:
     with np.errstate(all="ignore"):
         module.solve_kkt(grid, system, gradient, step)
         module.unpack(grid, unknowns)
-        if hasattr(module, "slope_of"):  # a linear-quadratic problem has none
-            module.slope_of(unknowns, gradient, gradient, grid.is_multiplier)
         if hasattr(module, "finite_bounds"):
             _compile_interior_point(module, grid, unknowns, step)
+        elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
+            module.slope_of(unknowns, gradient, gradient, grid.is_multiplier)
         module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
 
 
@@ -113,10 +113,10 @@ def _compile_interior_point(module: Any, grid: Any, unknowns: Any, step: Any) ->
     bounds = module.finite_bounds(*module.variable_bounds(grid))
     point, distance, _ = module.moved(grid, bounds, unknowns, step, 0.0)
     duals, result = np.ones(distance.size), np.empty(distance.size)
-    module.measure_optimality(point.gradient, point.unknowns, grid.is_multiplier, *bounds, distance, duals, 1.0)
-    module.barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, 0.0, 0.0, step)
-    module.add_barrier(point.gradient, bounds.place, bounds.side, distance, 1.0, step)
-    module.step_duals(step, *bounds[::2], distance, duals, 1.0, 0.99, result)
+    module.measure_optimality(point.gradient, point.unknowns, grid.is_multiplier, *bounds, distance, duals)
+    barrier = grid.is_multiplier, *bounds[::2], distance, duals, 1.0
+    module.add_barrier(point.gradient, *barrier, 0.0, 0.0, step, np.empty_like(step))
+    module.measure_step(unknowns, point.gradient, step, *barrier, 0.99, result)
     module.move_duals(duals, duals, 1.0, distance, 1.0, result)
 
 

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from codegen.runtime.descent import slope_of
+
 
 class Bounds(NamedTuple):
     """Places, values and sides of all finite bounds."""
@@ -59,17 +61,17 @@ def move(unknowns, step, length, place, value, side, trial, distance):
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals, mu):
-    """Max-norm of the stationarity, sum of complementarities z d beyond rounding, largest |z d - mu|, and sizes.
+def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals):
+    """Max-norm of the stationarity, sum of complementarities z d beyond rounding, least and largest z d, and sizes.
 
     The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
-    excess, off_centre, size = 0.0, 0.0, 0.0
+    excess, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
     for j in range(place.size):
         stationary[place[j]] -= side[j] * duals[j]
         product = duals[j] * distance[j]
-        off_centre = max(off_centre, abs(product - mu))
+        lowest, highest = min(lowest, product), max(highest, product)
         if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
             excess += product
         size += duals[j]
@@ -82,30 +84,26 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
             stationarity = max(stationarity, abs(stationary[i]))
             largest = max(largest, abs(unknowns[i]))
     mean = (multipliers + size) / max(count + place.size, 1)
-    return stationarity, excess, off_centre, mean, size / max(place.size, 1), largest
+    return stationarity, excess, lowest, highest, mean, size / max(place.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")
-def barrier_diagonal(is_multiplier, place, distance, duals, shift, dual_shift, diagonal):
-    """Fill `diagonal` with the shifts and the barrier's z / d."""
-    for i in range(diagonal.size):
+def add_barrier(gradient, is_multiplier, place, side, distance, duals, mu, shift, dual_shift, right, diagonal):
+    """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
+    for i in range(gradient.size):
+        right[i] = gradient[i]
         diagonal[i] = -dual_shift if is_multiplier[i] else shift
     for j in range(place.size):
+        right[place[j]] -= mu * side[j] / distance[j]
         diagonal[place[j]] += duals[j] / distance[j]
 
 
 @njit(cache=True, error_model="numpy")
-def add_barrier(gradient, place, side, distance, mu, result):
-    """Fill `result` with the gradient less mu s / d."""
-    for i in range(gradient.size):
-        result[i] = gradient[i]
-    for j in range(place.size):
-        result[place[j]] -= mu * side[j] / distance[j]
+def measure_step(unknowns, gradient, step, is_multiplier, place, side, distance, duals, mu, tau, dual_step):
+    """Fill `dual_step`; return the slope along the step, and its longest primal and dual lengths.
 
-
-@njit(cache=True, error_model="numpy")
-def step_duals(step, place, side, distance, duals, mu, tau, dual_step):
-    """Fill `dual_step`; return the longest primal and dual step that keep 1 - tau of every distance and dual (15)."""
+    They keep 1 - tau of every distance and of every dual (15).
+    """
     primal, dual = 1.0, 1.0
     for j in range(place.size):
         change = side[j] * step[place[j]]
@@ -114,7 +112,7 @@ def step_duals(step, place, side, distance, duals, mu, tau, dual_step):
             primal = -tau * distance[j] / change
         if -dual_step[j] * dual > tau * duals[j]:
             dual = -tau * duals[j] / dual_step[j]
-    return primal, dual
+    return slope_of(unknowns, gradient, step, is_multiplier), primal, dual
 
 
 @njit(cache=True, error_model="numpy")

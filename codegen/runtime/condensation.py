@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.elements import BLOCK, ROWS, SIZE, TAIL, WIDTH
+from codegen.runtime.elements import BLOCK, COLUMNS, ROWS, SIZE, TAIL
 from codegen.runtime.example import (
     BODIES,
     CONDENSED,
@@ -80,7 +80,7 @@ def subtract_condensed(coupling, inverse, element):
             weighted = 0.0
             for b in range(CONDENSED):
                 weighted += inverse[a, b] * coupling[b, i]
-            subtract_row(weighted, coupling, a, WIDTH, element, i)
+            subtract_row(weighted, coupling, a, COLUMNS, element, i)
 
 
 @njit(error_model="numpy")

@@ -38,13 +38,13 @@ FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of blo
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
+COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 if PHASES:
     LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
-IS_CURVATURE = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] == LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS]
-if PHASES:
-    IS_CURVATURE &= ~LOCAL_IS_MULTIPLIER[HESSIAN_ROWS]  # multipliers that an interval lacks must not become singular
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
+IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
 
 
 @njit(error_model="numpy")

@@ -41,7 +41,7 @@ def add_end_hessian(entries, rows, columns, first, weight, element):
     """Add the lower triangle `entries` of an end's Hessian, and its mirror image; its node begins at row `first`."""
     for j in range(entries.size):
         value = entries[j]
-        if END_IS_MULTIPLIER[rows[j]] == END_IS_MULTIPLIER[columns[j]]:
+        if not (END_IS_MULTIPLIER[rows[j]] or END_IS_MULTIPLIER[columns[j]]):
             value *= weight
         row = first + rows[j] if rows[j] < NODE else TAIL + rows[j] - NODE
         column = first + columns[j] if columns[j] < NODE else TAIL + columns[j] - NODE

@@ -23,6 +23,7 @@ from codegen.runtime.condensation import condense, expand
 from codegen.runtime.elements import (
     BLOCK,
     BORDER,
+    COLUMNS,
     FIRST,
     IS_CURVATURE,
     LOCAL_IS_MULTIPLIER,
@@ -158,7 +159,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             begin_front(element, rest)
             continue
         move_front(element, rest)
-        found = eliminate_rows(element, BLOCK, WIDTH, upper[body, k], inverse[body, k], order[body, k])
+        found = eliminate_rows(element, BLOCK, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
         if found < 0:
             return False, 0, 0
         negative += found
@@ -289,7 +290,7 @@ def forward(upper, order, right, last):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_forward(upper[k], order[k], BLOCK, WIDTH, front)
+        solve_forward(upper[k], order[k], BLOCK, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
         for i in range(NODE):
@@ -318,6 +319,6 @@ def backward(upper, inverse, order, last, right):
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
         solve_pivots(inverse[k], order[k], BLOCK, front)
-        solve_backward(upper[k], order[k], BLOCK, WIDTH, front)
+        solve_backward(upper[k], order[k], BLOCK, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]

@@ -12,17 +12,15 @@ import numpy as np
 
 from codegen.runtime.barrier import (
     add_barrier,
-    barrier_diagonal,
     finite_bounds,
     measure_optimality,
+    measure_step,
     move,
     move_duals,
     push_inside,
-    step_duals,
 )
 from codegen.runtime.callbacks import multiplier_unknowns
 from codegen.runtime.curvature import FLAT
-from codegen.runtime.descent import slope_of
 from codegen.runtime.example import variable_bounds
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
@@ -122,7 +120,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     for iteration in range(max_iterations + 1):
         point, duals = iterate.point, iterate.duals
         measured = measure_optimality(
-            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals, 0.0
+            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
         )
         point = point._replace(stationarity=measured[0])
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
@@ -133,16 +131,14 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             doubtful = iteration == 0 or shift > 0.0
             minimum = not doubtful or is_minimum(search, iterate, tolerance)
             return ("solved" if minimum else "saddle point"), point, iteration
-        if is_boundless(point, measured[5]):
+        if is_boundless(point, measured[6]):
             return "unbounded", point, iteration
         if iteration == max_iterations:
             break
         while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
-            mu = max(least, min(0.2 * mu, mu**1.5))
+            # Newton's steps converge quadratically once the barrier is weak, and its weight may tend to zero as fast.
+            mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
             filtered = filtered[:1]
-            measured = measure_optimality(
-                point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals, mu
-            )
         step = regularised_step(search, iterate, mu, last_shift)
         if step is None:
             return "rank-deficient", point, iteration
@@ -168,8 +164,10 @@ def is_minimum(search, iterate, tolerance):
     """
     grid, bounds, system, _ = search
     shift = max(FLAT, 100.0 * tolerance)
-    diagonal = np.empty(iterate.point.unknowns.size)
-    barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, FLAT, diagonal)
+    diagonal, unused = np.empty((2, iterate.point.unknowns.size))
+    add_barrier(
+        unused, grid.is_multiplier, *bounds[::2], iterate.distance, iterate.duals, 0.0, shift, FLAT, unused, diagonal
+    )
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
 
 
@@ -206,7 +204,8 @@ def is_boundless(point, largest):
 
 def barrier_error(point, measured, mu):
     """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
-    stationarity, _, off_centre, mean, mean_dual, _ = measured
+    stationarity, _, lowest, highest, mean, mean_dual, _ = measured
+    off_centre = max(highest - mu, mu - lowest)
     scale, dual_scale = max(100.0, mean) / 100.0, max(100.0, mean_dual) / 100.0
     return max(stationarity / scale, point.residual, off_centre / dual_scale)
 
@@ -217,19 +216,16 @@ def regularised_step(search, iterate, mu, last_shift):
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
-    add_barrier(point.gradient, bounds.place, bounds.side, iterate.distance, mu, gradient)
+    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     shift, dual_shift = 0.0, 0.0
     while shift < 1e20:
-        barrier_diagonal(grid.is_multiplier, bounds.place, iterate.distance, iterate.duals, shift, dual_shift, diagonal)
+        add_barrier(point.gradient, *barrier, shift, dual_shift, gradient, diagonal)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal)
-            slope = slope_of(point.unknowns, gradient, primal, grid.is_multiplier)
-            if np.isfinite(slope):
-                lengths = step_duals(
-                    primal, *bounds[::2], iterate.distance, iterate.duals, mu, max(0.99, 1.0 - mu), dual
-                )
-                return Step(primal, dual, gradient, slope, *lengths, shift)
+            measured = measure_step(point.unknowns, gradient, primal, *barrier, max(0.99, 1.0 - mu), dual)
+            if np.isfinite(measured[0]):
+                return Step(primal, dual, gradient, *measured, shift)
         elif dual_shift == 0.0 and (excess is None or excess < 0):
             dual_shift = 1e-8 * mu**0.25  # the equations may be dependent
             continue
@@ -283,6 +279,7 @@ def corrected(search, iterate, step, mu, trial, accepted):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
     grid, bounds, system, _ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
+    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
     for _ in range(CORRECTIONS):
         residual = length * residual + trial[0].gradient[grid.is_multiplier]
@@ -290,9 +287,7 @@ def corrected(search, iterate, step, mu, trial, accepted):
         solve_kkt(grid, system, right, correction)
         if not np.isfinite(correction).all():
             return None
-        length, _ = step_duals(
-            correction, *bounds[::2], iterate.distance, iterate.duals, mu, max(0.99, 1.0 - mu), unused
-        )
+        _, length, _ = measure_step(iterate.point.unknowns, right, correction, *barrier, max(0.99, 1.0 - mu), unused)
         trial = moved(grid, bounds, iterate.point.unknowns, correction, length)
         if accepted(trial, step.longest):
             return trial

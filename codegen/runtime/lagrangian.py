@@ -25,7 +25,7 @@ from codegen.runtime.example import (
 from codegen.runtime.shared import add_shared, read_shared, release_shared
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def measure(gradient, is_multiplier):
     """Max-norm and sum of the residual of the discrete equations, and max-norm of the stationarity.
 

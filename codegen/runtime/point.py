@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from codegen.runtime.lagrangian import lagrangian_gradient
 from codegen.runtime.norms import measure
@@ -39,5 +40,16 @@ class Point(NamedTuple):
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
     gradient = np.empty_like(unknowns)
-    cost = lagrangian_gradient(unknowns, grid.steps, grid.h, grid.parameters, gradient)
-    return Point(unknowns, gradient, cost, *measure(gradient, grid.is_multiplier))
+    return Point(
+        unknowns,
+        gradient,
+        *measured_gradient(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
+    """Fill the gradient of the Lagrangian; return the discrete cost, and norms of residual and stationarity."""
+    cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+    residual, violation, stationarity = measure(gradient, is_multiplier)
+    return cost, residual, violation, stationarity

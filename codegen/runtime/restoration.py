@@ -8,7 +8,7 @@ Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), se
 
 import numpy as np
 
-from codegen.runtime.barrier import barrier_diagonal, move, move_duals, step_duals
+from codegen.runtime.barrier import add_barrier, measure_step, move, move_duals
 from codegen.runtime.frontal import factor_kkt, solve_kkt
 from codegen.runtime.point import evaluate
 
@@ -59,18 +59,17 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
     grid, bounds, system, equations = search
     size = point.unknowns.size
-    diagonal, step, slopes = np.empty(size), np.empty(size), pull.copy()
+    diagonal, step, slopes = np.empty(size), np.empty(size), np.empty(size)
     dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
-    np.subtract.at(slopes, bounds.place, nu * bounds.side / distance)
-    right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
+    barrier = grid.is_multiplier, bounds.place, bounds.side, distance, duals, nu
     merit = sum_of_squares(grid, point) - nu * logarithms
     while damping < 1e12:
-        barrier_diagonal(grid.is_multiplier, bounds.place, distance, duals, damping, 0.0, diagonal)
+        add_barrier(pull, *barrier, damping, 0.0, slopes, diagonal)
         diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         if factor_kkt(grid, point.unknowns, 0.0, diagonal, system) is not None:
-            solve_kkt(grid, system, right, step)
+            solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, slopes - pull), step)
             step[grid.is_multiplier] = 0.0
-            length, dual_length = step_duals(step, *bounds[::2], distance, duals, nu, 0.99, dual_step)
+            _, length, dual_length = measure_step(point.unknowns, slopes, step, *barrier, 0.99, dual_step)
             unknowns, new_distance = np.empty(size), np.empty_like(distance)
             new_logarithms = move(point.unknowns, step, length, *bounds, unknowns, new_distance)
             trial = evaluate(grid, unknowns)

@@ -65,8 +65,10 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
     for k in range(c + 1, count):
         i = order[k]
-        subtract_row(matrix[i, p] * reciprocal, matrix, p, width, matrix, i)
-        matrix[i, p] = 0.0
+        multiple = matrix[i, p] * reciprocal
+        if multiple != 0.0:  # most entries of an element matrix are zeros
+            subtract_row(multiple, matrix, p, width, matrix, i)
+            matrix[i, p] = 0.0
     for j in range(width):
         upper[p, j] = matrix[p, j] * reciprocal
     upper[p, p] = 0.0
@@ -84,9 +86,10 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     for k in range(c + 2, count):
         i = order[k]
         x, y = matrix[i, p], matrix[i, q]
-        subtract_row(x * first + y * both, matrix, p, width, matrix, i)
-        subtract_row(x * both + y * second, matrix, q, width, matrix, i)
-        matrix[i, p] = matrix[i, q] = 0.0
+        if x != 0.0 or y != 0.0:
+            subtract_row(x * first + y * both, matrix, p, width, matrix, i)
+            subtract_row(x * both + y * second, matrix, q, width, matrix, i)
+            matrix[i, p] = matrix[i, q] = 0.0
     for j in range(width):
         x, y = matrix[p, j], matrix[q, j]
         upper[p, j] = x * first + y * both

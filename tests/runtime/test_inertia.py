@@ -130,3 +130,22 @@ def test_excess_of_negative_eigenvalues(interpreted, name, text, choices, steps,
     elif regular:
         excess = np.count_nonzero(values < 0.0) - module.multiplier_unknowns(grid).size
         assert found == excess or 0 < found < excess
+
+
+@pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
+def test_shortest_step_onto_the_linearised_equations(interpreted, name, text, choices):
+    """Without the cost the matrix is regular even with multipliers that only the ends of a motion have.
+
+    Restoration and the first multipliers begin with it. The step must satisfy A d = -c, with A as drivers get it.
+    """
+    module = interpreted(name, text, **choices)
+    grid = module.make_grid(4)
+    unknowns = np.where(grid.is_multiplier, 0.0, trial_point(module, grid, 1, 0.2))
+    system, step = module.allocate_system(grid), np.empty_like(unknowns)
+    assert module.factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) == 0
+    gradient = module.evaluate(grid, unknowns).gradient
+    module.solve_kkt(grid, system, np.where(grid.is_multiplier, gradient, 0.0), step)
+    equations, primal = module.multiplier_unknowns(grid), module.primal_unknowns(grid)
+    rows, columns, slopes = module.jacobian(grid, unknowns)
+    change = np.bincount(rows, slopes * step[primal][columns], equations.size)
+    np.testing.assert_allclose(change, -gradient[equations], atol=1e-6 * np.abs(gradient).max())
