@@ -41,8 +41,7 @@ def certify(registration: Registration, shape: Sequence[int] | None = None) -> C
     """
     whole = registration.fixed_shape if shape is None else shape
     grid = pixel_grid(whole)
-    with np.errstate(divide="ignore"):
-        determinants = 1.0 / registration.determinant(grid, inverse=True)
+    determinants = registration.arriving_determinant(grid)
     round_trip = _round_trip(registration, whole)
     known = np.isfinite(determinants)
     least = int(np.argmin(np.where(known, determinants, np.inf)))

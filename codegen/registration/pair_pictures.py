@@ -154,7 +154,7 @@ def _determinants(result: Result, registration: Registration) -> Picture:
         0 : height - 1 : complex(0, max(2, round(height / step))),
         0 : width - 1 : complex(0, max(2, round(width / step))),
     ]
-    values = 1.0 / registration.determinant(np.column_stack([x.ravel(), y.ravel()]), inverse=True).reshape(x.shape)
+    values = registration.arriving_determinant(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
     assert result.certificate is not None
     positive = values[values > 0.0]
     reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0

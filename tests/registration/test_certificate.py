@@ -15,15 +15,15 @@ def known_map(determinant, back=lambda p: p):
     """Something that has what `certify` asks for."""
     return SimpleNamespace(
         fixed_shape=(9, 11), residuals=np.array([0.25, 0.5]), pairs=LandmarkPairs([[1, 1]], [[2, 2]]),
-        determinant=lambda p, inverse: 1.0 / determinant(p), map_points=lambda p: p, map_points_inverse=back,
+        arriving_determinant=determinant, map_points=lambda p: p, map_points_inverse=back,
     )  # fmt: skip
 
 
 def test_a_fold_is_found_counted_and_placed():
-    found = certify(known_map(lambda p: (p[:, 0] - 3.0) ** 2 + (p[:, 1] - 2.0) ** 2 - 1.5))
+    found = certify(known_map(lambda p: (p[:, 0] - 3.0) ** 2 + (p[:, 1] - 2.0) ** 2 - 1.0))
     assert (found.folded, found.first_fold) == (5, (3.0, 1.0))
-    assert (found.det_min, found.det_min_at) == (-1.5, (3.0, 2.0))
-    assert found.det_max == pytest.approx(7.0**2 + 6.0**2 - 1.5, rel=1e-15)
+    assert (found.det_min, found.det_min_at) == (-1.0, (3.0, 2.0))
+    assert found.det_max == 7.0**2 + 6.0**2 - 1.0
     assert not found.passed
     assert "5 pixels, the first at (3, 1)" in found.message
 

@@ -160,18 +160,18 @@ def grid(picture: Picture, registration: Registration | None, time: float, point
 
 
 def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bool]) -> Certified | None:
-    """The extremes of det J on the moving preview's pixels, areas for the map, and leave-one-out errors.
+    """The extremes of det J on the fixed preview's pixels, areas for the map, and leave-one-out errors.
 
     None as soon as it is `stale`, because something else is wanted by now.
     """
     areas = area_map(wanted.task.fixed, registration)
-    x, y = wanted.task.moving.preview_places()
+    x, y = wanted.task.fixed.preview_places()
     parts = []
     for points in np.array_split(_points(x, y), PORTIONS):
         sleep(PAUSE)
         if stale():
             return None
-        parts.append(registration.determinant(points))
+        parts.append(registration.arriving_determinant(points))
     determinants = np.concatenate(parts)
     return Certified(
         wanted.task.revision,
@@ -187,7 +187,7 @@ def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bo
 def area_map(picture: Picture, registration: Registration) -> Array:
     """How much larger things have become where they arrive: det J of moving to fixed, on every eighth preview pixel."""
     x, y = picture.preview_places(COARSE)
-    return np.asarray(1.0 / registration.determinant(_points(x, y), inverse=True)).reshape(len(y), len(x))
+    return registration.arriving_determinant(_points(x, y)).reshape(len(y), len(x))
 
 
 def _points(x: Array, y: Array) -> Array:
