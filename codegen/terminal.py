@@ -15,6 +15,9 @@ from typer.core import TyperGroup
 
 from codegen.errors import CodegenError
 
+FILE_WIDTH = 120
+"""Characters of a line where the output is no terminal."""
+
 
 class OneLineErrors(TyperGroup):
     """A group of commands whose errors are one line on stderr and an exit status."""
@@ -57,10 +60,13 @@ def one_line(text: str, limit: int = 1000) -> str:
 
 
 def console(stderr: bool = False) -> Any:
-    """A console of rich, which takes long to import."""
+    """A console of rich, which takes long to import; a file gets longer lines than the narrowest terminal."""
     from rich.console import Console
 
-    return Console(stderr=stderr, highlight=False)
+    made = Console(stderr=stderr, highlight=False)
+    if not made.is_terminal and "COLUMNS" not in os.environ:
+        made.width = FILE_WIDTH
+    return made
 
 
 @contextmanager

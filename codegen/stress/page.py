@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 COLUMNS = ("case", "scheme", "h ω", "error", "promised", "energy drift", "stable h ω <", "failed", "outcome")
+WORDS = ("case", "scheme")  # of several words, and so of several lines where there is little room
 STYLES = {"accurate": "green", "bounded": "cyan", "unsuitable": "yellow", "refused": "blue"}
 
 
@@ -107,9 +108,11 @@ def table(rows: Sequence[Row]) -> Table:
 
     shown = Table(box=box.SIMPLE_HEAD, caption=counts(rows), caption_justify="left", padding=(0, 1, 0, 0))
     for heading in COLUMNS:
-        is_number = heading not in ("case", "scheme", "outcome")
+        is_number = heading not in (*WORDS, "outcome")
         heading = heading.replace("energy drift", "drift").replace("stable h ω", "stable")
-        shown.add_column(heading, justify="right" if is_number else "left", no_wrap=is_number, overflow="fold")
+        shown.add_column(
+            heading, justify="right" if is_number else "left", no_wrap=heading not in WORDS, overflow="fold"
+        )
     for section in sections(rows):
         for entry in section.lines:
             *cells, outcome = entry.cells
