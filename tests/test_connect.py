@@ -268,7 +268,10 @@ def test_points_that_stay(module):
     assert solution.cost == 0.0
 
 
-@pytest.mark.parametrize("attempt", ["from_velocity", "from_rest", "by_continuation", "on_all_states", "by_steps"])
+ATTEMPTS = ("from_velocity", "from_least_action", "from_rest", "by_continuation", "on_all_states", "by_steps")
+
+
+@pytest.mark.parametrize("attempt", ATTEMPTS)
 def test_every_attempt_finds_the_solution_by_itself(module, attempt):
     made = module("explicit-euler")
     reference = made.solve(START, TARGET, 4)
@@ -303,7 +306,7 @@ def test_what_cannot_be_solved_is_not_called_solved(module):
     with np.errstate(all="ignore"):  # interpreted code warns where compiled code does not
         solution = module("midpoint").solve(start, np.array([[0.5, 0.0], [-0.5, 1e-9]]), 1, max_iterations=4)
     assert solution.status == "not connected"
-    assert len(solution.attempts) == 5
+    assert len(solution.attempts) == len(ATTEMPTS)
     assert "no attempt connects the points" in solution.message
 
 

@@ -57,8 +57,8 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
             *([Line("GROUP", str(GROUP), "particles whose derivatives are gathered together")] if gathered else []),
         ),
         kernels=(),
-        runtime=(*_packed(blocks), *_runtime(program, loops, around), *_passive_runtime(program, carried)),
-        sizes=(("IMPLICIT", int(_implicit(program))),),
+        runtime=(*_packed(blocks), *_runtime(program, derivatives, loops, around), *_passive_runtime(program, carried)),
+        sizes=(("IMPLICIT", int(_implicit(program))), ("QUADRATIC", int(derivatives.quadratic))),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),
@@ -193,7 +193,10 @@ def _floats(values: list[sympy.Rational] | tuple[sympy.Rational, ...]) -> str:
 
 
 def _runtime(
-    program: PairwiseProgram, loops: tuple[PairLoop, ...], around: tuple[ParticleLoop, ...]
+    program: PairwiseProgram,
+    derivatives: PairDerivatives,
+    loops: tuple[PairLoop, ...],
+    around: tuple[ParticleLoop, ...],
 ) -> tuple[str, ...]:
     files = [*_special(loops, around)]
     step = "pair_substeps" if program.substeps else "pair_runge_kutta"
@@ -205,7 +208,8 @@ def _runtime(
         step,
         *(["pair_implicit"] if _implicit(program) else []),
     ]
-    files += ["pair_trajectory", "pair_secant", "pair_shooting", "pair_case", "pair_ladder"]
+    files += ["pair_trajectory", "pair_secant", "pair_shooting", "pair_case"]
+    files += [*(["pair_least_action"] if derivatives.quadratic else []), "pair_ladder"]
     files += ["pair_callbacks", *(["pair_action"] if program.method == "action" else [])]
     return tuple(files)
 
@@ -242,6 +246,8 @@ def _left_out(program: PairwiseProgram, derivatives: PairDerivatives, singles: t
         out.append("scalars of single particles: the pair term has none")
     if program.method != "action":
         out.append("the action as a minimisation: --method action has it")
+    if not derivatives.quadratic and model.task == "connect":
+        out.append("first momenta from a path of least action: H is not kinetic energy alone")
     return out
 
 

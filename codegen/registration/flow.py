@@ -34,6 +34,7 @@ class FlowModule(Protocol):
     solve_case: Callable[..., Any]
     make_case: Callable[..., Any]
     momenta_of: Callable[..., NDArray[np.float64]]
+    momenta_of_least_action: Callable[[Any], NDArray[np.float64]]
     momentum_matrix: Callable[..., None]
     stages_of: Callable[[Any, Any], NDArray[np.float64]]
     carry: Callable[..., tuple[PointArray, Any]]

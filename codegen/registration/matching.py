@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,9 @@ from codegen.registration.flow import Flow
 from codegen.registration.frame import MARGIN, Frame, corners
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
+
+PATIENCE = 20
+"""Iterations after which momenta that do not lead to a solution are given up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,31 +68,57 @@ class Matching:
         """Where the flow takes the landmarks up in the disc, and where, by the alignment, it is to bring them."""
         return self.frame.to_disc(self.pairs.fixed), self.frame.to_disc(self.alignment.apply(self.pairs.moving))
 
-    def solve(self, steps: int, velocities: NDArray[np.float64] | None = None) -> tuple[Flow, Any]:
-        """The motion that carries the landmarks in so many steps, and the generated solver's account of it.
+    def solve(
+        self, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
+    ) -> tuple[Flow, Any, str]:
+        """The motion that carries the landmarks in so many steps, the generated solver's account, and what led to it.
 
-        Guessed `velocities` at the start, shape (n, 2), give it first momenta; where there are none, or they fail, it
-        climbs its ladder of attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt
-        succeeds.
+        The solver starts from guessed `velocities` at the start, shape (n, 2), if there are any, from those of the
+        straight way, and from a path of least action; unless it is to be `quick`, it then climbs its ladder of further
+        attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt succeeds.
         """
         module = registration_module(self.scheme)
+        case = self._case(steps)
+        with quiet_single_thread():
+            for name, momenta in self._first_momenta(case, velocities):
+                solution = module.solve_case(case._replace(max_iterations=PATIENCE), momenta)
+                if solution.status == "solved":
+                    return self._flow(case, solution), solution, f"shooting from {name}"
+            if not quick:
+                solution = module.solve_case(case)
+                if solution.status == "solved":
+                    return self._flow(case, solution), solution, solution.attempts[-1].split(":")[0]
+        remedy = "allow for a sigma, take more steps, or leave out landmarks that are close and move apart"
+        raise RegistrationError(self._failure(solution.message), remedy)
+
+    def _case(self, steps: int) -> Any:
+        """The generated module's account of what is to be connected."""
         start, target = self.ends
         try:
-            case = module.make_case(start, target, steps, sigma=self.sigma * self.frame.scale)
+            return registration_module(self.scheme).make_case(start, target, steps, sigma=self.sigma * self.frame.scale)
         except ValueError as error:
             raise LandmarkError(str(error), "correct the landmarks, or the arguments") from error
-        with quiet_single_thread():
-            solution = None
-            if velocities is not None:
-                momenta = module.momenta_of(case.start, velocities, case.own, case.parameters)
-                solution = module.solve_case(case, momenta)
-            if solution is None or solution.status != "solved":
-                solution = module.solve_case(case)
-            if solution.status != "solved":
-                remedy = "allow for a sigma, take more steps, or leave out landmarks that are close and move apart"
-                raise RegistrationError(self._failure(solution.message), remedy)
+
+    def _first_momenta(
+        self, case: Any, velocities: NDArray[np.float64] | None
+    ) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        """Momenta from which shooting is likely to arrive, the cheapest first, and what they are called."""
+        module = registration_module(self.scheme)
+        if velocities is not None:
+            yield "a known registration", module.momenta_of(case.start, velocities, case.own, case.parameters)
+        straight = (case.target - case.start) / case.duration
+        yield "the straight way", module.momenta_of(case.start, straight, case.own, case.parameters)
+        yield "a path of least action", self._of_least_action
+
+    @cached_property
+    def _of_least_action(self) -> NDArray[np.float64]:
+        """Momenta at the start of a path of least action, whose intervals are its own: they serve any steps."""
+        return registration_module(self.scheme).momenta_of_least_action(self._case(1))
+
+    def _flow(self, case: Any, solution: Any) -> Flow:
+        module = registration_module(self.scheme)
         path = np.stack([solution.q, solution.p], axis=1)
-        return Flow(module, case, path, module.stages_of(case, path)), solution
+        return Flow(module, case, path, module.stages_of(case, path))
 
     def _failure(self, message: str) -> str:
         """What is reported of landmarks that no motion was found for: the two whose distance changes most."""

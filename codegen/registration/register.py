@@ -150,6 +150,7 @@ def register(
     tolerance: float = TOLERANCE,
     margin: float = MARGIN,
     start: Registration | None = None,
+    quick: bool = False,
 ) -> Registration:
     """Find the map that carries the moving landmarks to the fixed ones.
 
@@ -158,7 +159,7 @@ def register(
     lies beside the moving one by sigma^2/radius times its momentum there, in pixels of the fixed image. Zero means that
     they are met exactly, "auto" takes the sigma with the least leave-one-out error. Without `steps` as many are taken
     as leave an error of the map below `tolerance` pixels. The solver starts from an earlier registration, `start`, of
-    as many landmarks, as when a landmark is dragged.
+    as many landmarks, as when a landmark is dragged; it gives up soon where it is to be `quick`.
 
     Raises LandmarkError when the landmarks cannot be used, RegistrationError when no solution is found.
     """
@@ -172,7 +173,9 @@ def register(
         pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, scheme=scheme, margin=margin
     )
     velocities = None if start is None or len(start.pairs) != len(pairs) else _guess(matching, start)
-    return in_steps(matching, steps, velocities) if steps is not None else _refined(matching, tolerance, velocities)
+    if steps is not None:
+        return in_steps(matching, steps, velocities, quick)
+    return _refined(matching, tolerance, velocities)
 
 
 def _guess(matching: Matching, known: Registration) -> NDArray[np.float64]:
@@ -181,10 +184,11 @@ def _guess(matching: Matching, known: Registration) -> NDArray[np.float64]:
     return np.asarray(known.flow.velocities + (target - start) - (known_target - known_start))
 
 
-def in_steps(matching: Matching, steps: int, velocities: NDArray[np.float64] | None = None) -> Registration:
-    """The registration in a given number of steps, from guessed velocities at the start if there are any."""
-    flow, solution = matching.solve(steps, velocities)
-    rung = solution.attempts[-1].split(":")[0]
+def in_steps(
+    matching: Matching, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
+) -> Registration:
+    """The registration in a given number of steps; `velocities` and `quick` are those of `Matching.solve`."""
+    flow, solution, rung = matching.solve(steps, velocities, quick)
     found = Registration(matching, flow, np.empty(0), np.nan, np.nan, solution.status, rung, solution.message)
     probe = _probe(matching)
     there = found.map_points(probe)
@@ -205,7 +209,7 @@ def _refined(matching: Matching, tolerance: float, velocities: NDArray[np.float6
     coarse, steps, probe = None, FIRST_STEPS, _probe(matching)
     while True:
         try:
-            fine = in_steps(matching, steps, velocities if coarse is None else coarse.flow.velocities)
+            fine = in_steps(matching, steps, velocities if coarse is None else coarse.flow.velocities, quick=True)
         except RegistrationError:
             # A few steps may have no solution, or one that has nothing to do with that of more steps.
             if 2 * steps > MOST_FIRST_STEPS:

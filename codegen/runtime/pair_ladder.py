@@ -1,15 +1,16 @@
 """Which attempts are made to connect given points, in which order, and what is reported about them.
 
-Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from rest,
-by continuation in the target, on all states at once from a guessed path, and with more steps, of which then ever fewer
-are taken. Only an attempt whose residual is below the tolerance, or below what rounding makes of it, counts as a
-solution.
+Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
+path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
+once from a guessed path, and with more steps, of which then ever fewer are taken. Only an attempt whose residual is
+below the tolerance, or below what rounding makes of it, counts as a solution.
 """
 
 import numpy as np
 
-from codegen.runtime.example_pairs import BLOCKS, POINTS, domain_margin, guide, momentum_matrix
+from codegen.runtime.example_pairs import BLOCKS, POINTS, QUADRATIC, domain_margin, guide, momentum_matrix
 from codegen.runtime.pair_algebra import cholesky, solve_cholesky
+from codegen.runtime.pair_least_action import momenta_of_least_action
 from codegen.runtime.pair_shooting import all_states, shoot
 from codegen.runtime.pair_trajectory import cost_and_energies
 
@@ -88,6 +89,14 @@ def from_rest(case, path, points, log):
     return shoot_at(case, case.target, path, points, log)
 
 
+if QUADRATIC:
+
+    def from_least_action(case, path, points, log):
+        """Shoot from the momenta at the start of a path of least action."""
+        path[0, 1] = momenta_of_least_action(case)
+        return shoot_at(case, case.target, path, points, log)
+
+
 def by_continuation(case, path, points, log):
     """Move the target from the start to where it belongs, by parts that grow with success."""
     done, part, total = 0.0, 0.25, 0
@@ -123,7 +132,7 @@ def room(case, start_momenta=None):
 
 
 def by_steps(case, path, points, log):
-    """Solve with two or four times as many steps by continuation in the target, then with ever fewer of them.
+    """Solve with two or four times as many steps, then with ever fewer of them.
 
     Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
     note says with how many steps there still is one.
@@ -132,7 +141,10 @@ def by_steps(case, path, points, log):
     for factor in MORE_STEPS:
         finer = case._replace(steps=factor * case.steps)
         fine_path, fine_points = room(finer)
-        outcome, made, residual = by_continuation(finer, fine_path, fine_points, log)
+        if QUADRATIC:
+            outcome, made, residual = from_least_action(finer, fine_path, fine_points, log)
+        else:
+            outcome, made, residual = by_continuation(finer, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             break
@@ -165,11 +177,13 @@ def on_all_states(case, path, points, log):
     return all_states(case, path, points, log)
 
 
-SHOOTING = (
+SHOOTING = [
     ("shooting from the momenta of the straight way", from_velocity),
     ("shooting from rest", from_rest),
     ("continuation in the target", by_continuation),
-)
+]
+if QUADRATIC:
+    SHOOTING.insert(1, ("shooting from the momenta of a path of least action", from_least_action))
 ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
 LAST = (("continuation in the number of steps", by_steps),)
 ATTEMPTS = {

@@ -20,8 +20,10 @@ from codegen.registration.register import FIRST_STEPS, Registration, register
 
 COARSE = 8.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
-HASTY_BLOCK, HASTY_STEPS = 2, (FIRST_STEPS, 2 * FIRST_STEPS)
-"""While a point is dragged: larger pixels, and the first of these numbers of steps with which there is a solution."""
+HASTY_BLOCK = 2
+"""Pixels of the preview are so much larger while a point is dragged."""
+HASTY_STEPS, HASTY_STEPS_OF_FIRST_ORDER = (FIRST_STEPS, 2 * FIRST_STEPS), (4 * FIRST_STEPS, 8 * FIRST_STEPS)
+"""While a point is dragged, the first of these numbers of steps with which there is a solution is taken."""
 MOST_LEFT_OUT = 60
 """With more landmarks, leaving out each in turn takes longer than anyone waits."""
 PORTIONS, PAUSE = 20, 0.01
@@ -75,11 +77,12 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
     if not work.pairs or wanted.waiting:
         return None
     shapes, method = arguments(wanted.task)
-    attempts: tuple[int | None, ...] = HASTY_STEPS if wanted.hasty and previous is not None else (None,)
-    for steps in attempts[:-1]:
-        with suppress(RegistrationError):
-            return register(work.landmarks(), **shapes, **method, steps=steps, start=previous)
-    return register(work.landmarks(), **shapes, **method, steps=attempts[-1], start=previous)
+    if wanted.hasty and previous is not None:
+        rough = previous.flow.module.metadata["order"] == 1
+        for steps in HASTY_STEPS_OF_FIRST_ORDER if rough else HASTY_STEPS:
+            with suppress(RegistrationError):
+                return register(work.landmarks(), **shapes, **method, steps=steps, start=previous, quick=True)
+    return register(work.landmarks(), **shapes, **method, start=previous)
 
 
 def shown(wanted: Wanted, previous: Registration | None, known: Registration | None = None) -> Shown:
