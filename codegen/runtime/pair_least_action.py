@@ -12,7 +12,7 @@ import numpy as np
 from codegen.runtime.example_pairs import BLOCKS, domain_margin, guide, hamiltonian_gradient, momentum_matrix
 
 INTERVALS = 20  # least number of intervals of the path: half as many mislead where particles pass closely
-BENDS = (0.0, 0.1)  # how far the path from which it begins is bent aside: particles may meet on the guessed one
+BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # how far first paths are bent aside: particles may meet on the guessed one
 DESCENTS = 300  # iterations at most
 REFRESHED = 5  # iterations after which the second derivatives are taken anew, and what was learnt is forgotten
 ENOUGH = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
@@ -97,23 +97,20 @@ def direction(pivots, couplings, memory, gradient):
 
 
 def bent_path(case, count, bend):
-    """Places on the guessed way at count + 1 nodes, moved aside in the middle by parts of its length, each its own."""
-    places = np.empty((count + 1, *case.start.shape))
+    """Places on the guessed way at count + 1 nodes, in the middle aside by a part of its length, all to one hand."""
+    places, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
     for k in range(count + 1):
         guide(case.start, case.target, k / count, places[k])
-    aside = np.random.default_rng(0).normal(size=case.start.shape) * np.abs(case.target - case.start).max()
+    aside = (case.target - case.start) @ (np.tri(d, d, -1) - np.tri(d, d, -1).T)  # a quarter of a turn in the plane
     return places + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
 
 
 def momenta_of_least_action(case):
     """Momenta at the start, shape (n, d), of a path of nearly least action; NaN where no guessed path has an action."""
     count, memory = max(INTERVALS, case.steps), []
-    for bend in BENDS:
-        places = bent_path(case, count, bend)
-        action, gradient, momenta, inverses = action_of(case, places)
-        if gradient is not None:
-            break
-    else:
+    places = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
+    action, gradient, momenta, inverses = action_of(case, places)
+    if gradient is None:
         return np.full(case.start.shape, np.nan)
     for iteration in range(DESCENTS):
         if iteration % REFRESHED == 0:

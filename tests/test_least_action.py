@@ -1,0 +1,106 @@
+"""Paths of least action: their gradient, the matrix that scales it, a closed form, and motions that need them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])
+TARGET = START + np.array([[0.12, -0.05], [0.03, 0.1], [-0.08, 0.04]])
+SIGMA = np.array([0.0, 0.3, 0.1])
+
+
+@pytest.fixture
+def made(interpreted):
+    return interpreted("image_registration", arguments={}, scheme="rk4", method=None)
+
+
+@pytest.fixture
+def bent(made):
+    case = made.make_case(START, TARGET, 4, sigma=SIGMA)
+    places = made.bent_path(case, 4, 0.3)
+    places[-1, SIGMA > 0.0] += 0.02
+    return case, places
+
+
+def test_the_gradient_of_the_action(made, bent):
+    case, places = bent
+    gradient = made.action_of(case, places)[1]
+    for k in range(1, 5):
+        for i in range(3):
+            for a in range(2):
+                step = np.zeros_like(places)
+                step[k, i, a] = 1e-5
+                change = made.action_of(case, places + step)[0] - made.action_of(case, places - step)[0]
+                expected = 0.0 if k == 4 and SIGMA[i] == 0.0 else change / 2e-5
+                assert gradient[k, i, a] == pytest.approx(expected, abs=2e-8)
+
+
+def test_elimination_solves_with_the_block_tridiagonal_matrix(made, bent):
+    case, places = bent
+    inverses = made.action_of(case, places)[3]
+    forces = np.random.default_rng(0).normal(size=(4, 3, 2))
+    forces[-1, 0] = 0.0  # the first landmark's target is met exactly
+    moved = np.concatenate([np.zeros((1, 3, 2)), made.relaxed(*made.stiffness(case, inverses), forces)])
+    pulls = 4.0 * np.einsum("kij,kja->kia", inverses, moved[1:] - moved[:-1])
+    expected = pulls - np.concatenate([pulls[1:], np.zeros((1, 3, 2))])
+    expected[-1, 1:] += moved[-1, 1:] / SIGMA[1:, None] ** 2
+    expected[-1, 0] = 0.0
+    np.testing.assert_allclose(expected, forces, atol=1e-9)
+    assert (moved[-1, 0] == 0.0).all()
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.2])
+def test_a_landmark_on_a_hyperbolic_line(made, sigma):
+    """H is kinetic energy on the Poincare disc, with G = 1/2 in the middle: p = 2 atanh(r) leads to the radius r.
+
+    With a sigma, r + sigma^2 p/(1 - r^2) is the target's radius, for p (1 - r^2) is constant. The descent ends when the
+    action changes by a millionth, that is, momenta by a thousandth.
+    """
+    r = 0.5
+    momentum = 2.0 * np.arctanh(r)
+    target = r + sigma**2 * momentum / (1.0 - r**2)
+    case = made.make_case([[0.0, 0.0]], [[0.0, target]], 40, sigma=sigma)
+    np.testing.assert_allclose(made.momenta_of_least_action(case), [[0.0, momentum]], atol=1e-3)
+    solution = made.solve([[0.0, 0.0]], [[0.0, target]], 40, sigma=sigma)
+    np.testing.assert_allclose(solution.p[0], [[0.0, momentum]], atol=1e-6)
+
+
+@pytest.mark.parametrize("swapped", [(0, 1), (0, 1, 2, 3)])
+def test_landmarks_that_change_places(made, swapped):
+    """On the straight way they would meet, where G has no inverse: a path of least action goes around."""
+    start = np.array([[-0.3, 0.0], [0.3, 0.0], [0.0, 0.4], [0.0, -0.4]])[list(swapped)]
+    target = start.reshape(-1, 2, 2)[:, ::-1].reshape(-1, 2)
+    case = made.make_case(start, target, 8)
+    with np.errstate(all="ignore"):  # interpreted code warns where compiled code does not
+        solution = made.solve_case(case, made.momenta_of_least_action(case))
+    assert solution.status == "solved", solution.message
+    np.testing.assert_allclose(solution.q[-1], target, atol=1e-9)
+    apart = np.linalg.norm(solution.q[:, 0] - solution.q[:, 1], axis=1)
+    assert apart.min() > 0.1
+
+
+SPRING = '''
+"""Masses that springs join, each to every other."""
+
+from codegen import *
+
+
+def problem():
+    i, j = particles("x", "p")
+    return Connect(
+        hamiltonian=Pairwise((i, j), self_term=i.p[0] ** 2 / 2, pair_term=(i.q[0] - j.q[0]) ** 2 / 2),
+        points="none.csv", duration=1, steps=10,
+    )
+'''
+
+
+def test_particles_with_a_potential_have_no_such_attempt(interpreted):
+    """Two masses at the ends of a spring: their distance is a sum of sin and cos of sqrt(2) t."""
+    spring = interpreted("spring", text=SPRING, arguments={}, scheme="rk4", method=None)
+    assert not any("least action" in name for name, _ in spring.ATTEMPTS["stepping"])
+    solution = spring.solve([[0.0], [1.0]], [[0.5], [3.0]], 40)
+    assert solution.status == "solved"
+    w = np.sqrt(2.0)
+    rate = w * (2.5 - np.cos(w)) / np.sin(w)  # of the distance, from 1 to 2.5
+    np.testing.assert_allclose(solution.p[0, 1] - solution.p[0, 0], rate, rtol=1e-6)
