@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codegen.registration.coarse import Positions
 from codegen.registration.frame import pixel_grid
 from codegen.registration.register import ROUND_TRIP, Registration
 
@@ -39,16 +40,23 @@ def certify(registration: Registration, shape: Sequence[int] | None = None) -> C
     129 by 129, and every landmark, is also sent there and back. What passes does not fold at any pixel and comes back
     to within 1e-8 pixels; between pixels nothing is evaluated.
     """
+    return certify_with_positions(registration, shape)[0]
+
+
+def certify_with_positions(
+    registration: Registration, shape: Sequence[int] | None = None
+) -> tuple[Certificate, Positions]:
+    """The certificate, and where every pixel comes from, which is found on the same way and is what `warp` needs."""
     whole = registration.fixed_shape if shape is None else shape
     grid = pixel_grid(whole)
-    determinants = registration.arriving_determinant(grid)
+    places, determinants = registration.arriving(grid)
     round_trip = _round_trip(registration, whole)
     known = np.isfinite(determinants)
     least = int(np.argmin(np.where(known, determinants, np.inf)))
     wrong = np.flatnonzero(~(determinants > 0.0))
     first = (float(grid[wrong[0], 0]), float(grid[wrong[0], 1])) if wrong.size else None
-    passed = wrong.size == 0 and round_trip <= ROUND_TRIP
-    return Certificate(
+    passed = wrong.size == 0 and round_trip <= ROUND_TRIP and registration.status == "solved"
+    certificate = Certificate(
         float(determinants[least]),
         float(determinants[known].max(initial=-np.inf)) if known.any() else np.nan,
         (float(grid[least, 0]), float(grid[least, 1])),
@@ -57,15 +65,20 @@ def certify(registration: Registration, shape: Sequence[int] | None = None) -> C
         round_trip,
         float(registration.residuals.max()),
         passed,
-        _message(round_trip, int(wrong.size), first, float(determinants[least])),
+        _message(registration, round_trip, int(wrong.size), first, float(determinants[least])),
     )
+    return certificate, Positions(places.reshape(*whole[:2], 2))
 
 
-def _message(round_trip: float, folded: int, first: tuple[float, float] | None, least: float) -> str:
+def _message(
+    registration: Registration, round_trip: float, folded: int, first: tuple[float, float] | None, least: float
+) -> str:
     if first is not None:
         return f"the map folds at {folded} pixels, the first at ({first[0]:g}, {first[1]:g}); take more steps"
     if not round_trip <= ROUND_TRIP:
         return f"points come back only to within {round_trip:.1e} pixels; take more steps"
+    if registration.status != "solved":
+        return registration.message
     return f"the map does not fold: det J is at least {least:.4g}"
 
 

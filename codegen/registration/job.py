@@ -20,7 +20,7 @@ from codegen import output
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
 from codegen.registration import fields
 from codegen.registration.alignment import Kind
-from codegen.registration.certificate import Certificate, certify
+from codegen.registration.certificate import Certificate, certify_with_positions
 from codegen.registration.formats import Frames, read_landmarks
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
 from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
@@ -162,7 +162,7 @@ def _solved(
                 sigma = choose_sigma(pairs, shape, **method)
             found = register(pairs, shape, **method, sigma=sigma)
         with _timed(seconds, "certify"):
-            certificate = certify(found)
+            certificate, positions = certify_with_positions(found)
         with _timed(seconds, "leave one out"):
             left_out = _left_out(found, method)
     except RegistrationError as error:
@@ -178,6 +178,7 @@ def _solved(
             warped, how = warp_reported(
                 source.pixels, found, interpolation=options.interpolation, inverse=options.inverse,
                 spacing="auto" if options.coarse else None,
+                positions=None if options.inverse or options.coarse else positions,
             )  # fmt: skip
         record["summary"] |= {"spacing": how.spacing, "spacing_bound": how.bound, "outside": how.outside}
     return Result(record, pairs, moving, fixed, found, certificate, left_out, warped)

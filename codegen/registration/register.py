@@ -21,6 +21,8 @@ TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
 ROUND_TRIP = 1e-8
 """Largest distance in pixels at which a point may come back from the way forwards and backwards."""
+MISSED = 1e-4
+"""Distance in pixels by which landmarks are missed that should be met."""
 FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
 
 
@@ -33,7 +35,8 @@ class Registration:
     `residuals` are the distances, in pixels of the fixed image, between where moving landmarks arrive and the fixed
     ones, shape (n,). `error` estimates how far the map is from that of infinitely many steps, in pixels, NaN where
     steps were given. `round_trip` is the farthest from where it was, in pixels, that a landmark or a point of a coarse
-    grid comes back. `rung` says which of the solver's attempts succeeded, and `message` how.
+    grid comes back. `rung` says which of the solver's attempts succeeded, and `message` how. The `status` is "solved",
+    or "folded" where a map that should meet the landmarks misses some, because its few steps have no inverse there.
     """
 
     matching: Matching
@@ -116,26 +119,44 @@ class Registration:
 
     def determinant(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
         """The factor by which the map, or its inverse, enlarges areas at points in pixels, shape (n,)."""
-        jacobians = self.jacobian(xy, inverse)
-        return np.asarray(jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0])
+        return _determinant(self.jacobian(xy, inverse))
+
+    def arriving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
+        """Where what arrives at points of the fixed image, in pixels, is from, and by which factor areas have grown.
+
+        The factor, shape (n,), is that of the inverse map turned over, which costs less than `determinant` where points
+        come from.
+        """
+        points = as_points(xy)
+        before = self.frame.to_disc(points)
+        after, jacobians = self.flow.carry_with_jacobian(before)
+        jacobians = self.alignment.inverse_matrix @ jacobians
+        with np.errstate(divide="ignore"):
+            factors = 1.0 / _determinant(jacobians)
+        return self.alignment.apply_inverse(self._moved(points, before, after)), factors
 
     def arriving_determinant(self, xy: Any) -> NDArray[np.float64]:
-        """The factor by which the map has enlarged what arrives at points of the fixed image, in pixels, shape (n,).
-
-        It is that of the inverse map turned over, which costs less than `determinant` where points come from.
-        """
-        with np.errstate(divide="ignore"):
-            return np.asarray(1.0 / self.determinant(xy, inverse=True))
+        """The factors of `arriving`, shape (n,)."""
+        return self.arriving(xy)[1]
 
     def _carried(self, points: PointArray, start: float, stop: float) -> PointArray:
-        """Points in pixels of the fixed image carried by the flow: what does not move keeps its every bit."""
+        """Points in pixels of the fixed image carried by the flow."""
         before = self.frame.to_disc(points)
-        return points + self.frame.radius * (self.flow.carry(before, start, stop) - before)
+        return self._moved(points, before, self.flow.carry(before, start, stop))
+
+    def _moved(self, points: PointArray, before: PointArray, after: PointArray) -> PointArray:
+        """Points in pixels moved as they were in the disc: what does not move keeps its every bit."""
+        return points + self.frame.radius * (after - before)
 
     def _part(self, time: float) -> Alignment:
         if not 0.0 <= time <= 1.0:
             raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
         return self.alignment.part(time, self.pairs.moving.mean(axis=0))
+
+
+def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of 2 by 2 matrices, shape (n, 2, 2)."""
+    return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
 
 
 def register(
@@ -194,7 +215,20 @@ def in_steps(
     there = found.map_points(probe)
     back = np.linalg.norm(found.map_points_inverse(there) - probe, axis=1).max()
     residuals = np.linalg.norm(there[: len(matching.pairs)] - matching.pairs.fixed, axis=1)
+    missed = _missed(matching, steps, residuals)
+    if missed:
+        found = replace(found, status="folded", message=missed)
     return replace(found, residuals=residuals, round_trip=float(back))
+
+
+def _missed(matching: Matching, steps: int, residuals: NDArray[np.float64]) -> str:
+    """What is said of a map whose inverse meets the landmarks, as the solver found, but which itself misses them."""
+    worst = int(np.argmax(residuals))
+    if matching.sigma > 0.0 or residuals[worst] <= MISSED:
+        return ""
+    x, y = matching.pairs.moving[worst]
+    where = f"landmark {matching.pairs.names[worst]}, at ({x:.1f}, {y:.1f}), by {residuals[worst]:.2g} pixels"
+    return f"the map folds in {steps} steps and misses {where}; take more steps"
 
 
 def _probe(matching: Matching) -> PointArray:

@@ -51,19 +51,21 @@ def warp(
     bound: float = BOUND,
     fill: float = 0.0,
     time: float = 1.0,
+    positions: Positions | None = None,
 ) -> NDArray[Any]:
     """The moving image in the frame of the fixed one, or with `inverse` the fixed image in that of the moving one.
 
     `pixels` has shape (height, width) or (height, width, channels); what is returned has the dtype of `pixels` and
     the size `shape`, by default that of the other image. Pixels that come from outside the image are `fill`. With a
     `spacing`, a number of pixels or "auto", positions are interpolated from a coarse grid where that errs by less than
-    `bound` pixels. `time` is that of `Registration.positions`.
+    `bound` pixels. `time` is that of `Registration.positions`. Where pixels come from is not computed again if it is
+    given as `positions`, as by `certify_with_positions`; then `inverse`, `shape`, `spacing` and `time` have no effect.
 
     Raises ImageError for an array that is no image, ArgumentError for an unknown interpolation or spacing.
     """
     return warp_reported(
         pixels, registration, interpolation=interpolation, inverse=inverse, shape=shape, spacing=spacing, bound=bound,
-        fill=fill, time=time,
+        fill=fill, time=time, positions=positions,
     )[0]  # fmt: skip
 
 
@@ -78,12 +80,13 @@ def warp_reported(
     bound: float = BOUND,
     fill: float = 0.0,
     time: float = 1.0,
+    positions: Positions | None = None,
 ) -> tuple[NDArray[Any], WarpReport]:
     """The same as `warp`, and a report."""
     image = np.asarray(pixels)
     _require_image(image, interpolation)
     default = registration.shape if inverse else registration.fixed_shape
-    found = sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
+    found = positions or sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
     warped, outside = sample(image, found.places, ORDERS[interpolation], fill)
     return warped, WarpReport(found.spacing, found.exact, found.bound, outside)
 

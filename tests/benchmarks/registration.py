@@ -27,6 +27,7 @@ from rich.table import Table
 from skimage.transform import ThinPlateSplineTransform
 from skimage.transform import warp as skimage_warp
 
+from codegen.errors import RegistrationError
 from codegen.points import PointSet, read_points
 from codegen.registration import LandmarkPairs, certify, register, warp_reported
 from codegen.registration.frame import coarse_grid, pixel_grid
@@ -63,10 +64,15 @@ def folding(count: int, repeat: int) -> None:
     chosen = [generator.choice(len(everyone), 2, replace=False) for _ in range(count)]
     named = [("40 trilobite landmarks", trilobites)]
     named += [(f"specimens {i} and {j}", aligned(everyone[i], everyone[j])) for i, j in chosen]
-    rows = list[tuple[str, float, int, float, int, int, float, float]]()
+    rows, unsolved = list[tuple[str, float, int, float, int, int, float, float]](), list[str]()
     for name, points in named:
         pairs = in_pixels(points, SIDE)
-        found = register(pairs, (SIDE, SIDE), tolerance=0.05)
+        try:
+            found = register(pairs, (SIDE, SIDE), tolerance=0.05)
+        except RegistrationError as error:
+            unsolved.append(name)
+            CONSOLE.print(f"{name}: {error}")
+            continue
         ours, theirs = certify(found), thin_plate_determinants(pairs, SIDE)
         folded = int((theirs <= 0.0).sum())
         rows.append((name, ours.det_min, ours.folded, theirs.min(), folded, found.steps, ours.round_trip, found.error))
@@ -74,7 +80,7 @@ def folding(count: int, repeat: int) -> None:
                       f"{found.steps} steps")  # fmt: skip
     shown = Table("pairs", "least det J", "folded maps", "folded pixels", "thin plate: least det J", "folded maps",
                   "folded share of pixels", title=f"{SIDE} x {SIDE} pixels")  # fmt: skip
-    for name, part in ((rows[0][0], rows[:1]), (f"{count} random pairs of ktch", rows[1:])):
+    for name, part in ((rows[0][0], rows[:1]), (f"{len(rows) - 1} random pairs of ktch", rows[1:])):
         least, spline = min(row[1] for row in part), min(row[3] for row in part)
         share = sum(row[4] for row in part) / len(part) / SIDE**2
         shown.add_row(
@@ -82,6 +88,7 @@ def folding(count: int, repeat: int) -> None:
             f"{spline:.4f}", str(sum(row[4] > 0 for row in part)), f"{share:.3%}",
         )  # fmt: skip
     CONSOLE.print(shown)
+    CONSOLE.print(f"no motion was found for {len(unsolved)} pairs {', '.join(unsolved)}")
     steps, trips = [row[5] for row in rows], [row[6] for row in rows]
     CONSOLE.print(f"steps chosen: {min(steps)} to {max(steps)}, median {np.median(steps):g}")
     CONSOLE.print(f"estimated error of the maps at most {max(row[7] for row in rows):.4f} px")

@@ -1,5 +1,7 @@
 """The map and its inverse: an independent integrator, derivatives, steps chosen by themselves, what is refused."""
 
+import re
+
 import numpy as np
 import pytest
 from registered_images import SHAPE
@@ -122,11 +124,23 @@ def test_a_sigma_lets_landmarks_miss(registration, pairs):
     assert loose.residuals.max() > 0.1
 
 
-def test_landmarks_that_change_places_at_close_range_are_named(pairs):
-    moving = np.vstack([pairs.moving, [[80.0, 60.0], [80.001, 60.0]]])
-    fixed = np.vstack([pairs.fixed, [[110.0, 60.0], [50.0, 60.0]]])
+@pytest.fixture
+def tangled(pairs):
+    """Two more landmarks, very close together, that part and change places."""
+    moving = np.vstack([pairs.moving, [[80.0, 60.0], [80.0 + 1e-7, 60.0]]])
+    return LandmarkPairs(moving, np.vstack([pairs.fixed, [[110.0, 60.0], [50.0, 60.0]]]))
+
+
+def test_landmarks_that_change_places_at_close_range_are_named(tangled):
     with pytest.raises(RegistrationError, match=r"hardest are landmarks 9 and 10, near \(80\.0, 60\.0\)"):
-        register(LandmarkPairs(moving, fixed), SHAPE, steps=2)
+        register(tangled, SHAPE)
+
+
+def test_a_map_that_misses_its_landmarks_is_not_called_solved(tangled):
+    """Two steps bring both to nearly the same place, from where no way leads back."""
+    found = register(tangled, SHAPE, steps=2)
+    assert found.status == "folded"
+    assert re.search(r"misses landmark (9|10), at \(80\.0, 60\.0\), by 60 pixels", found.message)
 
 
 @pytest.mark.parametrize("arguments", [{"sigma": -1.0}, {"sigma": np.nan}, {"margin": 0.0}, {"steps": 0},

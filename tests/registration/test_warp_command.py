@@ -153,10 +153,10 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(files):
     assert {path: path.read_bytes() for path in files.iterdir()} == before
 
 
-def crossing(files):
-    """Landmarks a thousandth of a pixel apart that part and change places."""
+def crossing(files, apart):
+    """Landmarks some pixels apart that part and change places."""
     moving, fixed = CORNERS.copy(), CORNERS.copy()
-    moving[:2], fixed[:2] = [[13.0, 5.0], [13.001, 5.0]], [[20.0, 5.0], [6.0, 5.0]]
+    moving[:2], fixed[:2] = [[13.0, 5.0], [13.0 + apart, 5.0]], [[20.0, 5.0], [6.0, 5.0]]
     write_landmarks(files / "crossing.csv", pairs=LandmarkPairs(moving, fixed))
     return files / "moving.png", "--landmarks", files / "crossing.csv", "--align", "none", "--json"
 
@@ -164,7 +164,7 @@ def crossing(files):
 def test_where_no_map_is_found_the_status_is_1_and_the_report_shows_the_images(files):
     out, report = files / "out.png", files / "out.html"
     out.write_bytes(b"old")
-    done = run(*crossing(files), "--out", out, "--report", report, "--steps", 4, expect=1)
+    done = run(*crossing(files, 1e-9), "--out", out, "--report", report, expect=1)
     record = json.loads(done.stdout)
     assert record["status"] == "not converged"
     assert "landmarks 1 and 2" in record["message"]
@@ -176,7 +176,7 @@ def test_where_no_map_is_found_the_status_is_1_and_the_report_shows_the_images(f
 def test_where_the_map_folds_the_status_is_1_and_the_place_is_named(files):
     """Two explicit steps carry the landmarks across each other."""
     out = files / "out.png"
-    done = run(*crossing(files), "--out", out, "--steps", 2, expect=1)
+    done = run(*crossing(files, 1.0), "--out", out, "--steps", 2, expect=1)
     record = json.loads(done.stdout)
     x, y = record["summary"]["first_fold"]
     assert record["status"] == "folded"

@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.app.session import Task
 from codegen.registration.app.solving import arguments, frame, grid
-from codegen.registration.certificate import certify
+from codegen.registration.certificate import certify_with_positions
 from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import write_image
@@ -49,11 +49,11 @@ def warped_image(task: Task) -> Download:
     RegistrationError where the map folds or is not inverted well: nobody should take such an image home.
     """
     registration = registered(task)
-    certificate = certify(registration)
+    certificate, positions = certify_with_positions(registration)
     if not certificate.passed:
         raise RegistrationError(certificate.message, "look for landmarks out of place, or let them miss by some pixels")
     interpolation: Any = task.work.settings.interpolation
-    pixels = warp(task.moving.pixels, registration, interpolation=interpolation)
+    pixels = warp(task.moving.pixels, registration, interpolation=interpolation, positions=positions)
     suffix, kind = (".tif", "image/tiff") if task.moving.kind == "TIFF" else (".png", "image/png")
     data = _written(suffix, lambda path: write_image(path, pixels, task.moving.profile))
     return Download(f"{task.moving.stem}_warped{suffix}", kind, data)
