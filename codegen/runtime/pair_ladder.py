@@ -177,13 +177,19 @@ def on_all_states(case, path, points, log):
     return all_states(case, path, points, log)
 
 
-SHOOTING = [
-    ("shooting from the momenta of the straight way", from_velocity),
-    ("shooting from rest", from_rest),
-    ("continuation in the target", by_continuation),
-]
 if QUADRATIC:
-    SHOOTING.insert(1, ("shooting from the momenta of a path of least action", from_least_action))
+    SHOOTING = [
+        ("shooting from the momenta of the straight way", from_velocity),
+        ("shooting from the momenta of a path of least action", from_least_action),
+        ("shooting from rest", from_rest),
+        ("continuation in the target", by_continuation),
+    ]
+else:
+    SHOOTING = [
+        ("shooting from the momenta of the straight way", from_velocity),
+        ("shooting from rest", from_rest),
+        ("continuation in the target", by_continuation),
+    ]
 ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
 LAST = (("continuation in the number of steps", by_steps),)
 ATTEMPTS = {

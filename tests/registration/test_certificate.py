@@ -14,8 +14,9 @@ from codegen.registration.frame import pixel_grid
 def known_map(determinant, back=lambda p: p):
     """Something that has what `certify` asks for."""
     return SimpleNamespace(
-        fixed_shape=(9, 11), residuals=np.array([0.25, 0.5]), pairs=LandmarkPairs([[1, 1]], [[2, 2]]),
-        arriving_determinant=determinant, map_points=lambda p: p, map_points_inverse=back,
+        status="solved", message="", fixed_shape=(9, 11), residuals=np.array([0.25, 0.5]),
+        pairs=LandmarkPairs([[1, 1]], [[2, 2]]), arriving=lambda p: (p, determinant(p)), map_points=lambda p: p,
+        map_points_inverse=back,
     )  # fmt: skip
 
 
@@ -39,6 +40,14 @@ def test_points_must_come_back(far, passed):
     found = certify(known_map(lambda p: np.ones(len(p)), lambda p: p + np.array([0.0, far])))
     assert found.passed is passed
     assert ("come back" in found.message) is not passed
+
+
+def test_a_map_that_misses_its_landmarks_does_not_pass():
+    missing = known_map(lambda p: np.ones(len(p)))
+    missing.status, missing.message = "folded", "the map folds in 2 steps and misses landmark 1"
+    found = certify(missing)
+    assert not found.passed
+    assert found.message == missing.message
 
 
 def test_trilobites_do_not_fold(registration):
