@@ -61,7 +61,8 @@ def main() -> None:
             continue
         print(
             f"{begin} {values['defect']:8.1e} {values['oscillation']:9.1e} {values['first']:9.1e} "
-            f"{values['rise']:10.1e} {values['standard error']:9.1e} {values['t']:8.2f} {values['rounding']:9.1e} {answer(values)}",
+            f"{values['rise']:10.1e} {values['standard error']:9.1e} {values['t']:8.2f} {values['rounding']:9.1e} "
+            f"{answer(values)}",
             flush=True,
         )
 
