@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from codegen.report.building import Variant
 from codegen.report.meshes import all_grids
@@ -58,14 +59,16 @@ def convergence_of(store: Store, problem: Path, variant: Variant, expected: int)
     scale = abs(target) or 1.0
     steps, costs = all_grids(values)
     errors = [abs(cost - target) / scale for cost in costs]
-    last = {"switching": switching, "finest": steps[-1], "error": errors[-1], "remark": remark}
+    last: dict[str, Any] = {"switching": switching, "finest": steps[-1], "error": errors[-1], "remark": remark}
     if max(errors) < EXACT:
-        return Convergence(None, "exact on every grid", **last)  # type: ignore[arg-type]
+        return Convergence(None, "exact on every grid", **last)
     if switching:
         order = _fitted(steps, errors, floor / scale, variant.label == reference.get("scheme") or bool(remark))
     else:
         order = measured_order(steps, errors, floor / scale)
-    return Convergence(order, verdict(order, expected), **last)  # type: ignore[arg-type]
+    if order is None and values["failure"]:
+        last["remark"] = "; ".join(text for text in (remark, f"ended at {values['failure']}") if text)
+    return Convergence(order, verdict(order, expected), **last)
 
 
 def _fitted(steps: Sequence[int], errors: Sequence[float], floor: float, is_reference: bool) -> Order | None:

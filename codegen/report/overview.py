@@ -47,7 +47,7 @@ def _orders(selection: Sequence[Chosen], store: Store) -> Table:
         for verdict, names in sorted(said.items(), key=lambda item: -len(item[1])):
             rows.append((task, verdict, str(len(names)), "" if verdict == "as expected" else "; ".join(names)))
     caption = "Measured orders of every problem and scheme, beside those that are expected."
-    return Table(caption, ("task", "order", "number", "of"), tuple(rows))
+    return Table(caption, ("task", "order", "number", "which"), tuple(rows), "words")
 
 
 def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:

@@ -13,9 +13,11 @@ from codegen.report.figures import svg
 from codegen.report.figures_problems import Line, times_of_drivers, work_precision
 from codegen.report.optima import case_name, drivers_of, errors_of, references_of
 from codegen.report.orders import ABOVE_REFERENCE, SETTLED, Order, order_text
-from codegen.report.section import Picture, Section, Table, listed, number, seconds
+from codegen.report.section import Picture, Section, Table, listed, number, seconds, without_empty_columns
 from codegen.report.store import Store, Values
 
+NEAR = 0.01
+"""The reference's error is drawn where it is more than this part of the least error."""
 OTHER_OPTIMUM = 0.1
 """Where the finest cost is off by more than this part, a remark says so."""
 
@@ -89,8 +91,11 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
     lines = [_line(store, problem, v) for v in measured]
     if any(error for line in lines for error in line.errors):
         floor = reference["error"] / (abs(reference["cost"]) or 1.0)
+        least = min(error for line in lines for error in line.errors if error)
         caption = "Relative error of the cost against number of intervals and against solve time; dashed: variational."
-        drawn = svg(lambda: work_precision([("relative error of cost", lines)], floor if floor > 1e-14 else None))
+        drawn = svg(
+            lambda: work_precision([("relative error of cost", lines)], floor if floor > NEAR * least else None)
+        )
         pictures.append(Picture(caption, drawn))
     tables = [_table(store, problem, measured), _runs(store, problem, measured)]
     found = dict(store.rows(drivers_of(problem)))
@@ -129,7 +134,7 @@ def _table(store: Store, problem: Path, variants: Sequence[Variant]) -> Table:
         ))  # fmt: skip
     head = ("scheme", "scheme's order", "expected of the cost", "measured", "at N", "finest N", "relative error there",
             "optimum", "remarks")  # fmt: skip
-    return Table("The order of the cost's error, by mesh sequences.", head, tuple(rows))
+    return without_empty_columns(Table("The order of the cost's error, by mesh sequences.", head, tuple(rows)))
 
 
 def _runs(store: Store, problem: Path, variants: Sequence[Variant]) -> Table:
@@ -149,15 +154,16 @@ def _runs(store: Store, problem: Path, variants: Sequence[Variant]) -> Table:
     head = ("scheme", "N", "cost", "relative error", "solve time", "iterations", "residual", "stationarity",
             "remarks")  # fmt: skip
     caption = "The finest solve of every scheme from the problem's own guess, on the grids that the figure shows."
-    return Table(caption, head, tuple(rows))
+    return without_empty_columns(Table(caption, head, tuple(rows)))
 
 
 def _drivers_table(found: dict[str, Values], exact: float | None) -> Table:
     newton = (found.get("newton") or {}).get("seconds") or math.nan
-    rows = []
+    rows, refused = [], list[str]()
     for name, values in found.items():
         if values["seconds"] is None:
-            rows.append((name, f"{values['status']}: {values['message']}", *["–"] * 6))
+            rows.append((name, values["status"], *["–"] * 6))
+            refused.append(f"{values['message']}.")
             continue
         rows.append((
             name, values["status"], seconds(values["seconds"]), number(values["seconds"] / newton),
@@ -167,8 +173,8 @@ def _drivers_table(found: dict[str, Values], exact: float | None) -> Table:
     head = ("driver", "status", "solve time", "× newton", "iterations", "residual", "stationarity",
             "relative error of cost")  # fmt: skip
     steps = next(iter(found.values()))["steps"]
-    return Table(f"Drivers on {steps} intervals of the default scheme, each from the problem's own guess.", head,
-                 tuple(rows))  # fmt: skip
+    caption = f"Drivers on {steps} intervals of the default scheme, each from the problem's own guess."
+    return Table(" ".join([caption, *(text[0].upper() + text[1:] for text in refused)]), head, tuple(rows))
 
 
 __all__ = ["errors", "expected_order", "optima", "order_of", "relative_error", "rows_of", "sections", "verdict_of"]
