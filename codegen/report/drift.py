@@ -152,13 +152,13 @@ def section(store: Store, problem: Path, variants: Sequence[Variant], title: str
         f"zero for |t| < {SIGNIFICANT:g}. A larger t with a rise below {BY_ROUNDING:g} times the random walk that "
         "rounding makes of the energy is put down to rounding, which no scheme escapes. |S'JS − J| is the defect of "
         "symplecticity of the emitted step, whose derivative is known to about 10⁻¹³. An error that swings by more "
-        f"than {GROWN:g} times what it does in the problem's own duration has left its first swing: no line is needed."
+        f"than {GROWN:g} times what it does in the problem's own duration has left its first swing, whatever t is."
     )
     caption = f"Energy over {steps:,} steps of length {number(h)}, as the problem has them."
     return [Section(title, (text,), (Table(caption, HEAD, rows),))]
 
 
-HEAD = ("scheme", "symplectic", "|S'JS − J|", "energy swings by", "in the own duration",
+HEAD = ("scheme", "symplectic", "|S'JS − J|", "energy swings by", "in the problem's time",
         "rise of the trend", "its standard error", "t",
         "random walk by rounding", "trend")  # fmt: skip
 

@@ -10,7 +10,7 @@ from codegen.report.convergence import order_from
 from codegen.report.figures import svg
 from codegen.report.figures_problems import Line, work_precision
 from codegen.report.orders import ABOVE_REFERENCE, LEAST_RANGE, SETTLED, SETTLED_HIGH, Order, order_text, verdict
-from codegen.report.section import Picture, Section, Table, listed, number, seconds
+from codegen.report.section import Picture, Section, Table, listed, number, seconds, without_empty_columns
 from codegen.report.simulations import case_name, errors_of, orders_of, references_of
 from codegen.report.store import Store, Values
 
@@ -134,8 +134,8 @@ def _table(store: Store, problem: Path, variants: Sequence[Variant]) -> Table:
         "time to 1e-6",
         "ns per step", "failed runs",
     )  # fmt: skip
-    return Table("Measured orders, least errors, and the time of the cheapest run with at most that error.", head,
-                 tuple(rows))  # fmt: skip
+    caption = "Measured orders, least errors, and the time of the cheapest run with at most that error."
+    return without_empty_columns(Table(caption, head, tuple(rows)))
 
 
 def time_to(values: Sequence[Values], error: float) -> float | None:
