@@ -163,30 +163,41 @@ NON_FINITE = -1  # what `advance` returns when a state is infinite or not a numb
 
 @njit(cache=True, error_model="numpy")
 def advance(z, h, own, parameters, points, after):
-    """Fill the state `after` a step; return 0, or why it failed. Nothing is written to `points`."""
-    rates, slopes = np.empty(z[0].shape), np.empty(z[0].shape)
-    for s in range(2):
-        for i in range(z.shape[1]):
-            for k in range(z.shape[2]):
-                after[s, i, k] = z[s, i, k]
+    """Fill the state `after` a step; return 0, or why it failed.
+
+    Neighbouring substeps share what has not changed between them: H_q as long as places rest, H_p as long as momenta
+    do. `points[0]` keeps H_q and the places to which it belongs, for the step that follows.
+    """
+    rates, slopes, places = np.empty(z[0].shape), points[0, 0], points[0, 1]
+    has_rates, has_slopes = False, True
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            after[0, i, k], after[1, i, k] = z[0, i, k], z[1, i, k]
+            has_slopes = has_slopes and places[i, k] == z[0, i, k]
     for s in range(POINTS):
         step, a, b = h * SUBSTEPS[s][0], SUBSTEPS[s][1], SUBSTEPS[s][2]
-        if a > 0.0:
-            velocity(after, own, parameters, rates)
-            moved(after, 0, step, rates)
-            slope(after, own, parameters, rates)
-            moved(after, 1, -step, rates)
-        else:
+        if not (a > 0.0 or has_slopes):
             slope(after, own, parameters, slopes)
-            if b > 0.0:
-                moved(after, 1, -step, slopes)
+            has_slopes = True
+        if b > 0.0:
+            moved(after, 1, -step, slopes)
+            has_rates = False
+        if not has_rates:
             velocity(after, own, parameters, rates)
-            moved(after, 0, step, rates)
-            if not b > 0.0:
-                moved(after, 1, -step, slopes)
+            has_rates = True
+        if not (a > 0.0 or b > 0.0):
+            moved(after, 1, -step, slopes)
+            has_rates = False
+        moved(after, 0, step, rates)
+        has_slopes = False
+        if a > 0.0:
+            slope(after, own, parameters, slopes)
+            moved(after, 1, -step, slopes)
+            has_rates, has_slopes = False, True
     total = 0.0
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
+            places[i, k] = after[0, i, k] if has_slopes else np.nan
             total += abs(after[0, i, k]) + abs(after[1, i, k])
     return 0 if total < np.inf else NON_FINITE
 
@@ -224,7 +235,7 @@ def follow(start, steps, h, own, parameters, every, path, before):
     Row i of `before` takes the state one step before that of row i + 1 of `path`. Returns the number of steps made,
     the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
     """
-    state, after, points = start.copy(), np.empty(start.shape), np.empty((POINTS, *start.shape))
+    state, after, points = start.copy(), np.empty(start.shape), np.full((POINTS, *start.shape), np.nan)
     rows, iterations, wait = 1, 0, every
     stored(state, path[0])
     for k in range(steps):
@@ -257,7 +268,7 @@ def stored(state, row):
 @njit(cache=True, error_model="numpy")
 def largest_defect(before, path, h, own, parameters):
     """Max-norm of a step from each state of `before` minus the next row of `path`."""
-    after, points, largest = np.empty(path[0].shape), np.empty((POINTS, *path[0].shape)), 0.0
+    after, points, largest = np.empty(path[0].shape), np.full((POINTS, *path[0].shape), np.nan), 0.0
     for row in range(1, path.shape[0]):
         if advance(before[row - 1], h, own, parameters, points, after) < 0:
             return np.inf
@@ -435,7 +446,7 @@ def solve(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_outer_solar_system_4b4439ed8bba0c0d"
+_IDENTITY = "codegen_outer_solar_system_53f0ddfdd12fd1fa"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

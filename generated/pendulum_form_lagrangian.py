@@ -166,6 +166,7 @@ def solve_factored(matrix, pivots, right_hand_side):
 # minima of the residual as often as in a solution.
 
 NON_FINITE, SINGULAR, NOT_CONVERGED = -1, -2, -3  # what `advance` returns when there is no solution
+LEAST = 1e-300  # added to that sum: below it numbers are so close to the least ones that they have no relative size
 ROUNDING = 1e-8  # relative corrections below this are taken for rounding errors once they no longer shrink
 
 
@@ -180,7 +181,7 @@ def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
     """Fill `interval` with inner stages and the state at the right node; return the iterations, or why it failed."""
     unknowns, residual, jacobian, pivots = work
     predict_step(state, t, h, parameters, unknowns)
-    magnitude, previous = 0.0, np.inf
+    magnitude, previous = LEAST, np.inf
     for i in range(state.size):
         magnitude += abs(state[i])
     for iteration in range(1, max_iterations + 1):
@@ -504,7 +505,7 @@ def initial_state(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_a2e1e9d8f6f6507e"
+_IDENTITY = "codegen_pendulum_0e2af05a39b1b9c6"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

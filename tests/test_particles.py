@@ -58,6 +58,18 @@ def test_the_solar_system_against_an_adaptive_integrator(interpreted, sun, schem
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
 
 
+@pytest.mark.parametrize("scheme", ["stormer-verlet", "symplectic-euler", "explicit-euler", "kahan-li-8"])
+def test_steps_share_only_what_has_not_changed(interpreted, sun, scheme):
+    """Five steps at once, which keep slopes from one to the next, are five single ones, to the last bit."""
+    module = interpreted("outer_solar_system", scheme=scheme)
+    at_once = module.solve(5, duration=1000.0)
+    state = sun.START
+    for k in range(5):
+        single = module.solve(1, duration=200.0, start=state)
+        state = np.stack([single.q[-1].reshape(6, 3), single.p[-1].reshape(6, 3)])
+        np.testing.assert_array_equal(state.reshape(2, -1), [at_once.q[k + 1], at_once.p[k + 1]])
+
+
 def test_any_number_of_particles(argon):
     start = np.array([[(0.0, 0.0), (0.4, 0.0)], [(0.0, 0.0), (0.0, 0.0)]])
     solution = argon.solve(10, start=start, duration=1e-3)

@@ -102,6 +102,15 @@ def test_a_composition_of_the_midpoint_rule_where_nothing_is_separable() -> None
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=2e-14)
 
 
+def test_a_motion_that_has_died_away_goes_on() -> None:
+    """Numbers next to the least ones have spacings of 3e-8 and more, so that no relative accuracy is to be had."""
+    solution = module_of("pendulum-hamiltonian", "hamiltonian", "implicit-euler").solve(
+        200, duration=60.0, start=(1.6e-316, -6e-318)
+    )
+    assert solution.status == "solved"
+    assert abs(solution.q[-1, 0]) < 1e-317
+
+
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_energy_is_the_hamiltonian(system: str) -> None:
     module = module_of(system, "variational", "midpoint")

@@ -62,7 +62,8 @@ def _times(steps: int, place: float) -> Vector:
 def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
     if t.size == 1:
         return np.repeat(values, at.size, axis=1)
-    return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
+    with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
+        return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
 
 
 def refine(

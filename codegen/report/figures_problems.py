@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
+from codegen.report.section import SUPERSCRIPTS
 
 COLOURS = {
     "midpoint": BLUE, "explicit-euler": RED, "implicit-euler": AMBER, "symplectic-euler": GREEN,
@@ -89,6 +90,7 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
         for place in (left, right):
             place.yaxis.set_major_locator(LogLocator(numticks=8))
             place.minorticks_off()
+            _plain_powers(place.xaxis, place.yaxis)
             _plain_ticks(place)
     axes[-1][0].set_xlabel("steps $N$")
     axes[-1][1].set_xlabel("seconds of one solve")
@@ -98,6 +100,16 @@ def work_precision(groups: Sequence[tuple[str, Sequence[Line]]], floor: float | 
         handles |= dict(zip(found[1], found[0], strict=True))
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
     return figure
+
+
+def _plain_powers(*axes: Any) -> None:
+    """Powers of ten at ticks in plain text, which is set many times as fast as formulas."""
+    for axis in axes:
+        axis.set_major_formatter(FuncFormatter(_power_of_ten))
+
+
+def _power_of_ten(value: float, _place: int | None = None) -> str:
+    return "10" + str(round(math.log10(value))).translate(SUPERSCRIPTS) if value > 0.0 else ""
 
 
 def _plain_ticks(axes: Any) -> None:
@@ -123,6 +135,7 @@ def times_of_drivers(rows: Sequence[tuple[str, float, bool]]) -> Figure:
         axes.annotate(text, (seconds, place), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
     axes.set(xscale="log", yticks=range(len(names)), yticklabels=names, xlabel="seconds of one solve")
     axes.minorticks_off()
+    _plain_powers(axes.xaxis)
     axes.margins(x=0.25)
     axes.grid(visible=False, axis="y")
     return figure

@@ -11,7 +11,7 @@ from typing import Any
 
 from codegen.machine import machine
 from codegen.output import write_text
-from codegen.report import leaving_out, overview, records
+from codegen.report import drift, leaving_out, overview, records
 from codegen.report.building import SURVEYS, Variant, Workshop, build_all, surveyed, workers
 from codegen.report.compare import Regression
 from codegen.report.extent import Extent
@@ -92,6 +92,8 @@ def _extra_variants(problem: Path) -> list[Variant]:
 def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Any:
     if chosen.task in KINDS:
         yield from KINDS[chosen.task].cases(chosen.problem, chosen.variants, workshop, extent)
+        if chosen.task == "simulate":
+            yield from drift.cases(chosen.problem, chosen.variants, workshop, extent)
         yield from leaving_out.cases(chosen.problem, chosen.variants, workshop, extent)
     if chosen.problem.stem in EXTRAS:
         yield from EXTRAS[chosen.problem.stem].cases(chosen.problem, workshop, extent)
@@ -126,6 +128,7 @@ def _sections(chosen: Chosen, store: Store) -> list[Section]:
             return [Section(f"{name}: not measured here", (reason,))]
         return EXTRAS[name].sections(store, problem)
     found = KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {title_of(problem)}")
+    found += drift.section(store, problem, chosen.variants, f"{name}: energy in the long run")
     if name in EXTRAS:
         found += EXTRAS[name].sections(store, problem)
     found.append(modules(store, chosen.variants, f"{name}: modules", chosen.left))

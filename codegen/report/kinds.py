@@ -26,7 +26,7 @@ from codegen.report.store import Case, Store, Values
 
 @dataclass(frozen=True)
 class Kind:
-    """A task: its cases and sections; a scheme's rows by growing N, their errors, measured and expected order."""
+    """A task: cases, sections; a scheme's rows by growing N, their errors, measured and expected order, verdict."""
 
     cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
     sections: Callable[[Store, Path, Sequence[Variant], str], list[Section]]
@@ -34,17 +34,19 @@ class Kind:
     errors: Callable[[Store, Path, Variant], list[float | None]]
     order: Callable[[Store, Path, Variant], Order | None]
     expected: Callable[[Store, Path, Variant], int]
+    verdict: Callable[[Store, Path, Variant], str]
     error: str
 
 
 KINDS = {
     "simulate": Kind(
         simulations.cases, sections_simulation.sections, sections_simulation.rows_of, sections_simulation.errors,
-        sections_simulation.order_of, sections_simulation.expected_order, "trajectory",
+        sections_simulation.order_of, sections_simulation.expected_order, sections_simulation.verdict_of,
+        "trajectory",
     ),
     "control": Kind(
         optima.cases, sections_control.sections, sections_control.rows_of, sections_control.errors,
-        sections_control.order_of, sections_control.expected_order, "cost",
+        sections_control.order_of, sections_control.expected_order, sections_control.verdict_of, "cost",
     ),
 }  # fmt: skip
 """Kinds of problems by task; landmark registration is studied apart from them, as one of the extras."""

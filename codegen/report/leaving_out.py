@@ -94,12 +94,22 @@ def section(store: Store, problem: Path, variants: Sequence[Variant], title: str
             answers.append(_answer(variant, run))
     if not tables:
         return []
-    text = "The general form is not measured here: only a whole report on this problem alone has it."
+    text = (
+        "The general form is not measured here: it has to be compiled as well, which takes at least as long as the "
+        f"module itself ({_compilation(store, variants)}), too long for a page of all problems. A report on this "
+        "problem alone has it."
+    )
     if survey.get("form") == PARTICLES:
         text = "There is no general form of particles."
     if answers:
         text = f"In the general form {_FORMS[survey['task']]} {' '.join(answers)}"
     return [Section(title, (text,), tuple(tables))]
+
+
+def _compilation(store: Store, variants: Sequence[Variant]) -> str:
+    made = store.get(MODULES, variants[0].case) or {}
+    known = made.get("compile processor seconds")
+    return "compiled before" if known is None else f"{seconds(known)} of processor time"
 
 
 def _omissions(variant: Variant, left: Sequence[str]) -> Table:

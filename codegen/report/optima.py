@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,13 @@ from codegen.errors import CodegenError
 from codegen.load import ControlModule, GeneratedModule, is_control
 from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.extent import Extent
-from codegen.report.orders import measured_order
-from codegen.report.store import Case, Values
+from codegen.report.limits import Limit, fitted_limit, limit_of
+from codegen.report.meshes import all_grids, sequence
+from codegen.report.store import Case, Store, Values
 
 DRIVERS = ("newton", "slsqp", "trust-constr", "fsolve")
 MOST_STEPS = 20_000
 """No ladder starts with more."""
-NO_MORE = 1e-11
-"""Relative differences of costs below which rounding is near."""
 QUICKLY = 0.01
 """Seconds of a solve that is timed more often."""
 
@@ -29,6 +27,11 @@ QUICKLY = 0.01
 def errors_of(problem: Path) -> str:
     """The section of the store that holds costs of all schemes."""
     return f"{problem.stem}: optima"
+
+
+def orders_of(problem: Path) -> str:
+    """The section of the store that holds the mesh sequences of all schemes."""
+    return f"{problem.stem}: mesh sequences"
 
 
 def references_of(problem: Path) -> str:
@@ -53,13 +56,11 @@ def ladder(own_steps: int, doublings: int) -> list[int]:
 
 
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Every scheme on ever finer grids, the reference, then the drivers on the coarsest grid."""
+    """Every scheme on ever finer grids, mesh sequences, the reference, then the drivers on the coarsest grid."""
     store, built = workshop.store, workshop.built(variants)
     for variant in built:
-        own, rows = _module(workshop, variant).metadata["steps"], list[Values]()
-        for steps in ladder(own, extent.control_doublings + extent.more_doublings):
-            if len(rows) > extent.control_doublings and not _wants_more(rows, extent):
-                break
+        own = _module(workshop, variant).metadata["steps"]
+        for steps in ladder(own, extent.control_doublings):
             name = case_name(variant, steps)
             yield Case(
                 errors_of(problem),
@@ -67,16 +68,15 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
                 lambda v=variant, n=steps: solved(_module(workshop, v), n, extent.repeat),  # type: ignore[misc]
             )
             values = store.get(errors_of(problem), name)
-            if values is not None:
-                rows.append(values)
-                if (values["seconds"] or 0.0) > extent.limit:
-                    break
+            if values is not None and (values["seconds"] or 0.0) > extent.limit:
+                break
+        yield Case(orders_of(problem), variant.label, lambda v=variant: _sequence(workshop, v, extent))  # type: ignore[misc]
     if not built:
         return
     # Optima of all schemes of order 2 and more converge alike, so that the problem's own scheme is asked first.
     trusted = sorted(built, key=lambda v: (-min(v.order, 2), v != built[0]))
     exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
-    yield Case(references_of(problem), "cost", lambda: _reference(workshop, trusted, exact, extent))
+    yield Case(references_of(problem), "cost", lambda: _reference(store, problem, trusted, exact))
     module = _module(workshop, built[0])
     steps = ladder(module.metadata["steps"], 0)[0]
     if module.initial_guess(module.make_grid(steps)).size > extent.driver_unknowns:
@@ -89,17 +89,9 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         )
 
 
-def _wants_more(rows: Sequence[Values], extent: Extent) -> bool:
-    """Whether the order has not settled yet, as far as differences of costs tell, and finer grids take no time."""
-    costs = [v["cost"] if v["status"] == "solved" else None for v in rows]
-    if costs[-1] is None or costs[-2] is None or (rows[-1]["seconds"] or 0.0) > extent.limit / 8.0:
-        return False
-    scale = abs(costs[-1]) or 1.0
-    differences = [None if a is None or b is None else abs(b - a) / scale for a, b in pairwise(costs)]
-    if differences[-1] is not None and differences[-1] < NO_MORE:
-        return False
-    order = measured_order([v["steps"] for v in rows[:-1]], differences)
-    return order is None or order.finest < rows[-2]["steps"]
+def _sequence(workshop: Workshop, variant: Variant, extent: Extent) -> Values:
+    module = _module(workshop, variant)
+    return sequence(module, ladder(module.metadata["steps"], 0)[0], extent.sequence_seconds)
 
 
 def _module(workshop: Workshop, variant: Variant) -> ControlModule:
@@ -135,35 +127,25 @@ def well_timed(module: GeneratedModule, driver: str, repeat: int, **options: Any
     return result
 
 
-def _reference(workshop: Workshop, trusted: Sequence[Variant], exact: float | None, extent: Extent) -> Values:
-    """The closed form, else extrapolation by the first scheme that solves grids finer than the ladder's.
-
-    Costs on three grids allow two extrapolations, whose difference is taken for the error of the second.
-    """
+def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: float | None) -> Values:
+    """The closed form, else the limit of the mesh sequence of the first scheme that has one."""
     if exact is not None:
         return {"cost": exact, "error": 1e-15 * abs(exact), "how": "closed form of the maximum principle"}
-    finest = ladder(_module(workshop, trusted[0]).metadata["steps"], extent.control_doublings)[-1]
     for variant in trusted:
-        result = drivers.solve(_module(workshop, variant), steps=finest, doublings=2)
-        if result.solved and result.steps == 4 * finest:
-            break
-    else:
-        return {"cost": None, "error": None, "how": f"every scheme fails on {finest} to {4 * finest} intervals"}
-    order = order_of_optima(_module(workshop, variant))
-    how = f"{variant.label} on {2 * finest} and {4 * finest} intervals, extrapolated by order {order}"
-    return {"cost": result.summary["cost_extrapolated"], "error": _extrapolation_error(result.summary, order),
-            "how": how, "observed order": result.summary.get("observed_order")}  # fmt: skip
+        values = store.get(orders_of(problem), variant.label)
+        if values is not None and (found := limit(values)) is not None:
+            how = f"{variant.label} on {values['steps'][0]} to {values['steps'][-1]} intervals, {found.how}"
+            return {"cost": found.value, "error": found.error, "how": how, "scheme": variant.label}
+    return {"cost": None, "error": None, "how": "no scheme has optima on three successive grids"}
 
 
-def _extrapolation_error(summary: Mapping[str, Any], order: int) -> float:
-    """How far the extrapolations from N and 2N, and from 2N and 4N intervals are apart.
-
-    With corrections c' and c these differ by 2^p c - c', and c'/c is two to the power of the observed order; without
-    one, where differences are at the level of rounding, the last correction has to do.
-    """
-    correction = float(summary["cost_error_estimate"])
-    observed = summary.get("observed_order")
-    return correction if observed is None else abs(2.0**order - 2.0**observed) * correction
+def limit(values: Values) -> Limit | None:
+    """Where the costs of a mesh sequence tend to; None for fewer than three grids."""
+    if len(values["steps"]) < 3:
+        return None
+    if values["switching"]:
+        return fitted_limit(*all_grids(values), values["expected order"])
+    return limit_of(values["costs"], values["expected order"])
 
 
 def _by_driver(module: ControlModule, driver: str, steps: int, repeat: int) -> Values:

@@ -12,12 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
 from codegen.report.section import number, slope
 
 LEAST_POINTS, LEAST_RANGE = 3, 2.0
 """So many successive points, over such a factor in N, enter the least-squares fit at least."""
 ABOVE, ABOVE_REFERENCE = 100.0, 30.0
 """A point counts if its error exceeds the plateau by the first factor and the reference's error by the second."""
+LEAST_FIT, ABOVE_REFERENCE_FIT = 8, 5.0
+"""A fit wants so many grids, with errors that exceed the reference's by the second factor."""
 SHRINKING = 0.75
 """Where an error is more than this part of that with half as many steps, rounding is taken to have begun."""
 SMALL = 1e-6
@@ -32,12 +36,16 @@ TOLERANCE, TOLERANCE_HIGH = 0.1, 0.3
 
 @dataclass(frozen=True)
 class Order:
-    """A measured order, the difference of its local orders, and the numbers of steps between which it was seen."""
+    """A measured order, the difference of its local orders, and the numbers of steps between which it was seen.
+
+    Of a fit to errors that vary with the grid, `uncertainty` is twice the standard error of the slope.
+    """
 
     value: float
     spread: float
     coarsest: int
     finest: int
+    uncertainty: float | None = None
 
 
 def measured_order(steps: Sequence[int], errors: Sequence[float | None], floor: float = 0.0) -> Order | None:
@@ -54,20 +62,38 @@ def measured_order(steps: Sequence[int], errors: Sequence[float | None], floor: 
     return None
 
 
+def fitted_order(steps: Sequence[int], errors: Sequence[float], floor: float = 0.0) -> Order | None:
+    """The exponent by least squares over all grids with errors above the reference's, without regard to local orders.
+
+    For errors that vary with the place in its interval at which a control switches; None for too few grids.
+    """
+    kept = [(n, error) for n, error in zip(steps, errors, strict=True) if error > ABOVE_REFERENCE_FIT * floor]
+    if len(kept) < LEAST_FIT:
+        return None
+    x, y = (np.log([pair[i] for pair in kept]) for i in (0, 1))
+    value, at_one = np.polyfit(x, y, 1)
+    left = y - value * x - at_one
+    error = math.sqrt(float(left @ left) / (len(kept) - 2) / float(np.sum((x - x.mean()) ** 2)))
+    return Order(-float(value), float(np.ptp(left)), kept[0][0], kept[-1][0], 2.0 * error)
+
+
 def verdict(order: Order | None, expected: int) -> str:
     """What is to be said beside a measured order: nothing if it is the expected one."""
     if order is None:
         return "not asymptotic"
-    tolerance = TOLERANCE_HIGH if expected >= 6 else TOLERANCE
+    tolerance = max(TOLERANCE_HIGH if expected >= 6 else TOLERANCE, order.uncertainty or 0.0)
     if abs(order.value - expected) <= tolerance:
         return ""
     return "superconvergent" if order.value > expected else "below the expected order"
 
 
-def order_text(order: Order | None, expected: int) -> str:
-    """The measured order with its verdict."""
-    said = verdict(order, expected)
-    return said if order is None else ", ".join(text for text in (number(order.value), said) if text)
+def order_text(order: Order | None, expected: int, said: str | None = None) -> str:
+    """The measured order with its verdict, which may be given."""
+    said = verdict(order, expected) if said is None else said
+    if order is None:
+        return said
+    value = number(order.value) if order.uncertainty is None else f"{order.value:.2f} ± {order.uncertainty:.2f}"
+    return ", ".join(text for text in (value, said) if text)
 
 
 def _range_to(points: Sequence[tuple[int, float]], last: int) -> list[tuple[int, float]]:

@@ -30,7 +30,24 @@ def summary(selection: Sequence[Chosen], store: Store) -> Section:
         "ladder's number of steps that is next to the problem's own; error, time, status and lines are of the default "
         "scheme."
     )
-    return Section("All problems at a glance", (text,), (Table("", head, rows),))
+    tables = (Table("", head, rows), _orders(selection, store))
+    return Section("All problems at a glance", (text,), tables)
+
+
+def _orders(selection: Sequence[Chosen], store: Store) -> Table:
+    """How many pairs of a problem and a scheme have the expected order, and which do not."""
+    rows = []
+    for task, kind in KINDS.items():
+        said: dict[str, list[str]] = {}
+        for chosen in (c for c in selection if c.task == task):
+            for variant in chosen.variants:
+                if kind.rows(store, chosen.problem, variant):
+                    verdict = kind.verdict(store, chosen.problem, variant) or "as expected"
+                    said.setdefault(verdict, []).append(f"{chosen.problem.stem} by {variant.label}")
+        for verdict, names in sorted(said.items(), key=lambda item: -len(item[1])):
+            rows.append((task, verdict, str(len(names)), "" if verdict == "as expected" else "; ".join(names)))
+    caption = "Measured orders of every problem and scheme, beside those that are expected."
+    return Table(caption, ("task", "order", "number", "which"), tuple(rows), "words")
 
 
 def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:

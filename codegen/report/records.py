@@ -12,7 +12,6 @@ from codegen.errors import ArgumentError
 from codegen.report.building import MODULES
 from codegen.report.compare import Regression, regressions
 from codegen.report.kinds import KINDS
-from codegen.report.orders import verdict
 from codegen.report.store import Store
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ def _cases(chosen: Chosen, store: Store) -> Iterator[dict[str, Any]]:
         yield {
             "problem": name, "case": variant.label, "status": made.get("status"), "lines": made.get("lines"),
             "order": order and order.value, "stated order": variant.order, "expected order": expected,
-            "order verdict": verdict(order, expected) if made.get("status") == "built" else "",
+            "order verdict": kind.verdict(store, chosen.problem, variant) if made.get("status") == "built" else "",
         }  # fmt: skip
         rows = kind.rows(store, chosen.problem, variant)
         for values, error in zip(rows, kind.errors(store, chosen.problem, variant), strict=True):

@@ -9,8 +9,8 @@ from codegen.report.building import Variant
 from codegen.report.convergence import order_from
 from codegen.report.figures import svg
 from codegen.report.figures_problems import Line, work_precision
-from codegen.report.orders import ABOVE_REFERENCE, LEAST_RANGE, SETTLED, SETTLED_HIGH, Order, order_text
-from codegen.report.section import Picture, Section, Table, listed, number, seconds
+from codegen.report.orders import ABOVE_REFERENCE, LEAST_RANGE, SETTLED, SETTLED_HIGH, Order, order_text, verdict
+from codegen.report.section import Picture, Section, Table, listed, number, seconds, without_empty_columns
 from codegen.report.simulations import case_name, errors_of, orders_of, references_of
 from codegen.report.store import Store, Values
 
@@ -37,6 +37,11 @@ def expected_order(store: Store, problem: Path, variant: Variant) -> int:
     """The order that a simulation is to have: the scheme's own."""
     del store, problem
     return variant.order
+
+
+def verdict_of(store: Store, problem: Path, variant: Variant) -> str:
+    """What is to be said of the measured order; nothing where it is the stated one."""
+    return verdict(order_of(store, problem, variant), variant.order)
 
 
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
@@ -129,8 +134,8 @@ def _table(store: Store, problem: Path, variants: Sequence[Variant]) -> Table:
         "time to 1e-6",
         "ns per step", "failed runs",
     )  # fmt: skip
-    return Table("Measured orders, least errors, and the time of the cheapest run with at most that error.", head,
-                 tuple(rows))  # fmt: skip
+    caption = "Measured orders, least errors, and the time of the cheapest run with at most that error."
+    return without_empty_columns(Table(caption, head, tuple(rows)))
 
 
 def time_to(values: Sequence[Values], error: float) -> float | None:

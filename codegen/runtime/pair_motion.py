@@ -31,7 +31,7 @@ def follow(start, steps, h, own, parameters, every, path, before):
     Row i of `before` takes the state one step before that of row i + 1 of `path`. Returns the number of steps made,
     the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
     """
-    state, after, points = start.copy(), np.empty(start.shape), np.empty((POINTS, *start.shape))
+    state, after, points = start.copy(), np.empty(start.shape), np.full((POINTS, *start.shape), np.nan)
     rows, iterations, wait = 1, 0, every
     stored(state, path[0])
     for k in range(steps):
@@ -64,7 +64,7 @@ def stored(state, row):
 @njit(cache=True, error_model="numpy")
 def largest_defect(before, path, h, own, parameters):
     """Max-norm of a step from each state of `before` minus the next row of `path`."""
-    after, points, largest = np.empty(path[0].shape), np.empty((POINTS, *path[0].shape)), 0.0
+    after, points, largest = np.empty(path[0].shape), np.full((POINTS, *path[0].shape), np.nan), 0.0
     for row in range(1, path.shape[0]):
         if advance(before[row - 1], h, own, parameters, points, after) < 0:
             return np.inf

@@ -13,30 +13,41 @@ NON_FINITE = -1  # what `advance` returns when a state is infinite or not a numb
 
 @njit(cache=True, error_model="numpy")
 def advance(z, h, own, parameters, points, after):
-    """Fill the state `after` a step; return 0, or why it failed. Nothing is written to `points`."""
-    rates, slopes = np.empty(z[0].shape), np.empty(z[0].shape)
-    for s in range(2):
-        for i in range(z.shape[1]):
-            for k in range(z.shape[2]):
-                after[s, i, k] = z[s, i, k]
+    """Fill the state `after` a step; return 0, or why it failed.
+
+    Neighbouring substeps share what has not changed between them: H_q as long as places rest, H_p as long as momenta
+    do. `points[0]` keeps H_q and the places to which it belongs, for the step that follows.
+    """
+    rates, slopes, places = np.empty(z[0].shape), points[0, 0], points[0, 1]
+    has_rates, has_slopes = False, True
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            after[0, i, k], after[1, i, k] = z[0, i, k], z[1, i, k]
+            has_slopes = has_slopes and places[i, k] == z[0, i, k]
     for s in range(POINTS):
         step, a, b = h * SUBSTEPS[s][0], SUBSTEPS[s][1], SUBSTEPS[s][2]
-        if a > 0.0:
-            velocity(after, own, parameters, rates)
-            moved(after, 0, step, rates)
-            slope(after, own, parameters, rates)
-            moved(after, 1, -step, rates)
-        else:
+        if not (a > 0.0 or has_slopes):
             slope(after, own, parameters, slopes)
-            if b > 0.0:
-                moved(after, 1, -step, slopes)
+            has_slopes = True
+        if b > 0.0:
+            moved(after, 1, -step, slopes)
+            has_rates = False
+        if not has_rates:
             velocity(after, own, parameters, rates)
-            moved(after, 0, step, rates)
-            if not b > 0.0:
-                moved(after, 1, -step, slopes)
+            has_rates = True
+        if not (a > 0.0 or b > 0.0):
+            moved(after, 1, -step, slopes)
+            has_rates = False
+        moved(after, 0, step, rates)
+        has_slopes = False
+        if a > 0.0:
+            slope(after, own, parameters, slopes)
+            moved(after, 1, -step, slopes)
+            has_rates, has_slopes = False, True
     total = 0.0
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
+            places[i, k] = after[0, i, k] if has_slopes else np.nan
             total += abs(after[0, i, k]) + abs(after[1, i, k])
     return 0 if total < np.inf else NON_FINITE
 

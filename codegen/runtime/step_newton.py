@@ -13,6 +13,7 @@ from codegen.runtime.example_step import UNKNOWNS, complete_step, predict_step, 
 from codegen.runtime.scalar import factor_matrix, solve_factored
 
 NON_FINITE, SINGULAR, NOT_CONVERGED = -1, -2, -3  # what `advance` returns when there is no solution
+LEAST = 1e-300  # added to that sum: below it numbers are so close to the least ones that they have no relative size
 ROUNDING = 1e-8  # relative corrections below this are taken for rounding errors once they no longer shrink
 
 
@@ -27,7 +28,7 @@ def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
     """Fill `interval` with inner stages and the state at the right node; return the iterations, or why it failed."""
     unknowns, residual, jacobian, pivots = work
     predict_step(state, t, h, parameters, unknowns)
-    magnitude, previous = 0.0, np.inf
+    magnitude, previous = LEAST, np.inf
     for i in range(state.size):
         magnitude += abs(state[i])
     for iteration in range(1, max_iterations + 1):
