@@ -873,14 +873,18 @@ NON_FINITE = -1  # what `advance` returns when a state is infinite or not a numb
 
 
 @njit(cache=True, error_model="numpy")
-def advance(z, h, own, parameters, points, after):
-    """Fill `points`, shape (POINTS, 2, n, d), and the state `after` a step; return iterations, or why it failed."""
+def advance(z, h, own, parameters, points, after, near=0.0):
+    """Fill `points`, shape (POINTS, 2, n, d), and the state `after` a step; return iterations, or why it failed.
+
+    Where `points` are those of a step from a nearby state, `near` is the relative accuracy that suffices for implicit
+    substeps, which then begin there; else it is zero.
+    """
     before, gradient, iterations = np.empty(z.shape), np.empty(z.shape), 0
     copy_state(z, before)
     for s in range(POINTS):
         step, a, b = h * SUBSTEPS[s][0], SUBSTEPS[s][1], SUBSTEPS[s][2]
         if (a > 0.0 or b > 0.0):
-            outcome = implicit_substep(before, step, a, b, own, parameters, gradient, points[s], after)
+            outcome = implicit_substep(before, step, a, b, own, parameters, near, gradient, points[s], after)
             if outcome < 0:
                 return outcome
             iterations += outcome
@@ -952,22 +956,28 @@ def between(before, after, a, b, point):
 
 
 @njit(cache=True, error_model="numpy")
-def is_settled(change, previous, size):
-    """Whether an iteration has come to where only rounding errors change it."""
-    return change <= ROUNDING * size or (change <= 1e-12 * size and change >= 0.5 * previous)
+def is_settled(change, previous, size, accuracy):
+    """Whether an iteration has come to a relative accuracy, or to where only rounding errors change it."""
+    return change <= accuracy * size or (change <= 1e-12 * size and change >= 0.5 * previous)
 
 
 @njit(cache=True, error_model="numpy")
-def implicit_substep(before, step, a, b, own, parameters, gradient, point, after):
-    """Solve a substep from an explicit Euler step; return the iterations, or why there is no solution."""
-    hamiltonian_gradient(before, own, parameters, gradient)
+def implicit_substep(before, step, a, b, own, parameters, near, gradient, point, after):
+    """Solve a substep; return the iterations, or why there is no solution.
+
+    Where `point` is near to where the field will be evaluated, `near` is the relative accuracy that suffices, and the
+    iteration starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
+    """
+    if not near > 0.0:
+        copy_state(before, point)
+    hamiltonian_gradient(point, own, parameters, gradient)
     moved(before, step, gradient, after)
     previous, earlier = np.inf, np.inf
     for iteration in range(PLAIN):
         between(before, after, a, b, point)
         hamiltonian_gradient(point, own, parameters, gradient)
         change, size = moved(before, step, gradient, after)
-        if is_settled(change, previous, size):
+        if is_settled(change, previous, size, max(near, ROUNDING)):
             return iteration + 1
         # Places and momenta take turns, so that two iterations are compared.
         if not change < np.inf or (iteration > 3 and change > 0.5 * earlier):
@@ -1005,7 +1015,7 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
             change, scale = max(change, abs(right[k, 0])), max(scale, abs(ends[k]))
             if not abs(right[k, 0]) < np.inf:
                 return NOT_CONVERGED
-        if is_settled(change, previous, scale):
+        if is_settled(change, previous, scale, ROUNDING):
             between(before, after, a, b, point)
             return PLAIN + iteration + 1
         is_factored = change < 0.1 * previous and iteration > 0
@@ -1046,7 +1056,7 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
                 value = before[row, c] + step * products[row, c]
                 change, size = max(change, abs(value - after[row, c])), max(size, abs(value))
                 after[row, c] = value
-        if is_settled(change, previous, size):
+        if is_settled(change, previous, size, ROUNDING):
             return True
         if not change < np.inf:
             break
@@ -1084,14 +1094,16 @@ OUTSIDE = -4  # what `follow` returns when a particle leaves its domain
 
 
 @njit(cache=True, error_model="numpy")
-def follow(h, own, parameters, path, points):
+def follow(h, own, parameters, path, points, near=0.0):
     """Fill `path`, shape (N + 1, 2, n, d), from its first state, and `points`, shape (N POINTS, 2, n, d).
 
+    Where `points` are those of a nearby trajectory, `near` is the relative accuracy that suffices for implicit steps,
+    which then begin there; else it is zero.
     Return the iterations of all implicit steps, or a negative number that says why a step failed.
     """
     iterations = 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], path[k + 1])
+        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], path[k + 1], near)
         if outcome < 0:
             return outcome
         if not domain_margin(path[k + 1]) > 0.0:
@@ -1114,7 +1126,7 @@ def defects(h, own, parameters, path, points, errors):
     """Fill `errors`, shape (N, 2, n, d), with a step from each state minus the next state; return as `follow` does."""
     after, iterations = np.empty(path[0].shape), 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after)
+        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after, 0.0)
         if outcome < 0:
             return outcome
         for s in range(2):
@@ -1160,6 +1172,7 @@ def same_state(one, other):
 
 SECANTS = 40  # iterations, each of which keeps two vectors
 PATIENCE = 6  # iterations after which the residual must have halved
+ENOUGH = 1e-4  # relative accuracy of implicit steps, as a part of that of the arrival before
 
 
 @njit(cache=True, error_model="numpy")
@@ -1200,6 +1213,7 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
     momenta = path[0, 1].copy()
     moved, kept = momenta.reshape(size), momenta.copy()
     error, norm = fill_end_residual(path[-1], target, sigma, residual)
+    scale = max(np.abs(target).max(), 1e-300)
     start, best, halved, waited, made, is_kept = norm, norm, norm, 0, 0, True
     approximate_inverse(factor, left, right, 0, residual, step)
     while made < SECANTS and error > tolerance and waited < PATIENCE:
@@ -1208,7 +1222,7 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
             moved[k] += step[k]
         path[0, 1] = momenta
         made, waited, is_kept = made + 1, waited + 1, False
-        if follow(h, own, parameters, path, points) < 0:
+        if follow(h, own, parameters, path, points, max(ENOUGH * error / scale, 1e-15)) < 0:
             break
         error, norm = fill_end_residual(path[-1], target, sigma, residual)
         if not norm <= 2.0 * start:
@@ -1231,7 +1245,7 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
             step[k] = change[k] * (1.0 - product / along)
     if not is_kept:
         path[0, 1] = kept
-        follow(h, own, parameters, path, points)
+        follow(h, own, parameters, path, points, 0.0)
     return made
 
 
@@ -1401,7 +1415,7 @@ def rounding(case, path):
     trial, points = path.copy(), np.empty((case.steps * POINTS, *path.shape[1:]))
     for momenta in jittered(path[0, 1]):
         trial[0, 1] = momenta
-        if follow(h, case.own, case.parameters, trial, points) >= 0:
+        if follow(h, case.own, case.parameters, trial, points, 0.0) >= 0:
             noise = max(noise, largest(end_residual(trial[-1], case.target, case.sigma) - residual))
     return noise
 
@@ -1428,14 +1442,15 @@ def first_steps(case, h, factor, path, points):
     return secant_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
 
 
-def shoot(case, path, points, log):
+def shoot(case, factor, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
-    A row of `log` is (residual, tangents, step length). Return how it ended, the iterations and the last residual.
+    `factor` is that of `preconditioner`. A row of `log` is (residual, tangents, step length). Return how it ended, the
+    iterations and the last residual.
     """
-    h, factor = case.duration / case.steps, preconditioner(case)
+    h = case.duration / case.steps
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
-    outcome = follow(h, case.own, case.parameters, path, points)
+    outcome = follow(h, case.own, case.parameters, path, points, 0.0)
     if outcome < 0:
         return outcome, 0, np.inf
     made = first_steps(case, h, factor, path, points)
@@ -1454,7 +1469,8 @@ def shoot(case, path, points, log):
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
             trial_path[0, 0], trial_path[0, 1] = path[0, 0], path[0, 1] + length * change
-            if follow(h, case.own, case.parameters, trial_path, trial_points) >= 0:
+            trial_points[:] = points
+            if follow(h, case.own, case.parameters, trial_path, trial_points, 1e-15) >= 0:
                 trial = end_residual(trial_path[-1], case.target, case.sigma)
                 if np.linalg.norm(trial) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True
@@ -1467,12 +1483,12 @@ def shoot(case, path, points, log):
     raise AssertionError("unreachable")
 
 
-def all_states(case, path, points, log):
+def all_states(case, factor, path, points, log):
     """Improve all states of `path` but the places at the start; otherwise as `shoot`.
 
     The residual is the largest of all defects of steps and of the end conditions.
     """
-    h, factor = case.duration / case.steps, preconditioner(case)
+    h = case.duration / case.steps
     errors, trial_errors = np.empty_like(path[1:]), np.empty_like(path[1:])
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
     outcome = defects(h, case.own, case.parameters, path, points, errors)
@@ -1624,6 +1640,15 @@ def momenta_of(start, velocity, own, parameters):
     return right.reshape(start.shape)
 
 
+def straight_momenta(case, factor, target):
+    """`momenta_of` the velocity of the straight way to a target, from the factor of `preconditioner`."""
+    moved = target - case.start
+    if factor is None:
+        return moved / case.duration
+    solve_cholesky(factor, moved.reshape(factor.shape[0], -1))
+    return moved
+
+
 def guessed_path(start, target, steps, duration, own, parameters):
     """States on the guessed way from start to target, momenta by the discrete Legendre transform H_pp^-1 dq/h."""
     path = np.zeros((steps + 1, 2, *start.shape))
@@ -1637,14 +1662,14 @@ def guessed_path(start, target, steps, duration, own, parameters):
 
 def climb(case, method, guess):
     """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
-    path, points = room(case)
+    (path, points), factor = room(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
     rungs = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
     for name, attempt in rungs:
         path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
         log[:] = 0.0
-        outcome, made, residual, *note = attempt(case, path, points, log)
+        outcome, made, residual, *note = attempt(case, factor, path, points, log)
         iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
         attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}{''.join(note)}")
         if outcome > 0:
@@ -1652,28 +1677,28 @@ def climb(case, method, guess):
     return outcome, path, points, iterations, tangents, residual, tuple(attempts)
 
 
-def shoot_at(case, target, path, points, log):
+def shoot_at(case, target, factor, path, points, log):
     """Newton's method on the initial momenta of `path` for some target."""
-    return shoot(case._replace(target=target), path, points, log)
+    return shoot(case._replace(target=target), factor, path, points, log)
 
 
-def from_guess(case, path, points, log):
+def from_guess(case, factor, path, points, log):
     """Shoot from the momenta that are in `path`."""
-    return shoot_at(case, case.target, path, points, log)
+    return shoot_at(case, case.target, factor, path, points, log)
 
 
-def from_velocity(case, path, points, log):
+def from_velocity(case, factor, path, points, log):
     """Shoot from the momenta of the straight way to the target."""
-    path[0, 1] = momenta_of(case.start, (case.target - case.start) / case.duration, case.own, case.parameters)
-    return shoot_at(case, case.target, path, points, log)
+    path[0, 1] = straight_momenta(case, factor, case.target)
+    return shoot_at(case, case.target, factor, path, points, log)
 
 
-def from_rest(case, path, points, log):
+def from_rest(case, factor, path, points, log):
     """Shoot from vanishing momenta, whose first step is shortened where the momenta of the straight way fail."""
-    return shoot_at(case, case.target, path, points, log)
+    return shoot_at(case, case.target, factor, path, points, log)
 
 
-def by_continuation(case, path, points, log):
+def by_continuation(case, factor, path, points, log):
     """Move the target from the start to where it belongs, by parts that grow with success."""
     done, part, total = 0.0, 0.25, 0
     known = [(0.0, path[0, 1].copy())]
@@ -1686,10 +1711,10 @@ def by_continuation(case, path, points, log):
             (s0, p0), (s1, p1) = known[-2:]
             path[0, 1] = p1 + (wanted - s1) / (s1 - s0) * (p1 - p0)
         else:
-            path[0, 1] = momenta_of(case.start, (target - case.start) / case.duration, case.own, case.parameters)
+            path[0, 1] = straight_momenta(case, factor, target)
         log[:, 0] = log[:, 2] = 0.0
         before = log[:, 1].sum()
-        outcome, made, residual = shoot_at(case, target, path, points, log)
+        outcome, made, residual = shoot_at(case, target, factor, path, points, log)
         log[-1, 1] = max(before, log[:, 1].sum())
         total += made
         if outcome > 0:
@@ -1707,17 +1732,17 @@ def room(case, start_momenta=None):
     return path, np.zeros((case.steps * POINTS, *path.shape[1:]))
 
 
-def by_steps(case, path, points, log):
+def by_steps(case, factor, path, points, log):
     """Solve with two or four times as many steps by continuation in the target, then with ever fewer of them.
 
     Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
     note says with how many steps there still is one.
     """
     total, outcome = 0, 0
-    for factor in MORE_STEPS:
-        finer = case._replace(steps=factor * case.steps)
+    for multiple in MORE_STEPS:
+        finer = case._replace(steps=multiple * case.steps)
         fine_path, fine_points = room(finer)
-        outcome, made, residual = by_continuation(finer, fine_path, fine_points, log)
+        outcome, made, residual = by_continuation(finer, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             break
@@ -1731,7 +1756,7 @@ def by_steps(case, path, points, log):
             (s0, p0), (s1, p1) = known[-2:]
             momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
         fine_path, fine_points = room(fewer, momenta)
-        outcome, made, residual = shoot_at(fewer, fewer.target, fine_path, fine_points, log)
+        outcome, made, residual = shoot_at(fewer, fewer.target, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             finer, ratio = fewer, max(0.5, 0.9 * ratio)
@@ -1744,10 +1769,10 @@ def by_steps(case, path, points, log):
     return outcome, total, residual, ""
 
 
-def on_all_states(case, path, points, log):
+def on_all_states(case, factor, path, points, log):
     """Newton's method on all states from the guessed path."""
     path[:] = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
-    return all_states(case, path, points, log)
+    return all_states(case, factor, path, points, log)
 
 
 SHOOTING = (
@@ -1969,7 +1994,7 @@ def make_case(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_3100118152207845"
+_IDENTITY = "codegen_image_registration_ea629dd689fa9912"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
