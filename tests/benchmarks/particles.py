@@ -1,11 +1,12 @@
 """What the issue on particles promises, measured: accuracy, speed, sizes, hard cases, long motions.
 
-    python tests/benchmarks/particles.py [table speed sizes hard pairs planets] [--repeat R] [--plot FILE.png]
+    python tests/benchmarks/particles.py [table speed sizes threads hard pairs planets] [--repeat R] [--plot FILE.png]
 
 `table` is the thesis's Table 5.2 on data/trilobite40.csv, `speed` compares with scipy's fsolve over vectorised numpy in
-the same run, `sizes` grows the number of landmarks and draws a plot on request, `hard` rotates, brings neighbours
-together and adds noise, `pairs` connects 200 random pairs of the trilobites of the package ktch, which has to be
-installed for it, `planets` follows the outer solar system over a million days. Times are the best of R warm solves.
+the same run, `sizes` grows the number of landmarks and draws a plot on request, `threads` compares one thread with
+several, `hard` rotates, brings neighbours together and adds noise, `pairs` connects 200 random pairs of the trilobites
+of the package ktch, which has to be installed for it, `planets` follows the outer solar system over a million days.
+Times are the best of R warm solves.
 """
 
 import os
@@ -174,6 +175,27 @@ def sizes(repeat: int, plot: Path | None = None) -> None:
         figure.savefig(plot, dpi=150)
 
 
+def threads(repeat: int) -> None:
+    """Whole solves by one thread and by several, in turn, and the gradient alone; the answers are equal."""
+    one = module("explicit-euler")
+    several: Any = load(build(REGISTRATION, {"parallel": "true"}, scheme="explicit-euler").path)
+    for count in (40, 100, 200, 500, 1000, 2000):
+        points, found = smooth_pair(count), []
+        state, out = np.stack([points.start, points.target]), np.empty((2, count, 2))
+        for _ in range(max(1, min(repeat, 4000 // count))):
+            for made in (one, several):
+                case, runs = made.make_case(points.start, points.target), max(1, 2000 // count)
+                solution, solve = best(lambda m=made, c=case: m.solve_case(c), 1)
+                gradient = partial(made.hamiltonian_gradient, state, case.own, case.parameters, out)
+                found.append((solution.p, solve, best(gradient, runs)[1]))
+        assert np.array_equal(found[0][0], found[1][0])
+        for what, k in (("solve", 1), ("gradient", 2)):
+            by_one, shared = (1e3 * min(row[k] for row in found[made::2]) for made in (0, 1))
+            CONSOLE.print(
+                f"nc {count:5d}: {what} {by_one:.4g} and {shared:.4g} ms, {by_one / shared:.2f} times as fast"
+            )
+
+
 def hard(repeat: int) -> None:
     """Rotations, neighbours that move apart, noisy targets."""
     euler, generator = module("explicit-euler"), np.random.default_rng(7)
@@ -299,7 +321,7 @@ def planets(repeat: int) -> None:
 def main() -> None:
     """Run the named parts, or all."""
     parts: dict[str, Callable[[int], None]] = {
-        function.__name__: function for function in (table, speed, sizes, hard, pairs, planets)
+        function.__name__: function for function in (table, speed, sizes, threads, hard, pairs, planets)
     }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[*parts, []])
