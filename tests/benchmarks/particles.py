@@ -156,22 +156,28 @@ def sizes(repeat: int, plot: Path | None = None) -> None:
     counts, times = (5, 10, 20, 50, 100, 200, 500, 1000, 2000), list[float]()
     for count in counts:
         points = smooth_pair(count)
-        runs = repeat if count < 500 else 1
-        used = process_time()
-        solution, seconds = best(lambda p=points: euler.solve(p.start, p.target), runs)
-        used = (process_time() - used) / (runs + 1)
+        runs, begin = repeat if count < 500 else 1, perf_counter()
+        solution, used = best(lambda p=points: euler.solve(p.start, p.target), runs, process_time)
+        seconds = (perf_counter() - begin) / (runs + 1)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-        times.append(seconds)
+        times.append(used)
         CONSOLE.print(
             f"nc {count:5d}: {solution.status}, residual {solution.residual:.1e}, {solution.iterations} iterations, "
-            f"{solution.tangents} tangents, {seconds:.4f} s ({used:.4f} s of processor time), peak {memory:.0f} MB"
+            f"{solution.tangents} tangents, {used:.4f} s of processor time, {seconds:.4f} s by the clock, "
+            f"peak {memory:.0f} MB"
         )
     if plot is not None:
         figure, axes = pyplot.subplots(figsize=(5, 3.5), layout="constrained")
         axes.loglog(counts, times, "o-")
-        axes.loglog(counts[4:], [times[-1] * (n / counts[-1]) ** 2 for n in counts[4:]], "k:", label="quadratic")
-        axes.set(xlabel="landmarks", ylabel="seconds, explicit Euler, 10 steps")
-        axes.legend()
+        for power, style in ((2, ":"), (3, "--")):
+            line = [times[6] * (n / counts[6]) ** power for n in counts[4:]]
+            axes.loglog(counts[4:], line, style, color="0.4", label=f"power {power}")
+        ticks = [n for n in counts if str(n)[0] in "15" or n == counts[-1]]
+        axes.set(
+            xlabel="landmarks", ylabel="seconds, explicit Euler, 10 steps", xticks=ticks, xticklabels=map(str, ticks)
+        )
+        axes.xaxis.minorticks_off()
+        axes.legend(frameon=False)
         figure.savefig(plot, dpi=150)
 
 
