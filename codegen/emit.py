@@ -35,6 +35,7 @@ def render(module: Module, origin: Origin) -> str:
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
     values |= {
+        "numba_names": numba_names(module.runtime),
         "runtime": runtime_source(module.runtime, module.sizes),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),
@@ -62,6 +63,14 @@ def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = 
         comment = "\n".join(f"# {line}".rstrip() for line in docstring.splitlines())
         parts.append(f"{comment}\n\n\n{body}" if body.startswith(("@", "def", "class")) else f"{comment}\n\n{body}")
     return "\n\n\n".join(parts)
+
+
+def numba_names(names: tuple[str, ...]) -> list[str]:
+    """What a module imports of numba: `njit`, and what else its runtime files import."""
+    texts = [resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8") for name in names]
+    trees = [node for text in texts for node in ast.parse(text).body]
+    found = {a.name for n in trees if isinstance(n, ast.ImportFrom) and n.module == "numba" for a in n.names}
+    return sorted({"njit"} | found)
 
 
 def _is_head(node: ast.stmt) -> bool:

@@ -65,6 +65,7 @@ def problem(
     dimension: Literal[2, 3] = 2,
     path: Literal["arc", "straight"] = "arc",
     passive: bool = False,
+    parallel: bool = False,
 ) -> Connect:
     i, j = particles("x y z"[: 2 * dimension - 1], "px py pz"[: 3 * dimension - 1])
     if kernel == "plate":
@@ -77,5 +78,6 @@ def problem(
         points=landmarks,
         path=arc if curved else None,
         passive=passive,
+        parallel=parallel,
         steps=10,
     )

@@ -44,6 +44,9 @@ silent_math = types.SimpleNamespace(
 """The functions of `math` that kernels call most, without errors."""
 
 
+prange = range  # of numba, which has threads share it
+
+
 def njit(*_args, **_options):
     """A decorator that leaves a function as it is."""
     return lambda function: function

@@ -262,6 +262,21 @@ def test_uncertain_targets_balance_cost_and_distance(module):
         assert abs(up - down) < 1e-3 * (up + down - 2 * least) + 1e-9
 
 
+def test_implicit_steps_begin_at_points_of_a_nearby_trajectory(module):
+    """They take fewer iterations to the same states, and only as many as the accuracy that is asked for needs."""
+    made = module("midpoint")
+    case = made.make_case(START, TARGET, 4)
+    first, momenta = made.first_momenta(case), 1.001 * made.first_momenta(case)
+    _, path, points = made.trajectory(case, momenta)
+    made_by = {}
+    for near in (0.0, 1e-15, 1e-6):
+        other, known = path.copy(), made.trajectory(case, first)[2]
+        made_by[near] = made.follow(case.duration / 4, case.own, case.parameters, other, known, near)
+        np.testing.assert_allclose(other, path, rtol=0, atol=1e-13 if near < 1e-6 else 1e-5)
+        np.testing.assert_allclose(known, points, rtol=0, atol=1e-13 if near < 1e-6 else 1e-5)
+    assert 4 <= made_by[1e-6] < made_by[1e-15] < made_by[0.0]
+
+
 def test_points_that_stay(module):
     solution = module("midpoint").solve(START, START, 3)
     assert solution.status == "solved"

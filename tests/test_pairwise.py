@@ -22,6 +22,27 @@ def plate(interpreted):
     return interpreted("image_registration", scheme="explicit-euler")
 
 
+# ---- Several threads ----
+
+
+def test_threads_share_the_gradient_in_blocks(interpreted, plate):
+    """What a particle gets is what one thread adds up, to the last digit, in one block and in more."""
+    shared = interpreted("image_registration", arguments={"parallel": "true"}, scheme="explicit-euler")
+    assert not hasattr(plate, "gradient_by_threads")
+    generator = np.random.default_rng(3)
+    for count in (9, shared.GROUP + 3):
+        state = generator.uniform(-0.6, 0.6, (2, count, 2))
+        one, several = np.empty_like(state), np.full_like(state, np.nan)
+        plate.hamiltonian_gradient(state, np.zeros((count, 0)), NONE, one)
+        shared.hamiltonian_gradient(state, np.zeros((count, 0)), NONE, several)
+        np.testing.assert_array_equal(several, one)
+
+
+def test_threads_cannot_share_a_gradient_that_visits_pairs_once(interpreted):
+    with pytest.raises(ExpressionError, match="parallel=True, but the gradient calls exp"):
+        interpreted("image_registration", arguments={"parallel": "true", "kernel": "gauss"}, scheme="explicit-euler")
+
+
 # ---- The plate's kernel by an independent formula, with 50 digits ----
 
 

@@ -18,7 +18,7 @@ class BlockLoop:
 
     `head` comes first; for each block `before` for each point m of it; `inputs` for each particle j, then for each m
     `point_inputs`, `body` and `outputs`; at last `after` for each m, in a loop whose code is `over_points` where it is
-    not needed always.
+    not needed always. Blocks divide the points from `begin` to `end`, which are code.
     """
 
     name: str
@@ -34,6 +34,8 @@ class BlockLoop:
     operations_before: int
     operations_after: int
     over_points: tuple[str, ...] = ()
+    begin: str = "0"
+    end: str = "z.shape[1]"
 
 
 def entry(array: str, row: int, block: str) -> str:

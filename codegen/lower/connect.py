@@ -43,21 +43,26 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
     singles, loops = pair_loops(model, derivatives)
     around = particle_loops(model, singles)
     gathered, carried = gathered_loops(model, derivatives), passive_loops(model, derivatives)
-    loops = tuple(visit for visit in loops if visit.name not in {other.name for other in gathered})
+    loops = tuple(visit for visit in loops if not gathered or visit.name != "hamiltonian_gradient")
     blocks: tuple[BlockLoop, ...] = (*gathered, *carried)
     return ConnectModule(
         template="connect.py.j2",
         name=model.name,
         title=model.title,
         description=tuple(_description(program, derivatives, (*loops, *blocks))),
-        left_out=tuple(_left_out_of_connection(program, derivatives, singles)),
+        left_out=tuple(_left_out_of_connection(program, derivatives, singles, bool(gathered))),
         metadata=tuple(_metadata(program, derivatives, (*loops, *blocks))),
         constants=(
             *_constants(program, derivatives),
             *([Line("GROUP", str(GROUP), "particles whose derivatives are gathered together")] if gathered else []),
         ),
         kernels=(),
-        runtime=(*_packed(blocks), *_runtime(program, derivatives, loops, around), *_passive_runtime(program, carried)),
+        runtime=(
+            *_packed(blocks),
+            *_parallel(program),
+            *_runtime(program, derivatives, loops, around),
+            *_passive_runtime(program, carried),
+        ),
         sizes=(("IMPLICIT", int(_implicit(program))), ("QUADRATIC", int(derivatives.quadratic))),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
@@ -220,6 +225,11 @@ def _packed(blocks: tuple[BlockLoop, ...]) -> tuple[str, ...]:
     return ("packed_logarithms",) if any("packed_" in line.code for line in lines) else ()
 
 
+def _parallel(program: PairwiseProgram) -> tuple[str, ...]:
+    """The file that has threads share the gradient, if they are to."""
+    return ("pair_parallel",) if program.model.parallel else ()
+
+
 def _passive_runtime(program: PairwiseProgram, carried: tuple[BlockLoop, ...]) -> tuple[str, ...]:
     """The files that carry passive points, if there are kernels for them."""
     step = "passive_substeps" if program.substeps else "passive_runge_kutta"
@@ -252,11 +262,13 @@ def _left_out(program: PairwiseProgram, derivatives: PairDerivatives, singles: t
 
 
 def _left_out_of_connection(
-    program: PairwiseProgram, derivatives: PairDerivatives, singles: tuple[str, ...]
+    program: PairwiseProgram, derivatives: PairDerivatives, singles: tuple[str, ...], gathered: bool
 ) -> list[str]:
     lines = _left_out(program, derivatives, singles)
     if not program.model.passive:
         lines.append("points without momenta that the motion carries along: passive=True has them")
+    if gathered and not program.model.parallel:
+        lines.append("threads that share the gradient of many particles: parallel=True has them")
     return lines
 
 

@@ -8,11 +8,13 @@ pair once, but each evaluation writes to particle i alone, so that several parti
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import sympy
 from sympy import Max
 
 from codegen.differentiate.pairwise import PairDerivatives
+from codegen.errors import ExpressionError
 from codegen.lower.blocks import BlockLoop, entry, packed
 from codegen.lower.kernels import Line, Output, kernel
 from codegen.lower.pair_writer import CLOSEST, STATE, Writer, needed
@@ -20,15 +22,36 @@ from codegen.model.pairwise import PairwiseModel
 
 GROUP = 64
 """Particles of a block."""
+_REMEDY = "leave parallel out: this gradient visits each pair once, which threads cannot share"
 
 
 def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
     """The gradient of H, where it can be gathered, and its code calls nothing that keeps particles apart."""
     if not _acts_on_itself(model):
+        if model.parallel:
+            raise ExpressionError("parallel=True, but particles do not act on themselves as on others", _REMEDY)
         return ()
     gradient = _gradient(Writer(model, derivatives))
     called = {name for line in (*gradient.body, *gradient.outputs) for name in re.findall(r"math\.(\w+)\(", line.code)}
-    return (gradient,) if called <= {"sqrt"} else ()
+    if called <= {"sqrt"}:
+        return (_of_some(gradient) if model.parallel else gradient,)
+    if model.parallel:
+        raise ExpressionError(
+            f"parallel=True, but the gradient calls {' and '.join(sorted(called - {'sqrt'}))}", _REMEDY
+        )
+    return ()
+
+
+def _of_some(gradient: BlockLoop) -> BlockLoop:
+    """The same for particles from `begin` to `end` only, which one of several threads works on."""
+    return replace(
+        gradient,
+        name="gradient_of_some",
+        summary="Fill `gradient`, shape (2, n, d), with H_q and H_p of particles from `begin` to `end`.",
+        arguments=(*STATE, "begin", "end", "gradient"),
+        begin="begin",
+        end="end",
+    )
 
 
 def _acts_on_itself(model: PairwiseModel) -> bool:

@@ -48,8 +48,9 @@ class PairwiseModel:
     it has none there, and `smooth` says that its gradient tends to that of the limit.
 
     A connect problem has `points`, the default file, and `path`, the guessed place after a FRACTION of the way, in
-    coordinates of `first` for the start and of `second` for the target, and is `passive` if it carries points without
-    momenta; a simulation has the arrays `start` of shape (2, n, d) and `own_values` of shape (n, k).
+    coordinates of `first` for the start and of `second` for the target, is `passive` if it carries points without
+    momenta, and `parallel` if threads share its gradient; a simulation has the arrays `start` of shape (2, n, d) and
+    `own_values` of shape (n, k).
     """
 
     task: str
@@ -72,6 +73,7 @@ class PairwiseModel:
     points: str = ""
     path: tuple[Expr, ...] = ()
     passive: bool = False
+    parallel: bool = False
     start: tuple[tuple[tuple[float, ...], ...], ...] = ()
     own_values: tuple[tuple[float, ...], ...] = ()
     drawing: tuple[()] = ()
@@ -141,6 +143,7 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         points=Path(problem.points).as_posix() if isinstance(problem, Connect) else "",
         path=_guessed_path(problem, first, second) if isinstance(problem, Connect) else (),
         passive=isinstance(problem, Connect) and problem.passive,
+        parallel=isinstance(problem, Connect) and problem.parallel,
         start=start,
         own_values=own_values,
     )

@@ -57,7 +57,8 @@ def _fewest_steps(settings: Settings, scheme: str, target: float, exact: float) 
         growth = (error / target) ** (1.0 / order) if math.isfinite(error) else 2.0
         if steps >= _ASYMPTOTIC and growth * steps > _MOST_STEPS:
             break
-        steps = max(steps + 1, math.floor(steps * min(0.97 * growth, 4.0)))
+        caution = 0.995 if steps >= _ASYMPTOTIC else 0.97  # the order holds better the more steps there are
+        steps = max(steps + 1, math.floor(steps * min(caution * growth, 4.0)))
     return {"reached": False, "steps": _MOST_STEPS, "error": error, "seconds": math.inf}
 
 

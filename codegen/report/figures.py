@@ -193,7 +193,7 @@ def eulers(settings: Settings, store: Store) -> Figure:
             xticks=[10, 20, 50, 100],
             xticklabels=["10", "20", "50", "100"],
         )
-        place.minorticks_off()
+        place.xaxis.minorticks_off()
     axes[0].set_ylabel("|cost − exact|")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure

@@ -73,7 +73,7 @@ def _iterations(settings: Settings, points: PointSet, kind: str) -> Values:
     distance = float(np.abs(path - exact)[:, 0].max()) if np.isfinite(path).all() else np.nan
     log, states = np.zeros((case.max_iterations + 1, 3)), np.zeros((case.steps * module.POINTS, *path.shape[1:]))
     path = np.ascontiguousarray(path)
-    outcome, iterations, residual = module.all_states(case, path, states, log)
+    outcome, iterations, residual = module.all_states(case, module.preconditioner(case), path, states, log)
     return {
         "solved": outcome > 0,
         "iterations": iterations,

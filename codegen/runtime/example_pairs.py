@@ -14,6 +14,7 @@ ROWS = ((0.0, 0.0), (0.5, 0.0))
 WEIGHTS = (0.0, 1.0)
 COST_WEIGHTS = (1.0,)
 PLACE = 0.0
+GROUP = 4
 
 
 @njit(cache=True, error_model="numpy")
@@ -45,6 +46,14 @@ def hamiltonian_gradient(z, own, parameters, gradient):
             kernel = np.exp(-0.5 * (d * d).sum())
             gradient[0, i] -= (z[1, i] * z[1, j]).sum() * kernel * d
             gradient[1, i] += kernel * z[1, j]
+
+
+@njit(cache=True, error_model="numpy")
+def gradient_of_some(z, own, parameters, begin, end, gradient):
+    """Fill the rows of particles from `begin` to `end`."""
+    whole = np.empty(z.shape)
+    hamiltonian_gradient(z, own, parameters, whole)
+    gradient[:, begin:end] = whole[:, begin:end]
 
 
 @njit(cache=True, error_model="numpy")

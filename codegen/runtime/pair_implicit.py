@@ -29,22 +29,28 @@ def between(before, after, a, b, point):
 
 
 @njit(cache=True, error_model="numpy")
-def is_settled(change, previous, size):
-    """Whether an iteration has come to where only rounding errors change it."""
-    return change <= ROUNDING * size or (change <= 1e-12 * size and change >= 0.5 * previous)
+def is_settled(change, previous, size, accuracy):
+    """Whether an iteration has come to a relative accuracy, or to where only rounding errors change it."""
+    return change <= accuracy * size or (change <= 1e-12 * size and change >= 0.5 * previous)
 
 
 @njit(cache=True, error_model="numpy")
-def implicit_substep(before, step, a, b, own, parameters, gradient, point, after):
-    """Solve a substep from an explicit Euler step; return the iterations, or why there is no solution."""
-    hamiltonian_gradient(before, own, parameters, gradient)
+def implicit_substep(before, step, a, b, own, parameters, near, gradient, point, after):
+    """Solve a substep; return the iterations, or why there is no solution.
+
+    Where `point` is near to where the field will be evaluated, `near` is the relative accuracy that suffices, and the
+    iteration starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
+    """
+    if not near > 0.0:
+        copy_state(before, point)
+    hamiltonian_gradient(point, own, parameters, gradient)
     moved(before, step, gradient, after)
     previous, earlier = np.inf, np.inf
     for iteration in range(PLAIN):
         between(before, after, a, b, point)
         hamiltonian_gradient(point, own, parameters, gradient)
         change, size = moved(before, step, gradient, after)
-        if is_settled(change, previous, size):
+        if is_settled(change, previous, size, max(near, ROUNDING)):
             return iteration + 1
         # Places and momenta take turns, so that two iterations are compared.
         if not change < np.inf or (iteration > 3 and change > 0.5 * earlier):
@@ -82,7 +88,7 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
             change, scale = max(change, abs(right[k, 0])), max(scale, abs(ends[k]))
             if not abs(right[k, 0]) < np.inf:
                 return NOT_CONVERGED
-        if is_settled(change, previous, scale):
+        if is_settled(change, previous, scale, ROUNDING):
             between(before, after, a, b, point)
             return PLAIN + iteration + 1
         is_factored = change < 0.1 * previous and iteration > 0
@@ -123,7 +129,7 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
                 value = before[row, c] + step * products[row, c]
                 change, size = max(change, abs(value - after[row, c])), max(size, abs(value))
                 after[row, c] = value
-        if is_settled(change, previous, size):
+        if is_settled(change, previous, size, ROUNDING):
             return True
         if not change < np.inf:
             break

@@ -11,7 +11,7 @@ import numpy as np
 from codegen.runtime.example_pairs import BLOCKS, POINTS, QUADRATIC, domain_margin, guide, momentum_matrix
 from codegen.runtime.pair_algebra import cholesky, solve_cholesky
 from codegen.runtime.pair_least_action import momenta_of_least_action
-from codegen.runtime.pair_shooting import all_states, shoot
+from codegen.runtime.pair_shooting import all_states, preconditioner, shoot
 from codegen.runtime.pair_trajectory import cost_and_energies
 
 OUTCOMES = {
@@ -40,6 +40,15 @@ def momenta_of(start, velocity, own, parameters):
     return right.reshape(start.shape)
 
 
+def straight_momenta(case, factor, target):
+    """`momenta_of` the velocity of the straight way to a target, from the factor of `preconditioner`."""
+    moved = target - case.start
+    if factor is None:
+        return moved / case.duration
+    solve_cholesky(factor, moved.reshape(factor.shape[0], -1))
+    return moved
+
+
 def guessed_path(start, target, steps, duration, own, parameters):
     """States on the guessed way from start to target, momenta by the discrete Legendre transform H_pp^-1 dq/h."""
     path = np.zeros((steps + 1, 2, *start.shape))
@@ -53,14 +62,14 @@ def guessed_path(start, target, steps, duration, own, parameters):
 
 def climb(case, method, guess):
     """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
-    path, points = room(case)
+    (path, points), factor = room(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
     rungs = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
     for name, attempt in rungs:
         path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
         log[:] = 0.0
-        outcome, made, residual, *note = attempt(case, path, points, log)
+        outcome, made, residual, *note = attempt(case, factor, path, points, log)
         iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
         attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}{''.join(note)}")
         if outcome > 0:
@@ -68,36 +77,36 @@ def climb(case, method, guess):
     return outcome, path, points, iterations, tangents, residual, tuple(attempts)
 
 
-def shoot_at(case, target, path, points, log):
+def shoot_at(case, target, factor, path, points, log):
     """Newton's method on the initial momenta of `path` for some target."""
-    return shoot(case._replace(target=target), path, points, log)
+    return shoot(case._replace(target=target), factor, path, points, log)
 
 
-def from_guess(case, path, points, log):
+def from_guess(case, factor, path, points, log):
     """Shoot from the momenta that are in `path`."""
-    return shoot_at(case, case.target, path, points, log)
+    return shoot_at(case, case.target, factor, path, points, log)
 
 
-def from_velocity(case, path, points, log):
+def from_velocity(case, factor, path, points, log):
     """Shoot from the momenta of the straight way to the target."""
-    path[0, 1] = momenta_of(case.start, (case.target - case.start) / case.duration, case.own, case.parameters)
-    return shoot_at(case, case.target, path, points, log)
+    path[0, 1] = straight_momenta(case, factor, case.target)
+    return shoot_at(case, case.target, factor, path, points, log)
 
 
-def from_rest(case, path, points, log):
+def from_rest(case, factor, path, points, log):
     """Shoot from vanishing momenta, whose first step is shortened where the momenta of the straight way fail."""
-    return shoot_at(case, case.target, path, points, log)
+    return shoot_at(case, case.target, factor, path, points, log)
 
 
 if QUADRATIC:
 
-    def from_least_action(case, path, points, log):
+    def from_least_action(case, factor, path, points, log):
         """Shoot from the momenta at the start of a path of least action."""
         path[0, 1] = momenta_of_least_action(case)
-        return shoot_at(case, case.target, path, points, log)
+        return shoot_at(case, case.target, factor, path, points, log)
 
 
-def by_continuation(case, path, points, log):
+def by_continuation(case, factor, path, points, log):
     """Move the target from the start to where it belongs, by parts that grow with success."""
     done, part, total = 0.0, 0.25, 0
     known = [(0.0, path[0, 1].copy())]
@@ -110,10 +119,10 @@ def by_continuation(case, path, points, log):
             (s0, p0), (s1, p1) = known[-2:]
             path[0, 1] = p1 + (wanted - s1) / (s1 - s0) * (p1 - p0)
         else:
-            path[0, 1] = momenta_of(case.start, (target - case.start) / case.duration, case.own, case.parameters)
+            path[0, 1] = straight_momenta(case, factor, target)
         log[:, 0] = log[:, 2] = 0.0
         before = log[:, 1].sum()
-        outcome, made, residual = shoot_at(case, target, path, points, log)
+        outcome, made, residual = shoot_at(case, target, factor, path, points, log)
         log[-1, 1] = max(before, log[:, 1].sum())
         total += made
         if outcome > 0:
@@ -131,20 +140,20 @@ def room(case, start_momenta=None):
     return path, np.zeros((case.steps * POINTS, *path.shape[1:]))
 
 
-def by_steps(case, path, points, log):
+def by_steps(case, factor, path, points, log):
     """Solve with two or four times as many steps, then with ever fewer of them.
 
     Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
     note says with how many steps there still is one.
     """
     total, outcome = 0, 0
-    for factor in MORE_STEPS:
-        finer = case._replace(steps=factor * case.steps)
+    for multiple in MORE_STEPS:
+        finer = case._replace(steps=multiple * case.steps)
         fine_path, fine_points = room(finer)
         if QUADRATIC:
-            outcome, made, residual = from_least_action(finer, fine_path, fine_points, log)
+            outcome, made, residual = from_least_action(finer, factor, fine_path, fine_points, log)
         else:
-            outcome, made, residual = by_continuation(finer, fine_path, fine_points, log)
+            outcome, made, residual = by_continuation(finer, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             break
@@ -158,7 +167,7 @@ def by_steps(case, path, points, log):
             (s0, p0), (s1, p1) = known[-2:]
             momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
         fine_path, fine_points = room(fewer, momenta)
-        outcome, made, residual = shoot_at(fewer, fewer.target, fine_path, fine_points, log)
+        outcome, made, residual = shoot_at(fewer, fewer.target, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             finer, ratio = fewer, max(0.5, 0.9 * ratio)
@@ -171,10 +180,10 @@ def by_steps(case, path, points, log):
     return outcome, total, residual, ""
 
 
-def on_all_states(case, path, points, log):
+def on_all_states(case, factor, path, points, log):
     """Newton's method on all states from the guessed path."""
     path[:] = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
-    return all_states(case, path, points, log)
+    return all_states(case, factor, path, points, log)
 
 
 if QUADRATIC:

@@ -13,6 +13,7 @@ from codegen.runtime.pair_trajectory import follow
 
 SECANTS = 40  # iterations, each of which keeps two vectors
 PATIENCE = 6  # iterations after which the residual must have halved
+ENOUGH = 1e-4  # relative accuracy of implicit steps, as a part of that of the arrival before
 
 
 @njit(cache=True, error_model="numpy")
@@ -53,6 +54,7 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
     momenta = path[0, 1].copy()
     moved, kept = momenta.reshape(size), momenta.copy()
     error, norm = fill_end_residual(path[-1], target, sigma, residual)
+    scale = max(np.abs(target).max(), 1e-300)
     start, best, halved, waited, made, is_kept = norm, norm, norm, 0, 0, True
     approximate_inverse(factor, left, right, 0, residual, step)
     while made < SECANTS and error > tolerance and waited < PATIENCE:
@@ -61,7 +63,7 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
             moved[k] += step[k]
         path[0, 1] = momenta
         made, waited, is_kept = made + 1, waited + 1, False
-        if follow(h, own, parameters, path, points) < 0:
+        if follow(h, own, parameters, path, points, max(ENOUGH * error / scale, 1e-15)) < 0:
             break
         error, norm = fill_end_residual(path[-1], target, sigma, residual)
         if not norm <= 2.0 * start:
@@ -84,5 +86,5 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
             step[k] = change[k] * (1.0 - product / along)
     if not is_kept:
         path[0, 1] = kept
-        follow(h, own, parameters, path, points)
+        follow(h, own, parameters, path, points, 0.0)
     return made

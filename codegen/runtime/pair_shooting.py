@@ -177,7 +177,7 @@ def rounding(case, path):
     trial, points = path.copy(), np.empty((case.steps * POINTS, *path.shape[1:]))
     for momenta in jittered(path[0, 1]):
         trial[0, 1] = momenta
-        if follow(h, case.own, case.parameters, trial, points) >= 0:
+        if follow(h, case.own, case.parameters, trial, points, 0.0) >= 0:
             noise = max(noise, largest(end_residual(trial[-1], case.target, case.sigma) - residual))
     return noise
 
@@ -204,14 +204,15 @@ def first_steps(case, h, factor, path, points):
     return secant_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
 
 
-def shoot(case, path, points, log):
+def shoot(case, factor, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
-    A row of `log` is (residual, tangents, step length). Return how it ended, the iterations and the last residual.
+    `factor` is that of `preconditioner`. A row of `log` is (residual, tangents, step length). Return how it ended, the
+    iterations and the last residual.
     """
-    h, factor = case.duration / case.steps, preconditioner(case)
+    h = case.duration / case.steps
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
-    outcome = follow(h, case.own, case.parameters, path, points)
+    outcome = follow(h, case.own, case.parameters, path, points, 0.0)
     if outcome < 0:
         return outcome, 0, np.inf
     made = first_steps(case, h, factor, path, points)
@@ -230,7 +231,8 @@ def shoot(case, path, points, log):
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
             trial_path[0, 0], trial_path[0, 1] = path[0, 0], path[0, 1] + length * change
-            if follow(h, case.own, case.parameters, trial_path, trial_points) >= 0:
+            trial_points[:] = points
+            if follow(h, case.own, case.parameters, trial_path, trial_points, 1e-15) >= 0:
                 trial = end_residual(trial_path[-1], case.target, case.sigma)
                 if np.linalg.norm(trial) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True
@@ -243,12 +245,12 @@ def shoot(case, path, points, log):
     raise AssertionError("unreachable")
 
 
-def all_states(case, path, points, log):
+def all_states(case, factor, path, points, log):
     """Improve all states of `path` but the places at the start; otherwise as `shoot`.
 
     The residual is the largest of all defects of steps and of the end conditions.
     """
-    h, factor = case.duration / case.steps, preconditioner(case)
+    h = case.duration / case.steps
     errors, trial_errors = np.empty_like(path[1:]), np.empty_like(path[1:])
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
     outcome = defects(h, case.own, case.parameters, path, points, errors)

@@ -15,14 +15,18 @@ NON_FINITE = -1  # what `advance` returns when a state is infinite or not a numb
 
 
 @njit(cache=True, error_model="numpy")
-def advance(z, h, own, parameters, points, after):
-    """Fill `points`, shape (POINTS, 2, n, d), and the state `after` a step; return iterations, or why it failed."""
+def advance(z, h, own, parameters, points, after, near=0.0):
+    """Fill `points`, shape (POINTS, 2, n, d), and the state `after` a step; return iterations, or why it failed.
+
+    Where `points` are those of a step from a nearby state, `near` is the relative accuracy that suffices for implicit
+    substeps, which then begin there; else it is zero.
+    """
     before, gradient, iterations = np.empty(z.shape), np.empty(z.shape), 0
     copy_state(z, before)
     for s in range(POINTS):
         step, a, b = h * SUBSTEPS[s][0], SUBSTEPS[s][1], SUBSTEPS[s][2]
         if IMPLICIT and (a > 0.0 or b > 0.0):
-            outcome = implicit_substep(before, step, a, b, own, parameters, gradient, points[s], after)
+            outcome = implicit_substep(before, step, a, b, own, parameters, near, gradient, points[s], after)
             if outcome < 0:
                 return outcome
             iterations += outcome

@@ -10,14 +10,16 @@ OUTSIDE = -4  # what `follow` returns when a particle leaves its domain
 
 
 @njit(cache=True, error_model="numpy")
-def follow(h, own, parameters, path, points):
+def follow(h, own, parameters, path, points, near=0.0):
     """Fill `path`, shape (N + 1, 2, n, d), from its first state, and `points`, shape (N POINTS, 2, n, d).
 
+    Where `points` are those of a nearby trajectory, `near` is the relative accuracy that suffices for implicit steps,
+    which then begin there; else it is zero.
     Return the iterations of all implicit steps, or a negative number that says why a step failed.
     """
     iterations = 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], path[k + 1])
+        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], path[k + 1], near)
         if outcome < 0:
             return outcome
         if not domain_margin(path[k + 1]) > 0.0:
@@ -40,7 +42,7 @@ def defects(h, own, parameters, path, points, errors):
     """Fill `errors`, shape (N, 2, n, d), with a step from each state minus the next state; return as `follow` does."""
     after, iterations = np.empty(path[0].shape), 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after)
+        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after, 0.0)
         if outcome < 0:
             return outcome
         for s in range(2):

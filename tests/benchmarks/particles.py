@@ -1,11 +1,12 @@
 """What the issue on particles promises, measured: accuracy, speed, sizes, hard cases, long motions.
 
-    python tests/benchmarks/particles.py [table speed sizes hard pairs planets] [--repeat R] [--plot FILE.png]
+    python tests/benchmarks/particles.py [table speed sizes threads hard pairs planets] [--repeat R] [--plot FILE.png]
 
 `table` is the thesis's Table 5.2 on data/trilobite40.csv, `speed` compares with scipy's fsolve over vectorised numpy in
-the same run, `sizes` grows the number of landmarks and draws a plot on request, `hard` rotates, brings neighbours
-together and adds noise, `pairs` connects 200 random pairs of the trilobites of the package ktch, which has to be
-installed for it, `planets` follows the outer solar system over a million days. Times are the best of R warm solves.
+the same run, `sizes` grows the number of landmarks and draws a plot on request, `threads` compares one thread with
+several, `hard` rotates, brings neighbours together and adds noise, `pairs` connects 200 random pairs of the trilobites
+of the package ktch, which has to be installed for it, `planets` follows the outer solar system over a million days.
+Times are the best of R warm solves.
 """
 
 import os
@@ -45,13 +46,13 @@ def module(scheme: str, method: str | None = None) -> Any:
     return load(build(REGISTRATION, scheme=scheme, method=method).path)
 
 
-def best(run: Callable[[], Any], repeat: int) -> tuple[Any, float]:
+def best(run: Callable[[], Any], repeat: int, clock: Callable[[], float] = perf_counter) -> tuple[Any, float]:
     """The last result and the least time of several warm runs."""
     result, seconds = run(), np.inf
     for _ in range(repeat):
-        begin = perf_counter()
+        begin = clock()
         result = run()
-        seconds = min(seconds, perf_counter() - begin)
+        seconds = min(seconds, clock() - begin)
     return result, seconds
 
 
@@ -85,25 +86,36 @@ def numpy_kernel(q: Any) -> tuple[Any, Any]:
     return green, 2 * by_s[..., None] * difference - 2 * by_a[..., None] * q[:, None]
 
 
-def numpy_path(start: Any, momenta: Any, steps: int) -> tuple[Any, float]:
-    """Where explicit Euler steps arrive, and the discrete cost."""
+def numpy_rates(q: Any, p: Any) -> tuple[Any, Any, float]:
+    """The field H_p and -H_q, both of shape (n, 2), and 2 H."""
+    green, slope = numpy_kernel(q)
+    dots = p @ p.T
+    return green @ p, -(dots[..., None] * slope).sum(1), float((dots * green).sum())
+
+
+def numpy_path(start: Any, momenta: Any, steps: int, place: float = 0.0) -> tuple[Any, float]:
+    """Where steps arrive, and the discrete cost: explicit Euler for `place` 0, iterated midpoint for 1/2."""
     q, p, cost = start.copy(), momenta.reshape(start.shape), 0.0
     for _ in range(steps):
-        green, slope = numpy_kernel(q)
-        dots = p @ p.T
-        cost += (dots * green).sum() / steps
-        q, p = q + green @ p / steps, p - (dots[..., None] * slope).sum(1) / steps
+        by_p, by_q, energy = numpy_rates(q, p)
+        change, left = np.inf, 40 if place else 0
+        while change > 1e-14 and left > 0:
+            before, left = by_p, left - 1
+            by_p, by_q, energy = numpy_rates(q + place * by_p / steps, p + place * by_q / steps)
+            change = np.abs(by_p - before).max()
+        cost += energy / steps
+        q, p = q + by_p / steps, p + by_q / steps
     return q, cost
 
 
-def numpy_fsolve(points: PointSet, steps: int) -> tuple[float, float]:
+def numpy_fsolve(points: PointSet, steps: int, place: float) -> tuple[float, float]:
     """The same shooting by scipy's fsolve with finite differences over vectorised numpy: cost and seconds."""
     q0, q1 = points.start, points.target
     start = np.linalg.solve(numpy_kernel(q0)[0], q1 - q0).ravel()
-    begin = perf_counter()
-    found = scipy.optimize.fsolve(lambda p: (numpy_path(q0, p, steps)[0] - q1).ravel(), start, xtol=1e-12)
-    seconds = perf_counter() - begin
-    return numpy_path(q0, found, steps)[1], seconds
+    begin = process_time()
+    found = scipy.optimize.fsolve(lambda p: (numpy_path(q0, p, steps, place)[0] - q1).ravel(), start, xtol=1e-12)
+    seconds = process_time() - begin
+    return numpy_path(q0, found, steps, place)[1], seconds
 
 
 def speed(repeat: int) -> None:
@@ -114,10 +126,15 @@ def speed(repeat: int) -> None:
     for name, made, used in (("euler 40", euler, points), ("midpoint 40", midpoint, points), ("euler 5", euler, few)):
         solution, seconds = best(lambda m=made, u=used: m.solve(u.start, u.target), repeat)
         CONSOLE.print(f"{name}: {solution.status}, cost {solution.cost:.13f}, {1e3 * seconds:.3f} ms")
-    solution, ours = best(lambda: euler.solve(points.start, points.target), repeat)
-    cost, theirs = numpy_fsolve(points, 10)
-    CONSOLE.print(f"cost minus reference {solution.cost - REFERENCE:.1e}, minus numpy's {solution.cost - cost:.1e}")
-    CONSOLE.print(f"numpy and fsolve: {theirs:.3f} s, {theirs / ours:.0f} times ours")
+        if made is euler and used is points:
+            CONSOLE.print(f"cost minus reference {solution.cost - REFERENCE:.1e}")
+    for name, made, place in (("euler", euler, 0.0), ("midpoint", midpoint, 0.5)):
+        solution, ours = best(lambda m=made: m.solve(points.start, points.target), repeat, process_time)
+        cost, theirs = numpy_fsolve(points, 10, place)
+        CONSOLE.print(
+            f"{name} 40, processor time: {1e3 * ours:.3f} ms; numpy and fsolve: {theirs:.3f} s, {theirs / ours:.0f} "
+            f"times ours; cost minus numpy's {solution.cost - cost:.1e}"
+        )
 
 
 def smooth_pair(count: int, seed: int = 1) -> PointSet:
@@ -139,23 +156,50 @@ def sizes(repeat: int, plot: Path | None = None) -> None:
     counts, times = (5, 10, 20, 50, 100, 200, 500, 1000, 2000), list[float]()
     for count in counts:
         points = smooth_pair(count)
-        runs = repeat if count < 500 else 1
-        used = process_time()
-        solution, seconds = best(lambda p=points: euler.solve(p.start, p.target), runs)
-        used = (process_time() - used) / (runs + 1)
+        runs, begin = repeat if count < 500 else 1, perf_counter()
+        solution, used = best(lambda p=points: euler.solve(p.start, p.target), runs, process_time)
+        seconds = (perf_counter() - begin) / (runs + 1)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-        times.append(seconds)
+        times.append(used)
         CONSOLE.print(
             f"nc {count:5d}: {solution.status}, residual {solution.residual:.1e}, {solution.iterations} iterations, "
-            f"{solution.tangents} tangents, {seconds:.4f} s ({used:.4f} s of processor time), peak {memory:.0f} MB"
+            f"{solution.tangents} tangents, {used:.4f} s of processor time, {seconds:.4f} s by the clock, "
+            f"peak {memory:.0f} MB"
         )
     if plot is not None:
         figure, axes = pyplot.subplots(figsize=(5, 3.5), layout="constrained")
         axes.loglog(counts, times, "o-")
-        axes.loglog(counts[4:], [times[-1] * (n / counts[-1]) ** 2 for n in counts[4:]], "k:", label="quadratic")
-        axes.set(xlabel="landmarks", ylabel="seconds, explicit Euler, 10 steps")
-        axes.legend()
+        for power, style in ((2, ":"), (3, "--")):
+            line = [times[6] * (n / counts[6]) ** power for n in counts[4:]]
+            axes.loglog(counts[4:], line, style, color="0.4", label=f"power {power}")
+        ticks = [n for n in counts if str(n)[0] in "15" or n == counts[-1]]
+        axes.set(
+            xlabel="landmarks", ylabel="seconds, explicit Euler, 10 steps", xticks=ticks, xticklabels=map(str, ticks)
+        )
+        axes.xaxis.minorticks_off()
+        axes.legend(frameon=False)
         figure.savefig(plot, dpi=150)
+
+
+def threads(repeat: int) -> None:
+    """Whole solves by one thread and by several, in turn, and the gradient alone; the answers are equal."""
+    one = module("explicit-euler")
+    several: Any = load(build(REGISTRATION, {"parallel": "true"}, scheme="explicit-euler").path)
+    for count in (40, 100, 200, 500, 1000, 2000):
+        points, found = smooth_pair(count), []
+        state, out = np.stack([points.start, points.target]), np.empty((2, count, 2))
+        for _ in range(max(1, min(repeat, 4000 // count))):
+            for made in (one, several):
+                case, runs = made.make_case(points.start, points.target), max(1, 2000 // count)
+                solution, solve = best(lambda m=made, c=case: m.solve_case(c), 1)
+                gradient = partial(made.hamiltonian_gradient, state, case.own, case.parameters, out)
+                found.append((solution.p, solve, best(gradient, runs)[1]))
+        assert np.array_equal(found[0][0], found[1][0])
+        for what, k in (("solve", 1), ("gradient", 2)):
+            by_one, shared = (1e3 * min(row[k] for row in found[made::2]) for made in (0, 1))
+            CONSOLE.print(
+                f"nc {count:5d}: {what} {by_one:.4g} and {shared:.4g} ms, {by_one / shared:.2f} times as fast"
+            )
 
 
 def hard(repeat: int) -> None:
@@ -283,7 +327,7 @@ def planets(repeat: int) -> None:
 def main() -> None:
     """Run the named parts, or all."""
     parts: dict[str, Callable[[int], None]] = {
-        function.__name__: function for function in (table, speed, sizes, hard, pairs, planets)
+        function.__name__: function for function in (table, speed, sizes, threads, hard, pairs, planets)
     }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[*parts, []])
