@@ -6,6 +6,7 @@ import ast
 import hashlib
 import os
 import re
+import sys
 import tempfile
 from dataclasses import fields
 from importlib import resources
@@ -36,6 +37,7 @@ def render(module: Module, origin: Origin) -> str:
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
     values |= {
         "runtime": runtime_source(module.runtime, module.sizes),
+        "imports": standard_imports(module.runtime),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
@@ -62,6 +64,16 @@ def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = 
         comment = "\n".join(f"# {line}".rstrip() for line in docstring.splitlines())
         parts.append(f"{comment}\n\n\n{body}" if body.startswith(("@", "def", "class")) else f"{comment}\n\n{body}")
     return "\n\n\n".join(parts)
+
+
+def standard_imports(names: tuple[str, ...]) -> list[str]:
+    """What runtime files import from the standard library, beside what every module does."""
+    found = set()
+    for name in names:
+        tree = ast.parse(resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8"))
+        nodes = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+        found |= {ast.unparse(n) for n in nodes if n.module in sys.stdlib_module_names and n.module != "typing"}
+    return sorted(found)
 
 
 def _is_head(node: ast.stmt) -> bool:
