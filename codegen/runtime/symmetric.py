@@ -4,7 +4,7 @@ Rows are eliminated one or two at a time, in an order that is chosen on the way 
 is kept are the rows of the unit factor U, strictly triangular when sorted by that order, and the inverse of the pivots
 D: K = U' D U. Rows are as wide as a multiple of four, and what they do not need is zero: entries are taken four at a
 time, which a compiler turns into one instruction each (numba does where NUMBA_SLP_VECTORIZE is set, as `codegen build`
-sets it). All is inlined where it is used, so that numbers of rows and columns are constants to the compiler, which takes
+sets it). All is inlined where it is used, so that numbers of rows and columns are constants to the compiler: that takes
 a quarter to a third of a factorisation's time away. Source: Bunch and Kaufman (1977), Some stable methods for
 calculating inertia and solving symmetric linear systems; Higham (2002), Accuracy and stability of numerical algorithms,
 section 11.1.
@@ -165,13 +165,24 @@ def solve_pivots(inverse, order, count, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_backward(upper, order, count, width, values):
-    """Overwrite the first `count` values by the solution with U, in which the rest is known."""
-    for c in range(count - 1, -1, -1):
-        p = order[c]
+    """Overwrite the first `count` values by the solution with U, in which the rest is known.
+
+    What is known goes to the right-hand sides first, so that only the short sums over the other unknowns have to wait
+    for one another.
+    """
+    fours = (count + 3) // 4 * 4
+    for p in range(count):
         one = two = three = four = 0.0
-        for j in range(0, width, 4):
+        for j in range(count, fours):
+            one += upper[p, j] * values[j]
+        for j in range(fours, width, 4):
             one += upper[p, j] * values[j]
             two += upper[p, j + 1] * values[j + 1]
             three += upper[p, j + 2] * values[j + 2]
             four += upper[p, j + 3] * values[j + 3]
         values[p] -= (one + two) + (three + four)
+    for c in range(count - 2, -1, -1):
+        value = values[order[c]]
+        for k in range(c + 1, count):
+            value -= upper[order[c], order[k]] * values[order[k]]
+        values[order[c]] = value
