@@ -6,7 +6,9 @@ import ast
 import hashlib
 import os
 import re
+import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import fields
 from importlib import resources
 from pathlib import Path
@@ -37,6 +39,7 @@ def render(module: Module, origin: Origin) -> str:
     values |= {
         "numba_names": numba_names(module.runtime),
         "runtime": runtime_source(module.runtime, module.sizes),
+        "imports": standard_imports(module.runtime),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
@@ -67,10 +70,21 @@ def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = 
 
 def numba_names(names: tuple[str, ...]) -> list[str]:
     """What a module imports of numba: `njit`, and what else its runtime files import."""
-    texts = [resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8") for name in names]
-    trees = [node for text in texts for node in ast.parse(text).body]
-    found = {a.name for n in trees if isinstance(n, ast.ImportFrom) and n.module == "numba" for a in n.names}
+    found = {alias.name for node in _imports(names) if node.module == "numba" for alias in node.names}
     return sorted({"njit"} | found)
+
+
+def standard_imports(names: tuple[str, ...]) -> list[str]:
+    """What runtime files import from the standard library, beside what every module does."""
+    found = {ast.unparse(n) for n in _imports(names) if n.module in sys.stdlib_module_names and n.module != "typing"}
+    return sorted(found)
+
+
+def _imports(names: tuple[str, ...]) -> Iterator[ast.ImportFrom]:
+    """The lines `from ... import ...` of runtime files."""
+    for name in names:
+        tree = ast.parse(resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8"))
+        yield from (node for node in tree.body if isinstance(node, ast.ImportFrom))
 
 
 def _is_head(node: ast.stmt) -> bool:

@@ -46,6 +46,7 @@ Operations per interval, before and after common subexpressions are shared:
 
 import math
 import sys
+from functools import lru_cache
 from types import ModuleType
 from typing import NamedTuple
 
@@ -469,6 +470,7 @@ def padded(size):
 
 
 BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
+INNER = BLOCK - ONLY_AT_ENDS.size if BLOCK == NODE else BLOCK  # those to eliminate: what only ends have comes last
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
 BORDER = FIRST.size
@@ -527,13 +529,15 @@ def end_entries(grid, unknowns):
 # is kept are the rows of the unit factor U, strictly triangular when sorted by that order, and the inverse of the pivots
 # D: K = U' D U. Rows are as wide as a multiple of four, and what they do not need is zero: entries are taken four at a
 # time, which a compiler turns into one instruction each (numba does where NUMBA_SLP_VECTORIZE is set, as `codegen build`
-# sets it). Source: Bunch and Kaufman (1977), Some stable methods for calculating inertia and solving symmetric linear
-# systems; Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
+# sets it). All is inlined where it is used, so that numbers of rows and columns are constants to the compiler: that takes
+# a quarter to a third of a factorisation's time away. Source: Bunch and Kaufman (1977), Some stable methods for
+# calculating inertia and solving symmetric linear systems; Higham (2002), Accuracy and stability of numerical algorithms,
+# section 11.1.
 
 BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 
@@ -576,7 +580,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
     return negative
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
     """Eliminate the row that comes at place c; return whether its pivot is negative."""
     p = order[c]
@@ -594,7 +598,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
     return reciprocal < 0.0
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     """Eliminate the rows that come at places c and c + 1 together; one of two such pivots is negative."""
     p, q = order[c], order[c + 1]
@@ -616,7 +620,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     upper[p, p] = upper[p, q] = upper[q, p] = upper[q, q] = 0.0
 
 
-@njit(error_model="numpy", fastmath={"contract"})
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
     """Subtract a multiple of row p of one matrix from row i of another, or of the same."""
     for j in range(0, width, 4):
@@ -630,7 +634,7 @@ def subtract_row(multiple, source, p, width, target, i):
         target[i, j + 3] = four
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def subtract_products(upper, matrix, count, first, rows, width, rest):
     """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
 
@@ -653,7 +657,7 @@ def subtract_products(upper, matrix, count, first, rows, width, rest):
             rest[i, j + 3] = four
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_forward(upper, order, count, width, values):
     """Overwrite the first `count` values by inverse(U') times them; the rest loses its share."""
     for c in range(count):
@@ -668,7 +672,7 @@ def solve_forward(upper, order, count, width, values):
             values[j + 3] = four
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_pivots(inverse, order, count, values):
     """Multiply the first `count` values by the inverse of the pivots."""
     carried = 0.0
@@ -680,18 +684,29 @@ def solve_pivots(inverse, order, count, values):
         carried = inverse[c, 1] * value
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_backward(upper, order, count, width, values):
-    """Overwrite the first `count` values by the solution with U, in which the rest is known."""
-    for c in range(count - 1, -1, -1):
-        p = order[c]
+    """Overwrite the first `count` values by the solution with U, in which the rest is known.
+
+    What is known goes to the right-hand sides first, so that only the short sums over the other unknowns have to wait
+    for one another.
+    """
+    fours = (count + 3) // 4 * 4
+    for p in range(count):
         one = two = three = four = 0.0
-        for j in range(0, width, 4):
+        for j in range(count, fours):
+            one += upper[p, j] * values[j]
+        for j in range(fours, width, 4):
             one += upper[p, j] * values[j]
             two += upper[p, j + 1] * values[j + 1]
             three += upper[p, j + 2] * values[j + 2]
             four += upper[p, j + 3] * values[j + 3]
         values[p] -= (one + two) + (three + four)
+    for c in range(count - 2, -1, -1):
+        value = values[order[c]]
+        for k in range(c + 1, count):
+            value -= upper[order[c], order[k]] * values[order[k]]
+        values[order[c]] = value
 
 
 # What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery.
@@ -729,7 +744,7 @@ def scatter(hessian, element, coupling):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def invert_positive_definite(block, inverse):
     """Invert a small symmetric matrix by Gauss-Jordan elimination in place; False when it is not positive definite."""
     for k in range(CONDENSED):
@@ -884,11 +899,12 @@ def allocate_system(grid):
     """Room for the factors, for what is condensed, and the number of equations.
 
     The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
-    the pivots and the order of elimination each; zeros, so that solving without factors stays inside the arrays.
+    the pivots and the order of elimination each. The order is zeros, so that solving without factors stays inside the
+    arrays.
     """
     blocks, last, root = (BODIES, grid.steps, BLOCK), (BODIES, LAST), (ROOT,)
     factors = [
-        (np.zeros((*rows, width)), np.zeros((*rows, 2)), np.zeros(rows, np.uint64))
+        (np.empty((*rows, width)), np.empty((*rows, 2)), np.zeros(rows, np.uint64))
         for rows, width in ((blocks, WIDTH), (last, LAST_WIDTH), (root, ROOT_WIDTH))
     ]
     return (*factors, allocate_condensed(grid)), multiplier_unknowns(grid).size
@@ -957,14 +973,14 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             begin_front(element, rest)
             continue
         move_front(element, rest)
-        found = eliminate_rows(element, BLOCK, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
+        found = eliminate_rows(element, INNER, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
         if found < 0:
             return False, 0, 0
         negative += found
         # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
         if negative > k * MULTIPLIERS + ENDING + COMMON:
             return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
-        subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
+        subtract_products(upper[body, k], element, INNER, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last, left)
     found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
     if found < 0:
@@ -1066,7 +1082,7 @@ def forward(upper, order, right, last):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_forward(upper[k], order[k], BLOCK, COLUMNS, front)
+        solve_forward(upper[k], order[k], INNER, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
         for i in range(NODE):
@@ -1090,8 +1106,8 @@ def backward(upper, inverse, order, last, right):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_pivots(inverse[k], order[k], BLOCK, front)
-        solve_backward(upper[k], order[k], BLOCK, COLUMNS, front)
+        solve_pivots(inverse[k], order[k], INNER, front)
+        solve_backward(upper[k], order[k], INNER, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
 
@@ -1541,11 +1557,10 @@ def is_minimum(search, iterate, tolerance):
     """
     grid, bounds, system, _ = search
     shift = max(FLAT, 100.0 * tolerance)
-    diagonal, unused = np.empty((2, iterate.point.unknowns.size))
-    add_barrier(
-        unused, grid.is_multiplier, *bounds[::2], iterate.distance, iterate.duals, 0.0, shift, FLAT, unused, diagonal
-    )
-    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
+    point, (diagonal, unused) = iterate.point, np.empty((2, iterate.point.unknowns.size))
+    barrier = grid.is_multiplier, *bounds[::2], iterate.distance, iterate.duals, 0.0
+    add_barrier(point.gradient, *barrier, shift, FLAT, unused, diagonal)
+    return factor_kkt(grid, point.unknowns, 1.0, diagonal, system) == 0
 
 
 def with_multipliers(search, unknowns, mu):
@@ -1601,7 +1616,7 @@ def regularised_step(search, iterate, mu, last_shift):
         if excess == 0:
             solve_kkt(grid, system, gradient, primal)
             measured = measure_step(point.unknowns, gradient, primal, *barrier, max(0.99, 1.0 - mu), dual)
-            if np.isfinite(measured[0]):
+            if abs(measured[0]) < np.inf:
                 return Step(primal, dual, gradient, *measured, shift)
         elif dual_shift == 0.0 and (excess is None or excess < 0):
             dual_shift = 1e-8 * mu**0.25  # the equations may be dependent
@@ -1692,18 +1707,23 @@ def discrete_momenta(grid, unknowns):
 
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
-    parts = np.empty((BODIES, grid.steps, ELEMENT + SHARED))
-    interval_parts(unknowns, grid.steps, grid.h, grid.parameters, parts)
-    return np.concatenate([-parts[:, :, EQUATIONS], parts[:, -1:, STRIDE + EQUATIONS]], axis=1)
+    momenta = np.empty((BODIES, grid.steps + 1, EQUATIONS.size))
+    interval_momenta(unknowns, grid.steps, grid.h, grid.parameters, momenta)
+    return momenta
 
 
 @njit(cache=True, error_model="numpy")
-def interval_parts(unknowns, steps, h, parameters, parts):
-    """Fill `parts` with the gradient of every interval's l."""
+def interval_momenta(unknowns, steps, h, parameters, momenta):
+    """Fill `momenta` from the gradient of every interval's l."""
+    part = np.empty(ELEMENT + SHARED)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters[body], parts[body, k])
+            interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters[body], part)
+            for i in range(EQUATIONS.size):
+                momenta[body, k, i] = -part[EQUATIONS[i]]
+        for i in range(EQUATIONS.size):
+            momenta[body, steps, i] = part[STRIDE + EQUATIONS[i]]
 
 
 # What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
@@ -1721,12 +1741,7 @@ def checked_grid(steps, duration, parameters):
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
-    chain = steps * STRIDE + NODE
-    is_multiplier = np.zeros(BODIES * chain + ROOT, dtype=bool)
-    chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
-    chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
-    chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
-    return Grid(steps, float(duration) / steps, table, is_multiplier)
+    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy())
 
 
 def replace_values(boundary, where, values):
@@ -1762,32 +1777,56 @@ def print_log(rows):
         print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}{weight}")
 
 
-# The problem as other optimisers want it: cost, constraints and their derivatives in the free unknowns.
-#
-# Free primal unknowns and free multipliers are picked out of the vector of all unknowns by index arrays; what is pinned
-# by a boundary condition appears in neither. Matrices are returned as (rows, columns, values).
+# Which unknowns are multipliers, and which no boundary condition fixes: functions of the number of intervals alone.
+
+
+class Layout(NamedTuple):
+    """Masks of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+
+    is_multiplier: np.ndarray
+    is_free: np.ndarray
+    primal: np.ndarray
+    multipliers: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def layout(steps):
+    """The layout of `steps` intervals, kept for the next solve; its arrays are read-only."""
+    chain = steps * STRIDE + NODE
+    is_multiplier, is_free = np.zeros(BODIES * chain + ROOT, dtype=bool), np.ones(BODIES * chain + ROOT, dtype=bool)
+    chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
+    chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
+    chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
+    chains = is_free[: BODIES * chain].reshape(BODIES, chain)
+    for i in ONLY_AT_ENDS:
+        chains[:, i + STRIDE : -NODE : STRIDE] = False
+    chains[:, START_PINNED] = False
+    chains[:, chain - NODE + END_PINNED] = False
+    primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
+    for array in (is_multiplier, is_free, primal, multipliers):
+        array.flags.writeable = False
+    return Layout(is_multiplier, is_free, primal, multipliers)
 
 
 def free_unknowns(grid):
     """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
-    free = np.ones(grid.is_multiplier.size, dtype=bool)
-    chain = grid.steps * STRIDE + NODE
-    bodies = free[: BODIES * chain].reshape(BODIES, chain)
-    for i in ONLY_AT_ENDS:
-        bodies[:, i + STRIDE : -NODE : STRIDE] = False
-    bodies[:, START_PINNED] = False
-    bodies[:, chain - NODE + END_PINNED] = False
-    return free
+    return layout(grid.steps).is_free
 
 
 def primal_unknowns(grid):
     """Indices of the free primal unknowns."""
-    return np.flatnonzero(free_unknowns(grid) & ~grid.is_multiplier)
+    return layout(grid.steps).primal
 
 
 def multiplier_unknowns(grid):
     """Indices of the multipliers whose equations are imposed."""
-    return np.flatnonzero(free_unknowns(grid) & grid.is_multiplier)
+    return layout(grid.steps).multipliers
+
+
+# The problem as other optimisers want it: cost, constraints and their derivatives in the free unknowns.
+#
+# Free primal unknowns and free multipliers are picked out of the vector of all unknowns by index arrays; what is pinned
+# by a boundary condition appears in neither. Matrices are returned as (rows, columns, values).
 
 
 def cost(grid, unknowns):
@@ -1873,9 +1912,11 @@ def prescribed_beyond(grid, unknowns):
     for first in range(0, BODIES * chain if grid.steps > 1 else 0, chain):
         for end, here, inner in (("start", first, first + STRIDE), ("end", first + last, first + last - STRIDE)):
             for i, name in enumerate(metadata["node"]):
+                if not pinned[here + i]:
+                    continue
                 value, low, high = unknowns[here + i], lower[inner + i], upper[inner + i]
                 margin = 1e-9 * max(1.0, abs(value))
-                if pinned[here + i] and not low - margin <= value <= high + margin:
+                if not low - margin <= value <= high + margin:
                     return f"{name} is prescribed as {value:g} at the {end}, beyond its bounds {low:g} to {high:g}"
     return ""
 
@@ -2371,7 +2412,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_acrobot_9e73414c31d88477"
+_IDENTITY = "codegen_acrobot_1ac58cce30d3e80f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

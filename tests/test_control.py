@@ -195,6 +195,18 @@ def test_callbacks_are_each_others_derivatives(interpreted, name, text, choices)
     assert module.constraints(grid, unknowns).size == multipliers.size
 
 
+def test_layouts_are_shared_by_grids_and_cannot_be_changed(interpreted):
+    module = interpreted("linear_pendulum")
+    grid = module.make_grid(5)
+    free = module.free_unknowns(grid)
+    with pytest.raises(ValueError, match="read-only"):
+        free[0] = True
+    grid.is_multiplier[:] = True  # a grid's own
+    assert module.make_grid(5).is_multiplier.tolist() == [False, True, False] * 5 + [False, True]
+    assert free.tolist() == [False, True, True] + [True] * 12 + [False, True]
+    assert module.free_unknowns(module.make_grid(6)).size == 20
+
+
 def test_boundary_values_stay_arguments(linear_pendulum):
     solution = linear_pendulum.solve(50, start={"q": 0.3, "dq": 0.1}, end={"q": -0.2}, duration=1.0)
     assert solution.q[0, 0] == 0.3

@@ -207,6 +207,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "frame",
         *(("slacks",) if layout.slack_places(program) else ()),
         *(("phases",) if program.phases else ()),
+        "layout",
         "callbacks",
         *(("limits",) if program.has_inequalities else ()),
         "curvature",

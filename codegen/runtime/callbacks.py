@@ -13,46 +13,17 @@ from codegen.runtime.example import (
     BODIES,
     COUPLINGS,
     ELEMENT,
-    END_PINNED,
     HESSIAN_COLUMNS,
     HESSIAN_ROWS,
     NODE,
-    ONLY_AT_ENDS,
-    PHASES,
     ROOT,
     SHARED,
-    START_PINNED,
     STRIDE,
     interval_hessian,
 )
-from codegen.runtime.phases import lacking_unknowns
+from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.point import evaluate
 from codegen.runtime.shared import read_shared, root_place, shared_representatives
-
-
-def free_unknowns(grid):
-    """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
-    free = np.ones(grid.is_multiplier.size, dtype=bool)
-    chain = grid.steps * STRIDE + NODE
-    bodies = free[: BODIES * chain].reshape(BODIES, chain)
-    for i in ONLY_AT_ENDS:
-        bodies[:, i + STRIDE : -NODE : STRIDE] = False
-    bodies[:, START_PINNED] = False
-    bodies[:, chain - NODE + END_PINNED] = False
-    if PHASES:
-        intervals = bodies[:, : grid.steps * STRIDE].reshape(BODIES, grid.steps, STRIDE)
-        intervals[:, :, NODE:] &= ~lacking_unknowns(grid)
-    return free
-
-
-def primal_unknowns(grid):
-    """Indices of the free primal unknowns."""
-    return np.flatnonzero(free_unknowns(grid) & ~grid.is_multiplier)
-
-
-def multiplier_unknowns(grid):
-    """Indices of the multipliers whose equations are imposed."""
-    return np.flatnonzero(free_unknowns(grid) & grid.is_multiplier)
 
 
 def cost(grid, unknowns):

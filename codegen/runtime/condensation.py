@@ -50,7 +50,7 @@ def scatter(hessian, element, coupling):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def invert_positive_definite(block, inverse):
     """Invert a small symmetric matrix by Gauss-Jordan elimination in place; False when it is not positive definite."""
     for k in range(CONDENSED):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from codegen.runtime.callbacks import free_unknowns
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.layout import free_unknowns
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4

@@ -20,7 +20,9 @@ def allocate_condensed(grid):
     """The block C, its inverse, and B of all intervals of all bodies."""
     block = np.zeros((CONDENSED, CONDENSED))
     control_hessian(grid.h, grid.parameters[0], block)
-    block += np.tril(block, -1).T
+    for a in range(CONDENSED):
+        for b in range(a):
+            block[b, a] = block[a, b]
     couplings = np.zeros((BODIES * grid.steps, CONDENSED, WIDTH))
     return block, np.empty((1, CONDENSED, CONDENSED)), couplings
 

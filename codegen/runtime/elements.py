@@ -16,6 +16,7 @@ from codegen.runtime.example import (
     HESSIAN_ROWS,
     IS_MULTIPLIER,
     NODE,
+    ONLY_AT_ENDS,
     PHASES,
     SHARED,
     SHARED_IS_MULTIPLIER,
@@ -33,6 +34,7 @@ def padded(size):
 
 
 BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
+INNER = BLOCK - ONLY_AT_ENDS.size if BLOCK == NODE else BLOCK  # those to eliminate: what only ends have comes last
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
 BORDER = FIRST.size

@@ -2,17 +2,8 @@
 
 import numpy as np
 
-from codegen.runtime.example import (
-    BODIES,
-    COUPLINGS,
-    IS_MULTIPLIER,
-    NODE,
-    PHASES,
-    ROOT,
-    SHARED,
-    SHARED_IS_MULTIPLIER,
-    STRIDE,
-)
+from codegen.runtime.example import BODIES, NODE, PHASES, SHARED, STRIDE
+from codegen.runtime.layout import layout
 from codegen.runtime.point import Grid
 
 
@@ -30,16 +21,7 @@ def checked_grid(steps, duration, parameters):
     steps = int(steps)
     if PHASES:
         steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
-    chain = steps * STRIDE + NODE
-    is_multiplier = np.zeros(BODIES * chain + ROOT, dtype=bool)
-    chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
-    chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
-    chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
-    if COUPLINGS:
-        is_multiplier[is_multiplier.size - COUPLINGS :] = True
-    if PHASES:
-        is_multiplier[BODIES * chain :] = SHARED_IS_MULTIPLIER
-    return Grid(steps, float(duration) / steps, table, is_multiplier)
+    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy())
 
 
 def replace_values(boundary, where, values):

@@ -25,6 +25,7 @@ from codegen.runtime.elements import (
     BORDER,
     COLUMNS,
     FIRST,
+    INNER,
     IS_CURVATURE,
     LOCAL_IS_MULTIPLIER,
     ROWS,
@@ -48,7 +49,7 @@ from codegen.runtime.example import (
     STRIDE,
     interval_hessian,
 )
-from codegen.runtime.callbacks import multiplier_unknowns
+from codegen.runtime.layout import multiplier_unknowns
 from codegen.runtime.shared import follow_shared, read_shared, root_place
 from codegen.runtime.symmetric import (
     eliminate_rows,
@@ -72,11 +73,12 @@ def allocate_system(grid):
     """Room for the factors, for what is condensed, and the number of equations.
 
     The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
-    the pivots and the order of elimination each; zeros, so that solving without factors stays inside the arrays.
+    the pivots and the order of elimination each. The order is zeros, so that solving without factors stays inside the
+    arrays.
     """
     blocks, last, root = (BODIES, grid.steps, BLOCK), (BODIES, LAST), (ROOT,)
     factors = [
-        (np.zeros((*rows, width)), np.zeros((*rows, 2)), np.zeros(rows, np.uint64))
+        (np.empty((*rows, width)), np.empty((*rows, 2)), np.zeros(rows, np.uint64))
         for rows, width in ((blocks, WIDTH), (last, LAST_WIDTH), (root, ROOT_WIDTH))
     ]
     return (*factors, allocate_condensed(grid)), multiplier_unknowns(grid).size
@@ -159,14 +161,14 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
             begin_front(element, rest)
             continue
         move_front(element, rest)
-        found = eliminate_rows(element, BLOCK, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
+        found = eliminate_rows(element, INNER, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
         if found < 0:
             return False, 0, 0
         negative += found
         # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
         if negative > k * MULTIPLIERS + ENDING + COMMON:
             return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
-        subtract_products(upper[body, k], element, BLOCK, BLOCK, REST, REST_WIDTH, rest)
+        subtract_products(upper[body, k], element, INNER, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last, left)
     found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
     if found < 0:
@@ -290,7 +292,7 @@ def forward(upper, order, right, last):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_forward(upper[k], order[k], BLOCK, COLUMNS, front)
+        solve_forward(upper[k], order[k], INNER, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
         for i in range(NODE):
@@ -318,7 +320,7 @@ def backward(upper, inverse, order, last, right):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_pivots(inverse[k], order[k], BLOCK, front)
-        solve_backward(upper[k], order[k], BLOCK, COLUMNS, front)
+        solve_pivots(inverse[k], order[k], INNER, front)
+        solve_backward(upper[k], order[k], INNER, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]

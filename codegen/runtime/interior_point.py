@@ -19,11 +19,11 @@ from codegen.runtime.barrier import (
     move_duals,
     push_inside,
 )
-from codegen.runtime.callbacks import multiplier_unknowns
 from codegen.runtime.curvature import FLAT
 from codegen.runtime.example import variable_bounds
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.layout import multiplier_unknowns
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_rounding, is_solved
@@ -164,11 +164,10 @@ def is_minimum(search, iterate, tolerance):
     """
     grid, bounds, system, _ = search
     shift = max(FLAT, 100.0 * tolerance)
-    diagonal, unused = np.empty((2, iterate.point.unknowns.size))
-    add_barrier(
-        unused, grid.is_multiplier, *bounds[::2], iterate.distance, iterate.duals, 0.0, shift, FLAT, unused, diagonal
-    )
-    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, system) == 0
+    point, (diagonal, unused) = iterate.point, np.empty((2, iterate.point.unknowns.size))
+    barrier = grid.is_multiplier, *bounds[::2], iterate.distance, iterate.duals, 0.0
+    add_barrier(point.gradient, *barrier, shift, FLAT, unused, diagonal)
+    return factor_kkt(grid, point.unknowns, 1.0, diagonal, system) == 0
 
 
 def with_multipliers(search, unknowns, mu):
@@ -224,7 +223,7 @@ def regularised_step(search, iterate, mu, last_shift):
         if excess == 0:
             solve_kkt(grid, system, gradient, primal)
             measured = measure_step(point.unknowns, gradient, primal, *barrier, max(0.99, 1.0 - mu), dual)
-            if np.isfinite(measured[0]):
+            if abs(measured[0]) < np.inf:
                 return Step(primal, dual, gradient, *measured, shift)
         elif dual_shift == 0.0 and (excess is None or excess < 0):
             dual_shift = 1e-8 * mu**0.25  # the equations may be dependent

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from codegen.runtime.callbacks import free_unknowns
 from codegen.runtime.example import BODIES, NODE, STRIDE, metadata, variable_bounds
+from codegen.runtime.layout import free_unknowns
 
 
 def at_limits(grid, unknowns):
@@ -25,8 +25,10 @@ def prescribed_beyond(grid, unknowns):
     for first in range(0, BODIES * chain if grid.steps > 1 else 0, chain):
         for end, here, inner in (("start", first, first + STRIDE), ("end", first + last, first + last - STRIDE)):
             for i, name in enumerate(metadata["node"]):
+                if not pinned[here + i]:
+                    continue
                 value, low, high = unknowns[here + i], lower[inner + i], upper[inner + i]
                 margin = 1e-9 * max(1.0, abs(value))
-                if pinned[here + i] and not low - margin <= value <= high + margin:
+                if not low - margin <= value <= high + margin:
                     return f"{name} is prescribed as {value:g} at the {end}, beyond its bounds {low:g} to {high:g}"
     return ""

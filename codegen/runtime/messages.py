@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.callbacks import hessian, jacobian, multiplier_unknowns, primal_unknowns
+from codegen.runtime.callbacks import hessian, jacobian
 from codegen.runtime.curvature import falling_direction
 from codegen.runtime.example import (
     BODIES,
@@ -19,6 +19,7 @@ from codegen.runtime.example import (
     interval_gradient,
     metadata,
 )
+from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.limits import at_limits, prescribed_beyond
 from codegen.runtime.phases import node_times
 from codegen.runtime.shared import read_shared

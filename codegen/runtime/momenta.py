@@ -12,17 +12,22 @@ def discrete_momenta(grid, unknowns):
 
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
-    parts = np.empty((BODIES, grid.steps, ELEMENT + SHARED))
-    interval_parts(unknowns, grid.steps, grid.h, grid.parameters, parts)
-    return np.concatenate([-parts[:, :, EQUATIONS], parts[:, -1:, STRIDE + EQUATIONS]], axis=1)
+    momenta = np.empty((BODIES, grid.steps + 1, EQUATIONS.size))
+    interval_momenta(unknowns, grid.steps, grid.h, grid.parameters, momenta)
+    return momenta
 
 
 @njit(cache=True, error_model="numpy")
-def interval_parts(unknowns, steps, h, parameters, parts):
-    """Fill `parts` with the gradient of every interval's l."""
+def interval_momenta(unknowns, steps, h, parameters, momenta):
+    """Fill `momenta` from the gradient of every interval's l."""
+    part = np.empty(ELEMENT + SHARED)
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters[body], parts[body, k])
+            interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters[body], part)
+            for i in range(EQUATIONS.size):
+                momenta[body, k, i] = -part[EQUATIONS[i]]
+        for i in range(EQUATIONS.size):
+            momenta[body, steps, i] = part[STRIDE + EQUATIONS[i]]

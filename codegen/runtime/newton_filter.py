@@ -95,6 +95,8 @@ def regularised_step(grid, point, last_shift, system):
 
 def shifts(grid, shift, dual_shift):
     """Diagonal that shifts the Hessian by primal unknowns up, and that by multipliers down."""
+    if shift == dual_shift == 0.0:
+        return np.zeros(grid.is_multiplier.size)
     return np.where(grid.is_multiplier, -dual_shift, shift)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from codegen.runtime.example import PHASE_LACKS, PHASES, SWITCH_LACKS, phase_durations
 
 
-def lacking_unknowns(grid):
-    """Which unknowns of an interval it does not have: (P N, STRIDE - NODE)."""
-    steps = grid.steps // PHASES
+def lacking_unknowns(intervals):
+    """Which unknowns each of P N intervals does not have: (P N, STRIDE - NODE)."""
+    steps = intervals // PHASES
     lacking = np.repeat(PHASE_LACKS, steps, axis=0)
     lacking[steps::steps] = SWITCH_LACKS
     return lacking
