@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from interpreted import Interpreted
 from registered_images import SHAPE
 
 from codegen.compiler import build
+from codegen.drivers.operators import remembered_operators
 from codegen.load import GeneratedModule, load
 from codegen.points import read_points
 from codegen.registration import LandmarkPairs, Registration, register
@@ -33,6 +35,13 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "build-cache"
     os.environ["CODEGEN_CACHE_DIR"] = str(folder)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_compilation() -> Iterator[None]:
+    """What `codegen build` and `codegen solve` do to compile faster, for all that tests compile."""
+    with remembered_operators():
+        yield
 
 
 @pytest.fixture(scope="session")
