@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ from interpreted import Interpreted
 from registered_images import SHAPE
 
 from codegen.compiler import build
+from codegen.drivers.operators import remembered_operators
 from codegen.load import GeneratedModule, load
 from codegen.points import read_points
 from codegen.registration import LandmarkPairs, Registration, register
@@ -33,6 +37,21 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "build-cache"
     os.environ["CODEGEN_CACHE_DIR"] = str(folder)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_compilation() -> Iterator[None]:
+    """What `codegen build` and `codegen solve` do to compile faster, for all that tests compile."""
+    with remembered_operators():
+        yield
+
+
+def compiled(path: Path) -> GeneratedModule:
+    """A module with machine code of all that `solve` calls, made as `codegen build` makes it, which is quicker."""
+    command = [sys.executable, "-m", "codegen.drivers.compilation", "all"]
+    environment = {**os.environ, "NUMBA_SLP_VECTORIZE": "1"}
+    subprocess.run(command, input=os.fsencode(path.absolute()), env=environment, check=True, capture_output=True)
+    return load(path)
 
 
 @pytest.fixture(scope="session")

@@ -39,6 +39,15 @@ GALLERY = (
 """Problem, arguments and choices of every committed module."""
 
 
+def names(problems: Collection[str] | None = None) -> set[str]:
+    """File names of all modules of the gallery, or of those of some problems."""
+    return {
+        f"{module_name(ROOT / 'problems' / f'{problem}.py', arguments, choices)}.py"
+        for problem, arguments, choices in GALLERY
+        if problems is None or problem in problems
+    }
+
+
 def fresh(problems: Collection[str] | None = None) -> dict[str, str]:
     """File name -> text of every module of the gallery, or of some problems, generated anew."""
     texts = {}
@@ -48,6 +57,11 @@ def fresh(problems: Collection[str] | None = None) -> dict[str, str]:
         path = ROOT / "problems" / f"{problem}.py"
         texts[f"{module_name(path, arguments, choices)}.py"] = generate(path, arguments, choices)
     return texts
+
+
+def of_problems(problems: Collection[str]) -> dict[str, str]:
+    """File name -> text of the committed modules of some problems."""
+    return {name: text for name, text in committed().items() if name in names(problems)}
 
 
 def committed() -> dict[str, str]:

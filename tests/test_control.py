@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import PROBLEMS
+from conftest import PROBLEMS, compiled
 from control_variants import (
     DOUBLE_PENDULUM,
     DRIVEN,
@@ -19,7 +19,6 @@ from sympy import lambdify
 from codegen.analysis.exact_optimum import exact_optimum
 from codegen.analysis.reference_optimum import reference_optimum
 from codegen.compiler import build
-from codegen.load import load
 from codegen.problem_file import load_problem
 from codegen.schemes import METHODS, Composition
 from codegen.transcribe import MOST_PARTS
@@ -29,7 +28,7 @@ EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle
 
 @pytest.fixture(scope="session")
 def linear_pendulum(cache_folder):
-    return load(build(PROBLEMS / "linear_pendulum.py").path)
+    return compiled(build(PROBLEMS / "linear_pendulum.py").path)
 
 
 @pytest.mark.parametrize(("steps", "cost"), [(10, 4.546929903), (200, 4.530801094)])

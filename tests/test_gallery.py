@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import PROBLEMS
+from conftest import PROBLEMS, compiled
 from gallery_references import BIOPTIM, REFERENCES, Reference
 
 from codegen import drivers
 from codegen.compiler import build
-from codegen.load import load
 
 COMPILED = ("cart_pole", "goddard_rocket", "hovercraft", "hypersensitive", "brachistochrone")
 """Problems that are solved by compiled modules on all their grids; the others uncompiled on their coarsest one."""
@@ -22,7 +21,8 @@ def name_of(reference: Reference) -> str:
 
 @pytest.mark.parametrize("reference", [r for r in REFERENCES if r.problem in COMPILED], ids=name_of)
 def test_optimum_and_value(reference):
-    module = load(build(PROBLEMS / f"{reference.problem}.py", dict(reference.arguments), scheme=reference.scheme).path)
+    path = build(PROBLEMS / f"{reference.problem}.py", dict(reference.arguments), scheme=reference.scheme).path
+    module = compiled(path)
     for steps, optimum in reference.optima.items():
         result = drivers.solve(module, steps=steps)
         assert result.status == "solved", result.message

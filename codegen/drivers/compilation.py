@@ -7,11 +7,13 @@ loaded numba while the module was still being derived, and numba's cache on disk
 
 They let LLVM pack neighbouring operations into one instruction, which numba leaves out by default. Without it the
 factorisation takes 1.25 (orbital transfer), 1.4 (quadrotor) and 1.5 times (hovercraft) as long. What they leave out are
-the entries by which Python and C would call functions that only compiled functions call, 10 to 30 % of the time.
+the entries by which Python and C would call functions that only compiled functions call, and machine code of those
+functions beside that of their callers (see `linking`).
 """
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -42,7 +44,7 @@ class Compilers:
         ]
 
     def compile(self, path: Path) -> bool:
-        """Whether all that `solve` calls is now on disk, compiled."""
+        """Whether all that `solve` calls is now on disk, compiled; never so where particles are connected."""
         for process in self.processes:
             assert process.stdin is not None
             with suppress(BrokenPipeError):  # its exit status will tell
@@ -169,6 +171,18 @@ LONG = 3000
 """Bytes of bytecode from which on a function is worth keeping by itself."""
 SHARES = ("the_longest", "all_but_the_longest", "all")
 """What a process may be told to compile: both of the first two, or all."""
+UNFINISHED = 3
+"""Exit status of a process that has compiled its share, where the shares together are not all that `solve` calls."""
+
+
+def compile_for_callers(module: GeneratedModule) -> None:
+    """Have functions that only compiled functions call compiled as parts of these, in this process from now on."""
+    from codegen.drivers.linking import forget_constants, link_inner_functions
+
+    leave_out_entries(module)
+    link_inner_functions(share_long_functions(module))
+    for function in _compiled_functions(module):
+        forget_constants(function)
 
 
 def leave_out_entries(module: GeneratedModule) -> None:
@@ -182,11 +196,13 @@ def leave_out_entries(module: GeneratedModule) -> None:
             function.targetoptions["no_cpython_wrapper"] = True
 
 
-def share_long_functions(module: GeneratedModule) -> None:
-    """Keep long functions by themselves as well, so that the process that needs one later finds it."""
-    for function in _compiled_functions(module):
-        if function.stats.cache_path is None and len(function.py_func.__code__.co_code) > LONG:
-            function.enable_caching()
+def share_long_functions(module: GeneratedModule) -> list[str]:
+    """Keep long functions by themselves as well, so that the process that needs one later finds it; their names."""
+    functions = [f for f in _compiled_functions(module) if f.stats.cache_path is None]
+    long = [function for function in functions if len(function.py_func.__code__.co_code) > LONG]
+    for function in long:
+        function.enable_caching()
+    return [function.py_func.__name__ for function in long]
 
 
 def _compiled_functions(module: GeneratedModule) -> list[Any]:
@@ -197,15 +213,21 @@ def main(share: str) -> None:
     """Get numba ready, wait for the path of a module, compile a share of it."""
     from numba import njit
 
+    from codegen.drivers.operators import remembered_operators
+
+    gc.disable()  # what compilation leaves behind is little, and looking for it takes time
     compile_share = {"the_longest": compile_the_longest, "all_but_the_longest": compile_all_but_the_longest}
     njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
     path = os.fsdecode(sys.stdin.buffer.read())
-    if path:
-        module = load(Path(path))
-        if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
-            leave_out_entries(module)
-            share_long_functions(module)
+    if not path:
+        return
+    module = load(Path(path))
+    if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
+        compile_for_callers(module)
+    with remembered_operators():
         compile_share.get(share, compile_all)(module)
+    if module.metadata["task"] == "connect":
+        sys.exit(UNFINISHED)
 
 
 def _nothing(x: Any) -> Any:
