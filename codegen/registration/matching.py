@@ -108,11 +108,15 @@ class Matching:
             yield "a known registration", module.momenta_of(case.start, velocities, case.own, case.parameters)
         straight = (case.target - case.start) / case.duration
         yield "the straight way", module.momenta_of(case.start, straight, case.own, case.parameters)
-        yield "a path of least action", self._of_least_action
+        if np.isfinite(self._of_least_action).all():
+            yield "a path of least action", self._of_least_action
 
     @cached_property
     def _of_least_action(self) -> NDArray[np.float64]:
-        """Momenta at the start of a path of least action, whose intervals are its own: they serve any steps."""
+        """Momenta at the start of a path of least action, whose intervals are its own: they serve any steps.
+
+        NaN where there is no such path, or where there are too many landmarks to look for one.
+        """
         return registration_module(self.scheme).momenta_of_least_action(self._case(1))
 
     def _flow(self, case: Any, solution: Any) -> Flow:
