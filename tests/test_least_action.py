@@ -80,6 +80,22 @@ def test_landmarks_that_change_places(made, swapped):
     assert apart.min() > 0.1
 
 
+def test_of_too_many_particles_no_path_is_sought(made):
+    """Five matrices of 1000 by 1000 numbers are as many as are worked with, and too few for a path."""
+    angle, radius = np.linspace(0.0, 6.0, 1000), np.linspace(0.1, 0.8, 1000)
+    many = radius[:, None] * np.stack([np.cos(40.0 * angle), np.sin(40.0 * angle)], axis=1)
+    case = made.make_case(many, many[::-1].copy(), 4)
+    assert np.isnan(made.momenta_of_least_action(case)).all()
+    path, points = made.room(case)
+    assert made.OUTCOMES[made.from_least_action(case, path, points, None)[0]].startswith("no guessed path")
+
+
+def test_a_sigma_too_small_for_its_square_is_no_warning(made):
+    """Swapped landmarks, which need the descent, with a sigma whose square is not a number that a computer holds."""
+    case = made.make_case(START[:2], START[1::-1].copy(), 4, sigma=1e-170)
+    assert made.momenta_of_least_action(case).shape == (2, 2)
+
+
 SPRING = '''
 """Masses that springs join, each to every other."""
 

@@ -11,6 +11,9 @@ from codegen.registration.coarse import Positions
 from codegen.registration.frame import pixel_grid
 from codegen.registration.register import ROUND_TRIP, Registration
 
+PORTION = 1 << 20
+"""Pixels whose derivatives are in memory at once, a whole number of the blocks in which the flow carries points."""
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -49,11 +52,13 @@ def certify_with_positions(
     """The certificate, and where every pixel comes from, which is found on the same way and is what `warp` needs."""
     whole = registration.fixed_shape if shape is None else shape
     grid = pixel_grid(whole)
-    places, determinants = registration.arriving(grid)
+    places, determinants = np.empty_like(grid), np.empty(len(grid))
+    for part in (slice(k, k + PORTION) for k in range(0, len(grid), PORTION)):
+        places[part], determinants[part] = registration.arriving(grid[part])
     round_trip = _round_trip(registration, whole)
     known = np.isfinite(determinants)
     least = int(np.argmin(np.where(known, determinants, np.inf)))
-    wrong = np.flatnonzero(~(determinants > 0.0))
+    wrong = np.flatnonzero(~((determinants > 0.0) & known))
     first = (float(grid[wrong[0], 0]), float(grid[wrong[0], 1])) if wrong.size else None
     passed = wrong.size == 0 and round_trip <= ROUND_TRIP and registration.status == "solved"
     certificate = Certificate(

@@ -172,6 +172,7 @@ def _solved(
         raise PointsError(f"{job.landmarks[0]}: {error.finding}", error.remedy) from error
     warped = None
     record |= _findings(found, certificate, left_out)
+    record["summary"]["sigma_chosen"] = options.sigma == "auto"
     if certificate.passed:
         with _timed(seconds, "warp"):
             source = fixed if options.inverse and fixed is not None else moving

@@ -31,7 +31,7 @@ class LeaveOneOut:
     """Errors of landmarks that were left out, in pixels of the fixed image, shape (n,).
 
     An error is NaN where the others determine no map, as that of an only landmark. `ranking` are the numbers of the
-    landmarks, from the largest error to the least; `outliers` those whose error stands out.
+    landmarks, counted from zero, from the largest error to the least; `outliers` those whose error stands out.
     """
 
     errors: NDArray[np.float64]

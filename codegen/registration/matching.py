@@ -80,16 +80,31 @@ class Matching:
         module = registration_module(self.scheme)
         case = self._case(steps)
         with quiet_single_thread():
-            for name, momenta in self._first_momenta(case, velocities):
-                solution = module.solve_case(case._replace(max_iterations=PATIENCE), momenta)
-                if solution.status == "solved":
-                    return self._flow(case, solution), solution, f"shooting from {name}"
+            found, solution = self._cheapest(case, velocities)
+            if found is not None:
+                return self._flow(case, found[0]), *found
             if not quick:
                 solution = module.solve_case(case)
                 if solution.status == "solved":
                     return self._flow(case, solution), solution, solution.attempts[-1].split(":")[0]
         remedy = "allow for a sigma, take more steps, or leave out landmarks that are close and move apart"
         raise RegistrationError(self._failure(solution.message), remedy)
+
+    def _cheapest(self, case: Any, velocities: NDArray[np.float64] | None) -> tuple[tuple[Any, str] | None, Any]:
+        """The solution to be taken and what led to it, if any attempt had one; and the last attempt's account.
+
+        With a sigma, equations are solved by any stationary point of the cost, such as two landmarks that ought to
+        change places and end together half way. One that misses by far is compared with what other momenta lead to.
+        """
+        best: tuple[Any, str] | None = None
+        for name, momenta in self._first_momenta(case, velocities):
+            solution = registration_module(self.scheme).solve_case(case._replace(max_iterations=PATIENCE), momenta)
+            if solution.status == "solved":
+                if best is None or penalised(case, solution) < penalised(case, best[0]):
+                    best = solution, f"shooting from {name}"
+                if not misses_by_far(case, best[0]):
+                    break
+        return best, solution
 
     def _case(self, steps: int) -> Any:
         """The generated module's account of what is to be connected."""
@@ -108,11 +123,15 @@ class Matching:
             yield "a known registration", module.momenta_of(case.start, velocities, case.own, case.parameters)
         straight = (case.target - case.start) / case.duration
         yield "the straight way", module.momenta_of(case.start, straight, case.own, case.parameters)
-        yield "a path of least action", self._of_least_action
+        if np.isfinite(self._of_least_action).all():
+            yield "a path of least action", self._of_least_action
 
     @cached_property
     def _of_least_action(self) -> NDArray[np.float64]:
-        """Momenta at the start of a path of least action, whose intervals are its own: they serve any steps."""
+        """Momenta at the start of a path of least action, whose intervals are its own: they serve any steps.
+
+        NaN where there is no such path, or where there are too many landmarks to look for one.
+        """
         return registration_module(self.scheme).momenta_of_least_action(self._case(1))
 
     def _flow(self, case: Any, solution: Any) -> Flow:
@@ -132,6 +151,19 @@ class Matching:
         one, other = (self.pairs.names[k[worst]] for k in (i, j))
         x, y = self.pairs.moving[i[worst]]
         return f"{said} (hardest are landmarks {one} and {other}, near ({x:.1f}, {y:.1f}))"
+
+
+def penalised(case: Any, solution: Any) -> float:
+    """The action plus sum |q_N - target|^2/(2 sigma^2) over the landmarks that may miss their targets."""
+    free = case.sigma > 0.0
+    missed = ((solution.q[-1] - case.target)[free] / case.sigma[free, None]) ** 2
+    return float(0.5 * (solution.cost + missed.sum()))
+
+
+def misses_by_far(case: Any, solution: Any) -> bool:
+    """Whether some landmark that may miss its target does so by more than sigma."""
+    missed = np.linalg.norm(solution.q[-1] - case.target, axis=1)
+    return bool((missed > case.sigma)[case.sigma > 0.0].any())
 
 
 _aligned = align  # a parameter of `Matching.of` has that name

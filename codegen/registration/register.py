@@ -26,7 +26,7 @@ MISSED = 1e-4
 FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Registration:
     """A map from the moving image to the fixed one, and its inverse: alignment, then the flow backwards.
 
@@ -47,6 +47,11 @@ class Registration:
     status: str
     rung: str
     message: str
+
+    def __repr__(self) -> str:
+        found = f"{self.status} in {self.steps} steps of {self.scheme}"
+        errors = f"residuals at most {self.residuals.max(initial=0.0):.2g} px, round trip {self.round_trip:.2g} px"
+        return f"<Registration of {len(self.pairs)} landmarks, moving to fixed: {found}, {errors}>"
 
     @property
     def pairs(self) -> LandmarkPairs:

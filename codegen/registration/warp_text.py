@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codegen.registration.batch import Batch, Line
+from codegen.registration.job import MOST_LEFT_OUT
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -42,7 +43,8 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = [("landmarks", str(seen["landmarks"]))]
     if "det_min" not in seen:
         return found
-    sigma = f", sigma {record['sigma']:.3g} px" if record["sigma"] else ""
+    sigma = f", sigma {record['sigma']:.3g} px" if record["sigma"] or seen["sigma_chosen"] else ""
+    sigma += " by leave-one-out" if seen["sigma_chosen"] else ""
     x, y = seen["det_min_at"]
     found += [
         ("method", f"{record['align']} alignment, {record['scheme']}, {record['steps']} steps{sigma}"),
@@ -57,6 +59,8 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         finite = [error for error in seen["leave_one_out"] if error is not None]
         found.append(("leave one out", f"{number(statistics.median(finite)) if finite else '–'} px (median)"))
         found.append(("outliers", ", ".join(seen["outliers"]) or "none"))
+    elif seen["landmarks"] > MOST_LEFT_OUT:
+        found.append(("leave one out", f"not done for more than {MOST_LEFT_OUT} landmarks"))
     if seen.get("spacing", 1) != 1:
         text = f"every {seen['spacing']} pixels, error below {number(seen['spacing_bound'])} px"
         found.append(("grid", text))

@@ -10,7 +10,7 @@ import numpy as np
 
 from codegen.runtime.example_pairs import BLOCKS, POINTS, QUADRATIC, domain_margin, guide, momentum_matrix
 from codegen.runtime.pair_algebra import cholesky, solve_cholesky
-from codegen.runtime.pair_least_action import momenta_of_least_action
+from codegen.runtime.pair_least_action import momenta_of_least_action, path_intervals
 from codegen.runtime.pair_shooting import all_states, preconditioner, shoot
 from codegen.runtime.pair_trajectory import cost_and_energies
 
@@ -23,6 +23,7 @@ OUTCOMES = {
     -3: "the equations of an implicit step were not solved",
     -4: "a particle leaves its domain",
     -5: "no step along Newton's direction reduces the residual",
+    -6: "no guessed path has a finite action, or there are too many particles to look for one",
 }
 MORE_STEPS = (2, 4)  # factors by which steps are made more where no attempt succeeds
 LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
@@ -103,6 +104,8 @@ if QUADRATIC:
     def from_least_action(case, factor, path, points, log):
         """Shoot from the momenta at the start of a path of least action."""
         path[0, 1] = momenta_of_least_action(case)
+        if not np.isfinite(path[0, 1]).all():
+            return -6, 0, np.inf
         return shoot_at(case, case.target, factor, path, points, log)
 
 
@@ -151,7 +154,8 @@ def by_steps(case, factor, path, points, log):
         finer = case._replace(steps=multiple * case.steps)
         fine_path, fine_points = room(finer)
         if QUADRATIC:
-            outcome, made, residual = from_least_action(finer, factor, fine_path, fine_points, log)
+            attempt = from_least_action if path_intervals(finer) else by_continuation
+            outcome, made, residual = attempt(finer, factor, fine_path, fine_points, log)
         else:
             outcome, made, residual = by_continuation(finer, factor, fine_path, fine_points, log)
         total += made

@@ -18,6 +18,7 @@ REFRESHED = 5  # iterations after which the second derivatives are taken anew, a
 ENOUGH = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
 SUFFICIENT = 1e-4  # part of the decrease along the slope that a step has to reach
 SHORTEST = 2.0**-20  # least part of a step that is tried
+MOST_ENTRIES = 5_000_000  # entries of the matrices G of a path: of more particles than about 500 none is sought
 
 
 def action_of(case, places):
@@ -105,16 +106,42 @@ def bent_path(case, count, bend):
     return places + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
 
 
+def path_intervals(case):
+    """The number of intervals of a path, zero where its matrices were too large to work with."""
+    size = case.start.shape[0] if BLOCKS == 1 else case.start.size
+    most = MOST_ENTRIES // size**2
+    return min(max(INTERVALS, case.steps), most) if most >= INTERVALS else 0
+
+
 def momenta_of_least_action(case):
-    """Momenta at the start, shape (n, d), of a path of nearly least action; NaN where no guessed path has an action."""
-    count, memory = max(INTERVALS, case.steps), []
+    """Momenta at the start, shape (n, d), of a path of nearly least action.
+
+    NaN where no guessed path has an action, and where there are too many particles for `path_intervals`.
+    """
+    count = path_intervals(case)
+    with np.errstate(all="ignore"):  # what is not finite is looked for wherever it matters
+        places, momenta = descended(case, count) if count else (None, None)
+    if momenta is None:
+        return np.full(case.start.shape, np.nan)
+    state, slope = np.stack([0.5 * (places[0] + places[1]), momenta[0]]), np.empty((2, *case.start.shape))
+    hamiltonian_gradient(state, case.own, case.parameters, slope)
+    return momenta[0] + 0.5 * case.duration / count * slope[0]
+
+
+def descended(case, count):
+    """Places at the nodes, shape (N + 1, n, d), and momenta of the intervals, None where no guessed path has any."""
+    memory, pivots, couplings = [], None, None
     places = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
     action, gradient, momenta, inverses = action_of(case, places)
     if gradient is None:
-        return np.full(case.start.shape, np.nan)
+        return places, None
     for iteration in range(DESCENTS):
         if iteration % REFRESHED == 0:
-            memory, (pivots, couplings) = [], stiffness(case, inverses)
+            memory = []
+            try:
+                pivots, couplings = stiffness(case, inverses)
+            except np.linalg.LinAlgError:  # rounding has made it singular: what was reached has to do
+                break
         way = direction(pivots, couplings, memory, gradient[1:])
         decrease = -(way * gradient[1:]).sum()
         if not decrease > ENOUGH * action:
@@ -132,6 +159,4 @@ def momenta_of_least_action(case):
         if (step * change).sum() > 0.0:
             memory.append((step, change))
         places, (action, gradient, momenta, inverses) = trial, reached
-    state, slope = np.stack([0.5 * (places[0] + places[1]), momenta[0]]), np.empty((2, *case.start.shape))
-    hamiltonian_gradient(state, case.own, case.parameters, slope)
-    return momenta[0] + 0.5 * case.duration / count * slope[0]
+    return places, momenta

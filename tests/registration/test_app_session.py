@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from codegen.errors import CodegenError, ImageError, LandmarkError, PointsError
-from codegen.registration import LandmarkPairs, register, warp
+from codegen.errors import CodegenError, ImageError, LandmarkError, PointsError, RegistrationError
+from codegen.registration import LandmarkPairs, certificate, register, warp
 from codegen.registration.app import exports, reading, solving
 from codegen.registration.app.autosave import MOST_WORKS, Store, new_token
 from codegen.registration.app.history import History
@@ -290,6 +290,7 @@ def test_downloads_are_what_the_core_makes(solved):
     again = reading.parse_landmarks([(landmarks.name, landmarks.data)])
     np.testing.assert_array_equal(again.fixed, pairs.fixed)
     field = np.load(io.BytesIO(exports.field(task).data))
+    assert str(field["direction"]) == "fixed to moving"
     name = next(n for n in field.files if field[n].ndim == 3)
     place = np.array([[33.0, 21.0]])
     np.testing.assert_allclose(place + field[name][21, 33], registration.map_points_inverse(place), atol=1e-9)
@@ -322,6 +323,13 @@ def test_new_partners_are_where_the_registration_maps_them(solved):
     np.testing.assert_allclose(solved.registration.map_points(np.array([pair.moving])), [[40.0, 25.0]], atol=1e-6)
     before = solved.registration.residuals.max()
     assert before < 1e-6
+
+
+def test_of_a_map_that_is_not_certified_neither_image_nor_field_is_handed_out(solved, monkeypatch):
+    monkeypatch.setattr(certificate, "ROUND_TRIP", 0.0)
+    for make in (exports.warped_image, exports.field):
+        with pytest.raises(RegistrationError, match="come back"):
+            make(solved.task())
 
 
 def test_without_pairs_nothing_moves_and_nothing_can_be_downloaded(session):

@@ -8,6 +8,7 @@ from registered_images import SHAPE
 
 from codegen.errors import LandmarkError
 from codegen.registration import LandmarkPairs, certify, choose_sigma, compare_sigmas, leave_one_out, register
+from codegen.registration.certificate import certify_with_positions
 from codegen.registration.frame import pixel_grid
 
 
@@ -33,6 +34,19 @@ def test_what_is_no_number_is_a_fold():
     found = certify(known_map(lambda p: np.where(p[:, 0] == 10, np.nan, 1.0)))
     assert (found.folded, found.first_fold, found.passed) == (9, (10.0, 0.0), False)
     assert not certify(known_map(lambda p: np.full(len(p), np.nan))).passed
+
+
+def test_an_area_that_grows_without_bound_is_a_fold():
+    """There the derivative of the inverse map is singular."""
+    found = certify(known_map(lambda p: np.where((p == [4, 5]).all(axis=1), np.inf, 1.0)))
+    assert (found.folded, found.first_fold, found.det_max, found.passed) == (1, (4.0, 5.0), 1.0, False)
+
+
+def test_portions_are_put_together(monkeypatch):
+    monkeypatch.setattr("codegen.registration.certificate.PORTION", 7)
+    found, positions = certify_with_positions(known_map(lambda p: 1.0 + p[:, 0] + 100.0 * p[:, 1]))
+    assert (found.det_min, found.det_max) == (1.0, 811.0)
+    np.testing.assert_array_equal(positions.places.reshape(-1, 2), pixel_grid((9, 11)))
 
 
 @pytest.mark.parametrize(("far", "passed"), [(1e-7, False), (np.nan, False), (1e-9, True)])

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration import LandmarkPairs, align, register
 from codegen.registration.frame import coarse_grid
+from codegen.registration.matching import Matching, penalised
 
 pytestmark = pytest.mark.usefixtures("solver")
 PROBE = coarse_grid(SHAPE, 7)
@@ -148,3 +149,13 @@ def test_a_map_that_misses_its_landmarks_is_not_called_solved(tangled):
 def test_unusable_arguments_are_refused(pairs, arguments):
     with pytest.raises(LandmarkError):
         register(pairs, SHAPE, **arguments)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 10.0, 30.0])
+def test_landmarks_that_may_miss_do_not_meet_half_way(sigma):
+    """The best inexact motion costs no more than the exact one, whose cost is its action alone."""
+    swapped = LandmarkPairs([[200, 250], [300, 250]], [[300, 250], [200, 250]])
+    flow, exact, _ = Matching.of(swapped, (512, 512), align="none").solve(32, quick=True)
+    loose, solution, _ = Matching.of(swapped, (512, 512), align="none", sigma=sigma).solve(32, quick=True)
+    assert penalised(flow.case, exact) == 0.5 * exact.cost
+    assert penalised(loose.case, solution) < 0.5 * exact.cost

@@ -16,8 +16,10 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.app.session import Task
 from codegen.registration.app.solving import arguments, frame, grid
 from codegen.registration.certificate import certify_with_positions
-from codegen.registration.fields import displacement_field, write_field
+from codegen.registration.coarse import Positions
+from codegen.registration.fields import write_field
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
+from codegen.registration.frame import pixel_grid
 from codegen.registration.images import write_image
 from codegen.registration.register import Registration, register
 from codegen.registration.warp import warp
@@ -43,15 +45,21 @@ def registered(task: Task) -> Registration:
     return register(task.work.landmarks(), **shapes, **method)
 
 
-def warped_image(task: Task) -> Download:
-    """The moving image in the frame of the fixed one, all pixels exact, with the type of its samples.
+def trusted(task: Task) -> tuple[Registration, Positions]:
+    """The registration, and where all pixels come from.
 
-    RegistrationError where the map folds or is not inverted well: nobody should take such an image home.
+    RegistrationError where the map folds or is not inverted well: nobody should take what it makes home.
     """
     registration = registered(task)
     certificate, positions = certify_with_positions(registration)
     if not certificate.passed:
         raise RegistrationError(certificate.message, "look for landmarks out of place, or let them miss by some pixels")
+    return registration, positions
+
+
+def warped_image(task: Task) -> Download:
+    """The moving image in the frame of the fixed one, all pixels exact, with the type of its samples."""
+    registration, positions = trusted(task)
     interpolation: Any = task.work.settings.interpolation
     pixels = warp(task.moving.pixels, registration, interpolation=interpolation, positions=positions)
     suffix, kind = (".tif", "image/tiff") if task.moving.kind == "TIFF" else (".png", "image/png")
@@ -61,8 +69,9 @@ def warped_image(task: Task) -> Download:
 
 def field(task: Task) -> Download:
     """The displacements from fixed to moving at every pixel of the fixed image, .npz."""
-    values = displacement_field(registered(task), task.fixed.shape, inverse=True)
-    data = _written(".npz", lambda path: write_field(path, values))
+    places = trusted(task)[1].places
+    values = places - pixel_grid(task.fixed.shape).reshape(places.shape)
+    data = _written(".npz", lambda path: write_field(path, values, "fixed to moving"))
     return Download(f"{task.moving.stem}_displacement_fixed_to_moving.npz", "application/octet-stream", data)
 
 

@@ -120,7 +120,10 @@ class Screen:
         self.controls.table.hidden_columns = [] if named else ["name"]
         self.controls.table.value = table_rows(self.session.work, residuals, left_out.errors if left_out else None)
         outliers = ", ".join(str(k + 1) for k in sorted(left_out.outliers)) if left_out else ""
-        self.layout.note(f"Worth a second look, because the others do not predict them: {outliers}" if outliers else "")
+        note = f"Worth a second look, because the others do not predict them: {outliers}" if outliers else ""
+        if len(self.session.work.pairs) > solving.MOST_LEFT_OUT:
+            note = f"Of more than {solving.MOST_LEFT_OUT} pairs, none is left out in turn: it would take too long here"
+        self.layout.note(note)
         self.controls.table.selection = [number - 1] if number else []
 
     def _show_settings(self) -> None:
@@ -212,14 +215,16 @@ class Screen:
             self.layout.status([] if self.session.work.pairs else ["no pairs yet: click in an image"])
             return
         registration = shown.registration
-        parts = [f"{len(registration.pairs)} pairs", f"{registration.steps} steps"]
+        count = len(registration.pairs)
+        parts = ["1 pair" if count == 1 else f"{count} pairs", f"{registration.steps} steps"]
         parts.append(f"residual ≤ {registration.residuals.max():.2g} px")
         if certified is None or certified.revision != self.session.revision:
-            self.layout.status(parts)
+            self.layout.status(parts if shown.wanted.hasty else [*parts, "certifying …"])
             return
         parts.append(f"areas × {certified.det_min:.2f} to {certified.det_max:.2f}")
         parts.append(f"round trip {certified.round_trip:.0e} px")
-        self.layout.status(parts, folds=certified.folded > 0)
+        # A map that misses its landmarks folds, too, between the pixels that were looked at.
+        self.layout.status(parts, folds=certified.folded > 0 or registration.status != "solved")
 
     def _save(self) -> None:
         if self.store is not None:
