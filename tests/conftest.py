@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -44,14 +42,6 @@ def quick_compilation() -> Iterator[None]:
     """What `codegen build` and `codegen solve` do to compile faster, for all that tests compile."""
     with remembered_operators():
         yield
-
-
-def compiled(path: Path) -> GeneratedModule:
-    """A module with machine code of all that `solve` calls, made as `codegen build` makes it, which is quicker."""
-    command = [sys.executable, "-m", "codegen.drivers.compilation", "all"]
-    environment = {**os.environ, "NUMBA_SLP_VECTORIZE": "1"}
-    subprocess.run(command, input=os.fsencode(path.absolute()), env=environment, check=True, capture_output=True)
-    return load(path)
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import PROBLEMS, compiled
+from compiled_modules import compiled
+from conftest import PROBLEMS
 from control_variants import (
     DOUBLE_PENDULUM,
     DRIVEN,

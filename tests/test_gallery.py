@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import PROBLEMS, compiled
+from compiled_modules import compiled
+from conftest import PROBLEMS
 from gallery_references import BIOPTIM, REFERENCES, Reference
 
 from codegen import drivers

@@ -84,7 +84,9 @@ def jobs_in_folder(
         else:
             without.append(image)
     if not jobs:
-        finding = f"{folder} holds {len(images)} images, none with a landmark file of the same name"
+        finding = (
+            f"{folder} holds {len(images)} image{'s' * (len(images) != 1)}, none with a landmark file of the same name"
+        )
         raise ArgumentError(finding, "name landmarks like images, such as a.png and a.csv, or give --landmarks")
     return _distinct(jobs), without
 

@@ -1,0 +1,16 @@
+"""Generated modules with machine code, for tests that solve at size."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from codegen.load import GeneratedModule, load
+
+
+def compiled(path: Path) -> GeneratedModule:
+    """A module with machine code of all that `solve` calls, made as `codegen build` makes it, which is quicker."""
+    command = [sys.executable, "-m", "codegen.drivers.compilation", "all"]
+    environment = {**os.environ, "NUMBA_SLP_VECTORIZE": "1"}
+    subprocess.run(command, input=os.fsencode(path.absolute()), env=environment, check=True, capture_output=True)
+    return load(path)
