@@ -20,11 +20,15 @@ SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
 
 
 class Shift(NamedTuple):
-    """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered."""
+    """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered.
+
+    `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
+    """
 
     value: float = 0.0
     last: float = 0.0
     lowered: int = 0
+    singular: bool = False
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
@@ -85,21 +89,24 @@ def guess_multipliers(grid, unknowns, system):
 def regularised_step(grid, point, before, system):
     """Newton step, slope of the cost along it, and the shift of the Hessian that makes it a descent.
 
-    This is algorithm IC with two changes that save factorisations. Where the iterate `before` needed a shift, a lower
-    one is tried at once, and none only when it has become small; and the more often in turn a lower shift was enough,
-    the lower the next one is. The step is None when the system stays singular.
+    This is algorithm IC with two changes that save factorisations. Where the iterate `before` needed a shift for its
+    curvatures, a lower one is tried at once, and none only when that has become small; and the more often in turn a
+    lower shift was enough, the lower the next one is. The step is None when the system stays singular.
     """
     step = np.empty_like(point.unknowns)
     lower = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
-    shift, dual_shift = lower if before.value > 0.0 and lower > SMALL_SHIFT else 0.0, 0.0
+    at_once = before.value > 0.0 and lower > SMALL_SHIFT and not before.singular
+    shift, dual_shift, singular = lower if at_once else 0.0, 0.0, before.singular
     while shift < 1e20:
         excess = factor_kkt(grid, point.unknowns, 1.0, shifts(grid, shift, dual_shift), system)
         if excess == 0:
             solve_kkt(grid, system, point.gradient, step)
-            found = Shift(shift, shift or before.last, before.lowered + 1 if shift == lower else 0)
+            lowered = before.lowered + 1 if shift == lower and not singular else 0
+            found = Shift(shift, shift or before.last, lowered, singular)
             return step, slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), found
-        if shift > 0.0 and (excess is None or excess < 0):
-            dual_shift = 1e-8  # the equations are dependent
+        if excess is None or excess < 0:
+            singular = True
+            dual_shift = 1e-8 if shift > 0.0 else 0.0  # the equations are dependent
         if shift == 0.0:
             shift = lower
         else:
