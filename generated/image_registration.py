@@ -1609,12 +1609,146 @@ def checked_count(name, number):
     return int(number)
 
 
+# A path of nearly least action between given points: where shooting should start when the straight way misleads it.
+#
+# The action sum_k v.G(q)^-1 v/(2h) with v = q_k+1 - q_k, q midway and G = H_pp is bounded below and grows without bound
+# where points are driven together, so that a method of descent finds a minimum from any path. Where only a sigma is
+# asked for, |q_N - target|^2/(2 sigma^2) is added and the last places move as well. The method is BFGS with limited
+# memory, which begins from the inverse of the second derivatives that leave out how G changes: a block-tridiagonal
+# matrix. Source: Nocedal and Wright (2006), Numerical optimization, algorithms 7.4 and 7.5.
+
+INTERVALS = 20  # least number of intervals of the path: half as many mislead where particles pass closely
+BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # how far first paths are bent aside: particles may meet on the guessed one
+DESCENTS = 300  # iterations at most
+REFRESHED = 5  # iterations after which the second derivatives are taken anew, and what was learnt is forgotten
+ENOUGH = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
+SUFFICIENT = 1e-4  # part of the decrease along the slope that a step has to reach
+SHORTEST = 2.0**-20  # least part of a step that is tried
+
+
+def action_of(case, places):
+    """The action of places at the nodes, shape (N + 1, n, d), its gradient by them, momenta (N, n, d), and all G^-1.
+
+    The action is infinite, and the rest None, where a path leaves the domain or G has no inverse.
+    """
+    count, (n, d) = len(places) - 1, case.start.shape
+    h, size = case.duration / count, n if BLOCKS == 1 else n * d
+    states, matrices = np.zeros((count, 2, n, d)), np.empty((count, size, size))
+    states[:, 0] = 0.5 * (places[:-1] + places[1:])
+    if not np.isfinite(states).all() or not all(domain_margin(z) > 0.0 for z in states):
+        return np.inf, None, None, None
+    for z, matrix in zip(states, matrices, strict=True):
+        momentum_matrix(z, case.own, case.parameters, matrix)
+    try:
+        inverses = np.linalg.inv(matrices)
+    except np.linalg.LinAlgError:
+        return np.inf, None, None, None
+    ways = (places[1:] - places[:-1]).reshape(count, size, -1)
+    states[:, 1] = (inverses @ ways / h).reshape(count, n, d)
+    parts = (states[:, 1].reshape(ways.shape) * ways).sum(axis=(1, 2))
+    if not (parts >= 0.0).all():  # rounding has made G indefinite
+        return np.inf, None, None, None
+    slopes, gradient = np.empty_like(states), np.zeros_like(places)
+    for z, slope in zip(states, slopes, strict=True):
+        hamiltonian_gradient(z, case.own, case.parameters, slope)
+    gradient[:-1] -= states[:, 1] + 0.5 * h * slopes[:, 0]
+    gradient[1:] += states[:, 1] - 0.5 * h * slopes[:, 0]
+    missed = np.where(case.sigma > 0.0, 1.0, 0.0)[:, None] * (places[-1] - case.target)
+    weighted = missed / np.where(case.sigma > 0.0, case.sigma, 1.0)[:, None] ** 2
+    gradient[-1] += weighted
+    gradient[-1, case.sigma == 0.0] = 0.0
+    return 0.5 * parts.sum() + 0.5 * (missed * weighted).sum(), gradient, states[:, 1], inverses
+
+
+def stiffness(case, inverses):
+    """Pivots and couplings of the block-tridiagonal second derivatives by the places at the nodes 1 ... N."""
+    blocks = inverses * (len(inverses) / case.duration)
+    size = blocks.shape[1]
+    free = np.repeat(case.sigma > 0.0, size // len(case.sigma))
+    weights = np.repeat(case.sigma, size // len(case.sigma))[free] ** -2.0
+    diagonal, couplings = blocks.copy(), -blocks[1:]
+    diagonal[:-1] += blocks[1:]
+    couplings[-1][:, ~free] = 0.0
+    diagonal[-1][~free], diagonal[-1][:, ~free] = 0.0, 0.0
+    diagonal[-1][~free, ~free] = 1.0
+    diagonal[-1][free, free] += weights
+    pivots = np.empty_like(diagonal)
+    pivots[0] = np.linalg.inv(diagonal[0])
+    for k, coupling in enumerate(couplings):
+        pivots[k + 1] = np.linalg.inv(diagonal[k + 1] - coupling.T @ pivots[k] @ coupling)
+    return pivots, couplings
+
+
+def relaxed(pivots, couplings, forces):
+    """Solve with what `stiffness` returned, for forces at the nodes 1 ... N, shape (N, n, d)."""
+    right = forces.reshape(*pivots.shape[:2], -1).copy()
+    for k, coupling in enumerate(couplings):
+        right[k + 1] -= coupling.T @ pivots[k] @ right[k]
+    right[-1] = pivots[-1] @ right[-1]
+    for k in range(len(couplings) - 1, -1, -1):
+        right[k] = pivots[k] @ (right[k] - couplings[k] @ right[k + 1])
+    return right.reshape(forces.shape)
+
+
+def direction(pivots, couplings, memory, gradient):
+    """Where to go from a gradient at the nodes 1 ... N, by the two loops over pairs of (step, change of gradient)."""
+    forces, weights = -gradient, []
+    for step, change in reversed(memory):
+        weights.append((step * forces).sum() / (step * change).sum())
+        forces = forces - weights[-1] * change
+    way = relaxed(pivots, couplings, forces)
+    for (step, change), weight in zip(memory, reversed(weights), strict=True):
+        way += (weight - (change * way).sum() / (step * change).sum()) * step
+    return way
+
+
+def bent_path(case, count, bend):
+    """Places on the guessed way at count + 1 nodes, in the middle aside by a part of its length, all to one hand."""
+    places, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
+    for k in range(count + 1):
+        guide(case.start, case.target, k / count, places[k])
+    aside = (case.target - case.start) @ (np.tri(d, d, -1) - np.tri(d, d, -1).T)  # a quarter of a turn in the plane
+    return places + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
+
+
+def momenta_of_least_action(case):
+    """Momenta at the start, shape (n, d), of a path of nearly least action; NaN where no guessed path has an action."""
+    count, memory = max(INTERVALS, case.steps), []
+    places = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
+    action, gradient, momenta, inverses = action_of(case, places)
+    if gradient is None:
+        return np.full(case.start.shape, np.nan)
+    for iteration in range(DESCENTS):
+        if iteration % REFRESHED == 0:
+            memory, (pivots, couplings) = [], stiffness(case, inverses)
+        way = direction(pivots, couplings, memory, gradient[1:])
+        decrease = -(way * gradient[1:]).sum()
+        if not decrease > ENOUGH * action:
+            break
+        length, reached = 1.0, None
+        while length >= SHORTEST and reached is None:
+            trial = places.copy()
+            trial[1:] += length * way
+            found = action_of(case, trial)
+            reached = found if found[0] <= action - SUFFICIENT * length * decrease else None
+            length *= 0.5
+        if reached is None:
+            break
+        step, change = trial[1:] - places[1:], reached[1][1:] - gradient[1:]
+        if (step * change).sum() > 0.0:
+            memory.append((step, change))
+        places, (action, gradient, momenta, inverses) = trial, reached
+    state, slope = np.stack([0.5 * (places[0] + places[1]), momenta[0]]), np.empty((2, *case.start.shape))
+    hamiltonian_gradient(state, case.own, case.parameters, slope)
+    return momenta[0] + 0.5 * case.duration / count * slope[0]
+
+
 # Which attempts are made to connect given points, in which order, and what is reported about them.
 #
-# Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from rest,
-# by continuation in the target, on all states at once from a guessed path, and with more steps, of which then ever fewer
-# are taken. Only an attempt whose residual is below the tolerance, or below what rounding makes of it, counts as a
-# solution.
+# Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
+# path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
+# once from a guessed path, and with more steps, of which then ever fewer are taken. Only an attempt whose residual is
+# below the tolerance, or below what rounding makes of it, counts as a solution.
 
 OUTCOMES = {
     1: "solved",
@@ -1700,6 +1834,12 @@ def from_rest(case, factor, path, points, log):
     return shoot_at(case, case.target, factor, path, points, log)
 
 
+def from_least_action(case, factor, path, points, log):
+    """Shoot from the momenta at the start of a path of least action."""
+    path[0, 1] = momenta_of_least_action(case)
+    return shoot_at(case, case.target, factor, path, points, log)
+
+
 def by_continuation(case, factor, path, points, log):
     """Move the target from the start to where it belongs, by parts that grow with success."""
     done, part, total = 0.0, 0.25, 0
@@ -1735,7 +1875,7 @@ def room(case, start_momenta=None):
 
 
 def by_steps(case, factor, path, points, log):
-    """Solve with two or four times as many steps by continuation in the target, then with ever fewer of them.
+    """Solve with two or four times as many steps, then with ever fewer of them.
 
     Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
     note says with how many steps there still is one.
@@ -1744,7 +1884,7 @@ def by_steps(case, factor, path, points, log):
     for multiple in MORE_STEPS:
         finer = case._replace(steps=multiple * case.steps)
         fine_path, fine_points = room(finer)
-        outcome, made, residual = by_continuation(finer, factor, fine_path, fine_points, log)
+        outcome, made, residual = from_least_action(finer, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             break
@@ -1777,11 +1917,12 @@ def on_all_states(case, factor, path, points, log):
     return all_states(case, factor, path, points, log)
 
 
-SHOOTING = (
+SHOOTING = [
     ("shooting from the momenta of the straight way", from_velocity),
+    ("shooting from the momenta of a path of least action", from_least_action),
     ("shooting from rest", from_rest),
     ("continuation in the target", by_continuation),
-)
+]
 ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
 LAST = (("continuation in the number of steps", by_steps),)
 ATTEMPTS = {
@@ -1996,7 +2137,7 @@ def make_case(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_5abd5c6039251107"
+_IDENTITY = "codegen_image_registration_ed0983bc390c9b71"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
