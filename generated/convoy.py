@@ -363,7 +363,7 @@ class Point(NamedTuple):
 
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
-    gradient = np.empty_like(unknowns)
+    gradient = np.empty(unknowns.size)
     return Point(
         unknowns,
         gradient,
@@ -755,11 +755,18 @@ def expand(gradient, condensed, steps, reduced, root, step):
 
 def allocate_condensed(grid):
     """Room for one block C, and for the inverse of C and B of all intervals of all bodies."""
-    intervals = BODIES * grid.steps
+    return np.zeros(CONDENSED**2 + BODIES * grid.steps * CONDENSED * (CONDENSED + WIDTH))
+
+
+@njit(error_model="numpy", inline="always")
+def condensed_parts(storage, steps):
+    """One block C, the inverse of C, and B of all intervals of all bodies."""
+    size, intervals = CONDENSED * CONDENSED, BODIES * steps
+    inverses, couplings = storage[size : size + intervals * size], storage[size + intervals * size :]
     return (
-        np.zeros((CONDENSED, CONDENSED)),
-        np.empty((intervals, CONDENSED, CONDENSED)),
-        np.zeros((intervals, CONDENSED, WIDTH)),
+        storage[:size].reshape((CONDENSED, CONDENSED)),
+        inverses.reshape((intervals, CONDENSED, CONDENSED)),
+        couplings.reshape((intervals, CONDENSED, WIDTH)),
     )
 
 
@@ -817,18 +824,44 @@ COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the sha
 
 
 def allocate_system(grid):
-    """Room for the factors, for what is condensed, and the number of equations.
+    """Room for the factors and for what is condensed, and the number of equations.
 
-    The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
-    the pivots and the order of elimination each. The order is zeros, so that solving without factors stays inside the
-    arrays.
+    The factors are an array of numbers and one of places, of which `factor_parts` tells the meaning: few arrays are
+    handed to compiled functions quickly. Places are zeros, so that solving without factors stays inside the arrays.
     """
-    blocks, last, root = (BODIES, grid.steps, BLOCK), (BODIES, LAST), (ROOT,)
-    factors = [
-        (np.empty((*rows, width)), np.empty((*rows, 2)), np.zeros(rows, np.uint64))
-        for rows, width in ((blocks, WIDTH), (last, LAST_WIDTH), (root, ROOT_WIDTH))
-    ]
-    return (*factors, allocate_condensed(grid)), multiplier_unknowns(grid).size
+    blocks, last = BODIES * grid.steps * BLOCK, BODIES * LAST
+    rows, numbers = blocks + last + ROOT, blocks * WIDTH + last * LAST_WIDTH + ROOT * ROOT_WIDTH
+    factors = np.empty(numbers + 2 * rows), np.zeros(rows, np.uint64), allocate_condensed(grid)
+    return factors, multiplier_unknowns(grid).size
+
+
+@njit(error_model="numpy")
+def factor_parts(numbers, places, steps):
+    """The factors of all blocks, of the last nodes and of the shared unknowns, as views.
+
+    Each is the rows of an upper factor, the inverse of the pivots, and the order of elimination.
+    """
+    # First rows, and where in `numbers` their upper factors begin; the inverse of all pivots comes last.
+    last, root = BODIES * steps * BLOCK, BODIES * (steps * BLOCK + LAST)
+    last_upper = last * WIDTH
+    root_upper = last_upper + BODIES * LAST * LAST_WIDTH
+    inverse = root_upper + ROOT * ROOT_WIDTH
+    blocks = (
+        numbers[:last_upper].reshape((BODIES, steps, BLOCK, WIDTH)),
+        numbers[inverse : inverse + 2 * last].reshape((BODIES, steps, BLOCK, 2)),
+        places[:last].reshape((BODIES, steps, BLOCK)),
+    )
+    ends = (
+        numbers[last_upper:root_upper].reshape((BODIES, LAST, LAST_WIDTH)),
+        numbers[inverse + 2 * last : inverse + 2 * root].reshape((BODIES, LAST, 2)),
+        places[last:root].reshape((BODIES, LAST)),
+    )
+    shared = (
+        numbers[root_upper:inverse].reshape((ROOT, ROOT_WIDTH)),
+        numbers[inverse + 2 * root :].reshape((ROOT, 2)),
+        places[root:],
+    )
+    return blocks, ends, shared
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system):
@@ -840,7 +873,7 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     array as long as the unknowns, is added to the diagonal of the whole matrix.
     """
     factors, equations = system
-    regular, excess = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, factors)
+    regular, excess = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors)
     return excess if regular else None
 
 
@@ -850,9 +883,11 @@ def is_factored(excess):
 
 
 @njit(cache=True, error_model="numpy")
-def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
+def factor(unknowns, steps, h, parameters, weight, diagonal, equations, numbers, places, storage):
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
-    _, _, (root_upper, root_inverse, root_order), condensed = factors
+    blocks, ends, (root_upper, root_inverse, root_order) = factor_parts(numbers, places, steps)
+    condensed = condensed_parts(storage, steps)
+    factors = blocks, ends, condensed
     if not prepare_condensed(weight, diagonal, condensed):
         return False, 0
     negative = 0
@@ -873,7 +908,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
     the elimination has stopped.
     """
-    (upper, inverse, order), (last_upper, last_inverse, last_order), _, condensed = factors
+    (upper, inverse, order), (last_upper, last_inverse, last_order), condensed = factors
     chain, negative = steps * STRIDE + NODE, 0
     own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
     element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
@@ -968,13 +1003,15 @@ def solve_kkt(grid, system, gradient, step):
 
     That number must not have been positive.
     """
-    substitute(gradient, grid.steps, system[0], step)
+    substitute(gradient, grid.steps, *system[0], step)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def substitute(gradient, steps, factors, step):
+def substitute(gradient, steps, numbers, places, storage, step):
     """Solve with the factors: forward over all bodies, the shared unknowns, backward over all bodies."""
-    (upper, inverse, order), (last_upper, last_inverse, last_order), root, condensed = factors
+    blocks, ends, root = factor_parts(numbers, places, steps)
+    (upper, inverse, order), (last_upper, last_inverse, last_order) = blocks, ends
+    condensed = condensed_parts(storage, steps)
     root_upper, root_inverse, root_order = root
     reduced, last = np.empty((BODIES, steps * BLOCK + NODE)), np.zeros((BODIES, LAST_WIDTH))
     shared = np.zeros(ROOT_WIDTH)
@@ -1114,7 +1151,10 @@ def slope_of(unknowns, gradient, step, is_multiplier):
 
 def acceptable(violation, cost, filtered):
     """Whether no pair of the filter is better both in violation and in cost (18)."""
-    return all(violation < other or cost < least for other, least in filtered)
+    for other, least in filtered:  # noqa: SIM110  a loop takes a third of the time of all(...)
+        if not (violation < other or cost < least):
+            return False
+    return True
 
 
 def envelope(violation, cost):
@@ -2354,7 +2394,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_convoy_9292e98cb695eee8"
+_IDENTITY = "codegen_convoy_b1d02cee402dd340"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

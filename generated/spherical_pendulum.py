@@ -376,7 +376,7 @@ class Point(NamedTuple):
 
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
-    gradient = np.empty_like(unknowns)
+    gradient = np.empty(unknowns.size)
     return Point(
         unknowns,
         gradient,
@@ -767,14 +767,26 @@ def expand(gradient, condensed, steps, reduced, root, step):
 
 
 def allocate_condensed(grid):
-    """The block C, its inverse, and B of all intervals of all bodies."""
-    block = np.zeros((CONDENSED, CONDENSED))
+    """Room for the block C, which is filled in, for its inverse, and for B of all intervals of all bodies."""
+    storage = np.zeros(2 * CONDENSED**2 + BODIES * grid.steps * CONDENSED * WIDTH)
+    block = storage[: CONDENSED**2].reshape(CONDENSED, CONDENSED)
     control_hessian(grid.h, grid.parameters[0], block)
     for a in range(CONDENSED):
         for b in range(a):
             block[b, a] = block[a, b]
-    couplings = np.zeros((BODIES * grid.steps, CONDENSED, WIDTH))
-    return block, np.empty((1, CONDENSED, CONDENSED)), couplings
+    return storage
+
+
+@njit(error_model="numpy", inline="always")
+def condensed_parts(storage, steps):
+    """The block C, its inverse, and B of all intervals of all bodies."""
+    size = CONDENSED * CONDENSED
+    block, inverse = storage[:size], storage[size : 2 * size]
+    return (
+        block.reshape((CONDENSED, CONDENSED)),
+        inverse.reshape((1, CONDENSED, CONDENSED)),
+        storage[2 * size :].reshape((BODIES * steps, CONDENSED, WIDTH)),
+    )
 
 
 @njit(error_model="numpy", inline="always")
@@ -824,18 +836,44 @@ COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the sha
 
 
 def allocate_system(grid):
-    """Room for the factors, for what is condensed, and the number of equations.
+    """Room for the factors and for what is condensed, and the number of equations.
 
-    The factors of all blocks, of the last nodes and of the shared unknowns are rows of an upper factor, the inverse of
-    the pivots and the order of elimination each. The order is zeros, so that solving without factors stays inside the
-    arrays.
+    The factors are an array of numbers and one of places, of which `factor_parts` tells the meaning: few arrays are
+    handed to compiled functions quickly. Places are zeros, so that solving without factors stays inside the arrays.
     """
-    blocks, last, root = (BODIES, grid.steps, BLOCK), (BODIES, LAST), (ROOT,)
-    factors = [
-        (np.empty((*rows, width)), np.empty((*rows, 2)), np.zeros(rows, np.uint64))
-        for rows, width in ((blocks, WIDTH), (last, LAST_WIDTH), (root, ROOT_WIDTH))
-    ]
-    return (*factors, allocate_condensed(grid)), multiplier_unknowns(grid).size
+    blocks, last = BODIES * grid.steps * BLOCK, BODIES * LAST
+    rows, numbers = blocks + last + ROOT, blocks * WIDTH + last * LAST_WIDTH + ROOT * ROOT_WIDTH
+    factors = np.empty(numbers + 2 * rows), np.zeros(rows, np.uint64), allocate_condensed(grid)
+    return factors, multiplier_unknowns(grid).size
+
+
+@njit(error_model="numpy")
+def factor_parts(numbers, places, steps):
+    """The factors of all blocks, of the last nodes and of the shared unknowns, as views.
+
+    Each is the rows of an upper factor, the inverse of the pivots, and the order of elimination.
+    """
+    # First rows, and where in `numbers` their upper factors begin; the inverse of all pivots comes last.
+    last, root = BODIES * steps * BLOCK, BODIES * (steps * BLOCK + LAST)
+    last_upper = last * WIDTH
+    root_upper = last_upper + BODIES * LAST * LAST_WIDTH
+    inverse = root_upper + ROOT * ROOT_WIDTH
+    blocks = (
+        numbers[:last_upper].reshape((BODIES, steps, BLOCK, WIDTH)),
+        numbers[inverse : inverse + 2 * last].reshape((BODIES, steps, BLOCK, 2)),
+        places[:last].reshape((BODIES, steps, BLOCK)),
+    )
+    ends = (
+        numbers[last_upper:root_upper].reshape((BODIES, LAST, LAST_WIDTH)),
+        numbers[inverse + 2 * last : inverse + 2 * root].reshape((BODIES, LAST, 2)),
+        places[last:root].reshape((BODIES, LAST)),
+    )
+    shared = (
+        numbers[root_upper:inverse].reshape((ROOT, ROOT_WIDTH)),
+        numbers[inverse + 2 * root :].reshape((ROOT, 2)),
+        places[root:],
+    )
+    return blocks, ends, shared
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system):
@@ -847,7 +885,7 @@ def factor_kkt(grid, unknowns, weight, diagonal, system):
     array as long as the unknowns, is added to the diagonal of the whole matrix.
     """
     factors, equations = system
-    regular, excess = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, factors)
+    regular, excess = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors)
     return excess if regular else None
 
 
@@ -857,9 +895,11 @@ def is_factored(excess):
 
 
 @njit(cache=True, error_model="numpy")
-def factor(unknowns, steps, h, parameters, weight, diagonal, equations, factors):
+def factor(unknowns, steps, h, parameters, weight, diagonal, equations, numbers, places, storage):
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
-    _, _, (root_upper, root_inverse, root_order), condensed = factors
+    blocks, ends, (root_upper, root_inverse, root_order) = factor_parts(numbers, places, steps)
+    condensed = condensed_parts(storage, steps)
+    factors = blocks, ends, condensed
     if not prepare_condensed(weight, diagonal, condensed):
         return False, 0
     negative = 0
@@ -880,7 +920,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
     the elimination has stopped.
     """
-    (upper, inverse, order), (last_upper, last_inverse, last_order), _, condensed = factors
+    (upper, inverse, order), (last_upper, last_inverse, last_order), condensed = factors
     chain, negative = steps * STRIDE + NODE, 0
     own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
     element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
@@ -975,13 +1015,15 @@ def solve_kkt(grid, system, gradient, step):
 
     That number must not have been positive.
     """
-    substitute(gradient, grid.steps, system[0], step)
+    substitute(gradient, grid.steps, *system[0], step)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def substitute(gradient, steps, factors, step):
+def substitute(gradient, steps, numbers, places, storage, step):
     """Solve with the factors: forward over all bodies, the shared unknowns, backward over all bodies."""
-    (upper, inverse, order), (last_upper, last_inverse, last_order), root, condensed = factors
+    blocks, ends, root = factor_parts(numbers, places, steps)
+    (upper, inverse, order), (last_upper, last_inverse, last_order) = blocks, ends
+    condensed = condensed_parts(storage, steps)
     root_upper, root_inverse, root_order = root
     reduced, last = np.empty((BODIES, steps * BLOCK + NODE)), np.zeros((BODIES, LAST_WIDTH))
     shared = np.zeros(ROOT_WIDTH)
@@ -1121,7 +1163,10 @@ def slope_of(unknowns, gradient, step, is_multiplier):
 
 def acceptable(violation, cost, filtered):
     """Whether no pair of the filter is better both in violation and in cost (18)."""
-    return all(violation < other or cost < least for other, least in filtered)
+    for other, least in filtered:  # noqa: SIM110  a loop takes a third of the time of all(...)
+        if not (violation < other or cost < least):
+            return False
+    return True
 
 
 def envelope(violation, cost):
@@ -1149,6 +1194,19 @@ def accept(violation, cost, trial_violation, trial_cost, slope, length, small_vi
 # equation numbers are quoted. The inertia of the KKT matrix, by which the shifts are chosen, comes from its factors.
 
 SHORTEST_STEP = 1e-10
+SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
+
+
+class Shift(NamedTuple):
+    """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered.
+
+    `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
+    """
+
+    value: float = 0.0
+    last: float = 0.0
+    lowered: int = 0
+    singular: bool = False
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
@@ -1161,21 +1219,20 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
-    shift, last_shift, length = 0.0, 0.0, 0.0
+    shift, length = Shift(), 0.0
     for iteration in range(max_iterations + 1):
-        log.append((point.cost, point.residual, point.stationarity, shift, length))
+        log.append((point.cost, point.residual, point.stationarity, shift.value, length))
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if is_solved(grid, point, tolerance):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or shift > 0.0
+            doubtful = iteration == 0 or shift.value > 0.0
             return ("saddle point" if doubtful and not is_minimum(grid, point, system) else "solved"), point, iteration
         if iteration == max_iterations:
             break
-        step, slope, shift = regularised_step(grid, point, last_shift, system)
+        step, slope, shift = regularised_step(grid, point, shift, system)
         if step is None:
             return "rank-deficient", point, iteration
-        last_shift = shift or last_shift
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
             if is_rounding(grid, point):
@@ -1207,25 +1264,32 @@ def guess_multipliers(grid, unknowns, system):
     return point.unknowns + multipliers if np.abs(multipliers).max() <= 1e3 else point.unknowns
 
 
-def regularised_step(grid, point, last_shift, system):
-    """Newton step, slope of the cost along it, and the shift of the Hessian that makes it a descent (algorithm IC).
+def regularised_step(grid, point, before, system):
+    """Newton step, slope of the cost along it, and the shift of the Hessian that makes it a descent.
 
-    The step is None when the system stays singular.
+    This is algorithm IC with two changes that save factorisations. Where the iterate `before` needed a shift for its
+    curvatures, a lower one is tried at once, and none only when that has become small; and the more often in turn a
+    lower shift was enough, the lower the next one is. The step is None when the system stays singular.
     """
     step = np.empty_like(point.unknowns)
-    shift, dual_shift = 0.0, 0.0
+    lower = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
+    at_once = before.value > 0.0 and lower > SMALL_SHIFT and not before.singular
+    shift, dual_shift, singular = lower if at_once else 0.0, 0.0, before.singular
     while shift < 1e20:
         excess = factor_kkt(grid, point.unknowns, 1.0, shifts(grid, shift, dual_shift), system)
         if excess == 0:
             solve_kkt(grid, system, point.gradient, step)
-            return step, slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), shift
-        if shift > 0.0 and (excess is None or excess < 0):
-            dual_shift = 1e-8  # the equations are dependent
+            lowered = before.lowered + 1 if shift == lower and not singular else 0
+            found = Shift(shift, shift or before.last, lowered, singular)
+            return step, slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), found
+        if excess is None or excess < 0:
+            singular = True
+            dual_shift = 1e-8 if shift > 0.0 else 0.0  # the equations are dependent
         if shift == 0.0:
-            shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)
+            shift = lower
         else:
-            shift *= 100.0 if last_shift == 0.0 else 8.0
-    return None, 0.0, shift
+            shift *= 100.0 if before.last == 0.0 else 8.0
+    return None, 0.0, before
 
 
 def shifts(grid, shift, dual_shift):
@@ -1924,7 +1988,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_fed4a6e5a963d8d2"
+_IDENTITY = "codegen_spherical_pendulum_6b22ff38601aaadc"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -21,11 +21,18 @@ from codegen.runtime.example import BODIES, CONDENSED
 
 def allocate_condensed(grid):
     """Room for one block C, and for the inverse of C and B of all intervals of all bodies."""
-    intervals = BODIES * grid.steps
+    return np.zeros(CONDENSED**2 + BODIES * grid.steps * CONDENSED * (CONDENSED + WIDTH))
+
+
+@njit(error_model="numpy", inline="always")
+def condensed_parts(storage, steps):
+    """One block C, the inverse of C, and B of all intervals of all bodies."""
+    size, intervals = CONDENSED * CONDENSED, BODIES * steps
+    inverses, couplings = storage[size : size + intervals * size], storage[size + intervals * size :]
     return (
-        np.zeros((CONDENSED, CONDENSED)),
-        np.empty((intervals, CONDENSED, CONDENSED)),
-        np.zeros((intervals, CONDENSED, WIDTH)),
+        storage[:size].reshape((CONDENSED, CONDENSED)),
+        inverses.reshape((intervals, CONDENSED, CONDENSED)),
+        couplings.reshape((intervals, CONDENSED, WIDTH)),
     )
 
 

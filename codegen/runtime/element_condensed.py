@@ -17,14 +17,26 @@ from codegen.runtime.example import BODIES, CONDENSED, control_hessian
 
 
 def allocate_condensed(grid):
-    """The block C, its inverse, and B of all intervals of all bodies."""
-    block = np.zeros((CONDENSED, CONDENSED))
+    """Room for the block C, which is filled in, for its inverse, and for B of all intervals of all bodies."""
+    storage = np.zeros(2 * CONDENSED**2 + BODIES * grid.steps * CONDENSED * WIDTH)
+    block = storage[: CONDENSED**2].reshape(CONDENSED, CONDENSED)
     control_hessian(grid.h, grid.parameters[0], block)
     for a in range(CONDENSED):
         for b in range(a):
             block[b, a] = block[a, b]
-    couplings = np.zeros((BODIES * grid.steps, CONDENSED, WIDTH))
-    return block, np.empty((1, CONDENSED, CONDENSED)), couplings
+    return storage
+
+
+@njit(error_model="numpy", inline="always")
+def condensed_parts(storage, steps):
+    """The block C, its inverse, and B of all intervals of all bodies."""
+    size = CONDENSED * CONDENSED
+    block, inverse = storage[:size], storage[size : 2 * size]
+    return (
+        block.reshape((CONDENSED, CONDENSED)),
+        inverse.reshape((1, CONDENSED, CONDENSED)),
+        storage[2 * size :].reshape((BODIES * steps, CONDENSED, WIDTH)),
+    )
 
 
 @njit(error_model="numpy", inline="always")

@@ -4,6 +4,8 @@ Source: Waechter and Biegler (2006), On the implementation of an interior-point 
 equation numbers are quoted. The inertia of the KKT matrix, by which the shifts are chosen, comes from its factors.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from codegen.runtime.curvature import FLAT
@@ -14,6 +16,19 @@ from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_rounding, is_solved
 
 SHORTEST_STEP = 1e-10
+SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
+
+
+class Shift(NamedTuple):
+    """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered.
+
+    `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
+    """
+
+    value: float = 0.0
+    last: float = 0.0
+    lowered: int = 0
+    singular: bool = False
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
@@ -26,21 +41,20 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
-    shift, last_shift, length = 0.0, 0.0, 0.0
+    shift, length = Shift(), 0.0
     for iteration in range(max_iterations + 1):
-        log.append((point.cost, point.residual, point.stationarity, shift, length))
+        log.append((point.cost, point.residual, point.stationarity, shift.value, length))
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if is_solved(grid, point, tolerance):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or shift > 0.0
+            doubtful = iteration == 0 or shift.value > 0.0
             return ("saddle point" if doubtful and not is_minimum(grid, point, system) else "solved"), point, iteration
         if iteration == max_iterations:
             break
-        step, slope, shift = regularised_step(grid, point, last_shift, system)
+        step, slope, shift = regularised_step(grid, point, shift, system)
         if step is None:
             return "rank-deficient", point, iteration
-        last_shift = shift or last_shift
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
             if is_rounding(grid, point):
@@ -72,25 +86,32 @@ def guess_multipliers(grid, unknowns, system):
     return point.unknowns + multipliers if np.abs(multipliers).max() <= 1e3 else point.unknowns
 
 
-def regularised_step(grid, point, last_shift, system):
-    """Newton step, slope of the cost along it, and the shift of the Hessian that makes it a descent (algorithm IC).
+def regularised_step(grid, point, before, system):
+    """Newton step, slope of the cost along it, and the shift of the Hessian that makes it a descent.
 
-    The step is None when the system stays singular.
+    This is algorithm IC with two changes that save factorisations. Where the iterate `before` needed a shift for its
+    curvatures, a lower one is tried at once, and none only when that has become small; and the more often in turn a
+    lower shift was enough, the lower the next one is. The step is None when the system stays singular.
     """
     step = np.empty_like(point.unknowns)
-    shift, dual_shift = 0.0, 0.0
+    lower = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
+    at_once = before.value > 0.0 and lower > SMALL_SHIFT and not before.singular
+    shift, dual_shift, singular = lower if at_once else 0.0, 0.0, before.singular
     while shift < 1e20:
         excess = factor_kkt(grid, point.unknowns, 1.0, shifts(grid, shift, dual_shift), system)
         if excess == 0:
             solve_kkt(grid, system, point.gradient, step)
-            return step, slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), shift
-        if shift > 0.0 and (excess is None or excess < 0):
-            dual_shift = 1e-8  # the equations are dependent
+            lowered = before.lowered + 1 if shift == lower and not singular else 0
+            found = Shift(shift, shift or before.last, lowered, singular)
+            return step, slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), found
+        if excess is None or excess < 0:
+            singular = True
+            dual_shift = 1e-8 if shift > 0.0 else 0.0  # the equations are dependent
         if shift == 0.0:
-            shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)
+            shift = lower
         else:
-            shift *= 100.0 if last_shift == 0.0 else 8.0
-    return None, 0.0, shift
+            shift *= 100.0 if before.last == 0.0 else 8.0
+    return None, 0.0, before
 
 
 def shifts(grid, shift, dual_shift):

@@ -39,7 +39,7 @@ class Point(NamedTuple):
 
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at a vector of unknowns."""
-    gradient = np.empty_like(unknowns)
+    gradient = np.empty(unknowns.size)
     return Point(
         unknowns,
         gradient,

@@ -1,0 +1,79 @@
+"""The search for a shift of the Hessian: which shifts are tried, for matrices of which the inertia is known."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from codegen.runtime import newton_filter
+from codegen.runtime.newton_filter import SMALL_SHIFT, Shift, regularised_step
+
+GRID = SimpleNamespace(is_multiplier=np.array([False, True]))
+POINT = SimpleNamespace(unknowns=np.zeros(2), gradient=np.array([1.0, 0.0]))
+
+
+@pytest.fixture
+def tried(monkeypatch):
+    """The shifts tried since the list was emptied; the system, a number, is the least curvature, or None."""
+    shifts: list[float] = []
+
+    def factor_kkt(grid, unknowns, weight, diagonal, curvature):
+        shifts.append(float(diagonal[0]))
+        if curvature is None:  # singular unless the multipliers' diagonal is shifted, too
+            return 0 if diagonal[1] < 0.0 else None
+        return 0 if curvature + diagonal[0] > 0.0 else 1
+
+    def solve_kkt(grid, system, gradient, step):
+        step[:] = -gradient
+
+    monkeypatch.setattr(newton_filter, "factor_kkt", factor_kkt)
+    monkeypatch.setattr(newton_filter, "solve_kkt", solve_kkt)
+    return shifts
+
+
+def follow(tried, curvatures, shift=Shift()):  # noqa: B008  a constant
+    """The shift at every iterate, and the shifts that were tried there."""
+    for curvature in curvatures:
+        tried.clear()
+        step, slope, shift = regularised_step(GRID, POINT, shift, curvature)
+        assert step is not None
+        assert slope < 0.0
+        yield shift, list(tried)
+
+
+def test_where_the_hessian_is_convex_nothing_else_is_tried(tried):
+    assert [tries for _, tries in follow(tried, [1.0] * 3)] == [[0.0]] * 3
+
+
+def test_a_shift_is_always_enough_and_the_step_is_one_of_descent(tried):
+    curvatures = [-3.0, -50.0, -700.0, -2.0, 1.0, -1e-3, 5.0]
+    for curvature, (shift, _) in zip(curvatures, follow(tried, curvatures), strict=True):
+        assert curvature + shift.value > 0.0
+
+
+def test_lower_shifts_are_tried_at_once_until_they_are_small(tried):
+    """From the first shift down to none, with one factorisation at each iterate; ever faster."""
+    rows = list(follow(tried, [-500.0, *[1e-9] * 6]))
+    values = [shift.value for shift, _ in rows]
+    first_zero = values.index(0.0)
+    assert all(len(tries) == 1 for _, tries in rows[1:])
+    assert all(value > SMALL_SHIFT for value in values[:first_zero])
+    assert values[first_zero:] == [0.0] * len(values[first_zero:])
+    ratios = [a / b for a, b in pairwise(values[:first_zero])]
+    assert len(ratios) >= 3
+    assert ratios == pytest.approx([3.0 ** (i + 1) for i in range(len(ratios))])
+
+
+def test_small_shifts_give_way_to_none(tried):
+    ((shift, tries),) = follow(tried, [1.0], Shift(SMALL_SHIFT, SMALL_SHIFT, 0))
+    assert (shift.value, tries) == (0.0, [0.0])
+
+
+def test_where_equations_depend_on_each_other_none_is_tried_first(tried):
+    """What rounding calls the inertia of a singular matrix says nothing about curvatures, now and later."""
+    rows = list(follow(tried, [None, -500.0, 1.0, 1.0]))
+    assert all(shift.singular for shift, _ in rows)
+    assert all(tries[0] == 0.0 for _, tries in rows)
