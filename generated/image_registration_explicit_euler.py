@@ -1462,6 +1462,7 @@ REFRESHED = 5  # iterations after which the second derivatives are taken anew, a
 ENOUGH = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
 SUFFICIENT = 1e-4  # part of the decrease along the slope that a step has to reach
 SHORTEST = 2.0**-20  # least part of a step that is tried
+MOST_ENTRIES = 5_000_000  # entries of the matrices G of a path: of more particles than about 500 none is sought
 
 
 def action_of(case, places):
@@ -1549,16 +1550,42 @@ def bent_path(case, count, bend):
     return places + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
 
 
+def path_intervals(case):
+    """The number of intervals of a path, zero where its matrices were too large to work with."""
+    size = case.start.shape[0] if BLOCKS == 1 else case.start.size
+    most = MOST_ENTRIES // size**2
+    return min(max(INTERVALS, case.steps), most) if most >= INTERVALS else 0
+
+
 def momenta_of_least_action(case):
-    """Momenta at the start, shape (n, d), of a path of nearly least action; NaN where no guessed path has an action."""
-    count, memory = max(INTERVALS, case.steps), []
+    """Momenta at the start, shape (n, d), of a path of nearly least action.
+
+    NaN where no guessed path has an action, and where there are too many particles for `path_intervals`.
+    """
+    count = path_intervals(case)
+    with np.errstate(all="ignore"):  # what is not finite is looked for wherever it matters
+        places, momenta = descended(case, count) if count else (None, None)
+    if momenta is None:
+        return np.full(case.start.shape, np.nan)
+    state, slope = np.stack([0.5 * (places[0] + places[1]), momenta[0]]), np.empty((2, *case.start.shape))
+    hamiltonian_gradient(state, case.own, case.parameters, slope)
+    return momenta[0] + 0.5 * case.duration / count * slope[0]
+
+
+def descended(case, count):
+    """Places at the nodes, shape (N + 1, n, d), and momenta of the intervals, None where no guessed path has any."""
+    memory, pivots, couplings = [], None, None
     places = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
     action, gradient, momenta, inverses = action_of(case, places)
     if gradient is None:
-        return np.full(case.start.shape, np.nan)
+        return places, None
     for iteration in range(DESCENTS):
         if iteration % REFRESHED == 0:
-            memory, (pivots, couplings) = [], stiffness(case, inverses)
+            memory = []
+            try:
+                pivots, couplings = stiffness(case, inverses)
+            except np.linalg.LinAlgError:  # rounding has made it singular: what was reached has to do
+                break
         way = direction(pivots, couplings, memory, gradient[1:])
         decrease = -(way * gradient[1:]).sum()
         if not decrease > ENOUGH * action:
@@ -1576,9 +1603,7 @@ def momenta_of_least_action(case):
         if (step * change).sum() > 0.0:
             memory.append((step, change))
         places, (action, gradient, momenta, inverses) = trial, reached
-    state, slope = np.stack([0.5 * (places[0] + places[1]), momenta[0]]), np.empty((2, *case.start.shape))
-    hamiltonian_gradient(state, case.own, case.parameters, slope)
-    return momenta[0] + 0.5 * case.duration / count * slope[0]
+    return places, momenta
 
 
 # Which attempts are made to connect given points, in which order, and what is reported about them.
@@ -1597,6 +1622,7 @@ OUTCOMES = {
     -3: "the equations of an implicit step were not solved",
     -4: "a particle leaves its domain",
     -5: "no step along Newton's direction reduces the residual",
+    -6: "no guessed path has a finite action, or there are too many particles to look for one",
 }
 MORE_STEPS = (2, 4)  # factors by which steps are made more where no attempt succeeds
 LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
@@ -1675,6 +1701,8 @@ def from_rest(case, factor, path, points, log):
 def from_least_action(case, factor, path, points, log):
     """Shoot from the momenta at the start of a path of least action."""
     path[0, 1] = momenta_of_least_action(case)
+    if not np.isfinite(path[0, 1]).all():
+        return -6, 0, np.inf
     return shoot_at(case, case.target, factor, path, points, log)
 
 
@@ -1722,7 +1750,8 @@ def by_steps(case, factor, path, points, log):
     for multiple in MORE_STEPS:
         finer = case._replace(steps=multiple * case.steps)
         fine_path, fine_points = room(finer)
-        outcome, made, residual = from_least_action(finer, factor, fine_path, fine_points, log)
+        attempt = from_least_action if path_intervals(finer) else by_continuation
+        outcome, made, residual = attempt(finer, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             break
@@ -1975,7 +2004,7 @@ def make_case(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_9a87d4cea17fef7f"
+_IDENTITY = "codegen_image_registration_20a3bc483c48b607"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY
