@@ -716,11 +716,13 @@ def allocate_system(grid):
     """Room for the factors and for what is condensed, and the number of equations.
 
     The factors are an array of numbers and one of places, of which `factor_parts` tells the meaning: few arrays are
-    handed to compiled functions quickly. Places are zeros, so that solving without factors stays inside the arrays.
+    handed to compiled functions quickly. Places and the inverse of the pivots are zeros, so that solving without
+    factors, as compilation does, stays inside the arrays.
     """
     blocks, last = BODIES * grid.steps * BLOCK, BODIES * LAST
     rows, numbers = blocks + last + ROOT, blocks * WIDTH + last * LAST_WIDTH + ROOT * ROOT_WIDTH
     factors = np.empty(numbers + 2 * rows), np.zeros(rows, np.uint64), allocate_condensed(grid)
+    factors[0][numbers:] = 0.0
     return factors, multiplier_unknowns(grid).size
 
 
@@ -2284,7 +2286,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_crane_4fe1be6f975966a0"
+_IDENTITY = "codegen_crane_8c1b09e24763cce6"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

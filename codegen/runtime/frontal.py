@@ -73,11 +73,13 @@ def allocate_system(grid):
     """Room for the factors and for what is condensed, and the number of equations.
 
     The factors are an array of numbers and one of places, of which `factor_parts` tells the meaning: few arrays are
-    handed to compiled functions quickly. Places are zeros, so that solving without factors stays inside the arrays.
+    handed to compiled functions quickly. Places and the inverse of the pivots are zeros, so that solving without
+    factors, as compilation does, stays inside the arrays.
     """
     blocks, last = BODIES * grid.steps * BLOCK, BODIES * LAST
     rows, numbers = blocks + last + ROOT, blocks * WIDTH + last * LAST_WIDTH + ROOT * ROOT_WIDTH
     factors = np.empty(numbers + 2 * rows), np.zeros(rows, np.uint64), allocate_condensed(grid)
+    factors[0][numbers:] = 0.0
     return factors, multiplier_unknowns(grid).size
 
 
