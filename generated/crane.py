@@ -1042,7 +1042,7 @@ def slope_of(unknowns, gradient, step, is_multiplier):
 
 def acceptable(violation, cost, filtered):
     """Whether no pair of the filter is better both in violation and in cost (18)."""
-    for other, least in filtered:  # noqa: SIM110  a loop takes a third of the time of all(...)
+    for other, least in filtered:  # a loop takes a third of the time of all(...)
         if not (violation < other or cost < least):
             return False
     return True
@@ -2286,7 +2286,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_crane_8c1b09e24763cce6"
+_IDENTITY = "codegen_crane_f32ae956ccfe8aa1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

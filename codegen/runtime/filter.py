@@ -7,7 +7,7 @@ equation numbers are quoted. Here `cost` is whatever the line search lowers: the
 
 def acceptable(violation, cost, filtered):
     """Whether no pair of the filter is better both in violation and in cost (18)."""
-    for other, least in filtered:  # noqa: SIM110  a loop takes a third of the time of all(...)
+    for other, least in filtered:  # a loop takes a third of the time of all(...)
         if not (violation < other or cost < least):
             return False
     return True
