@@ -87,7 +87,7 @@ def test_of_too_many_particles_no_path_is_sought(made):
     case = made.make_case(many, many[::-1].copy(), 4)
     assert np.isnan(made.momenta_of_least_action(case)).all()
     path, points = made.room(case)
-    assert made.OUTCOMES[made.from_least_action(case, path, points, None)[0]].startswith("no guessed path")
+    assert made.OUTCOMES[made.from_least_action(case, None, path, points, None)[0]].startswith("no guessed path")
 
 
 def test_a_sigma_too_small_for_its_square_is_no_warning(made):

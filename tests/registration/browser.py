@@ -125,7 +125,12 @@ class Visit:
             self.page.wait_for_timeout(50)
 
     def screen(self, figure, x, y):
-        return self.page.evaluate(_SCREEN, [figure, x, y])
+        """Where on the screen a point of a figure is, once the page's layout stands still."""
+        before, place = None, self.page.evaluate(_SCREEN, [figure, x, y])
+        while place != before:
+            self.page.wait_for_timeout(100)
+            before, place = place, self.page.evaluate(_SCREEN, [figure, x, y])
+        return place
 
     def click(self, figure, x, y):
         self.page.mouse.click(*self.screen(figure, x, y))

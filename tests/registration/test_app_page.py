@@ -159,7 +159,7 @@ def test_what_is_shown_can_be_chosen_and_one_image_can_be_bent(chromium, address
     visit.wait_for("no pairs yet")
     visit.until(lambda v: np.array_equal(v.image("result")[..., :3], expected))
     visit.click("moving", 40.0, 30.0)
-    visit.wait_for("1 pairs")
+    visit.wait_for("1 pair")
     visit.drag("result", visit.points("result")[0][:2], (50.0, 33.0))
     visit.until(lambda v: np.hypot(*np.subtract(v.points("result")[0][:2], (50.0, 33.0))) < 1.0)
     visit.until(lambda v: not np.array_equal(v.image("result")[..., :3], expected))
