@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ExtraError, ImageError
 from codegen.output import replacing
-from codegen.registration.coarse import Spacing, map_grid
+from codegen.registration.coarse import Positions, Spacing, map_grid
 from codegen.registration.frame import pixel_grid
 from codegen.registration.register import Registration
 
@@ -43,8 +43,12 @@ def displacement_field(
     height, width = (int(length) for length in tuple(default if shape is None else shape)[:2])
     function = registration.map_points_inverse if inverse else registration.map_points
     singular = registration.pairs.fixed if inverse else registration.pairs.moving
-    found = map_grid(function, (height, width), singular, spacing)
-    return np.asarray(found.places - pixel_grid((height, width)).reshape(height, width, 2))
+    return displacements(map_grid(function, (height, width), singular, spacing))
+
+
+def displacements(positions: Positions) -> NDArray[np.float64]:
+    """The same field, shape (h, w, 2), where it is known already where each pixel goes or comes from."""
+    return np.asarray(positions.places - pixel_grid(positions.places.shape).reshape(positions.places.shape))
 
 
 def write_field(path: Path | str, field: NDArray[np.float64], direction: str = "") -> None:

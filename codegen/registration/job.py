@@ -21,6 +21,7 @@ from codegen.errors import ArgumentError, LandmarkError, PointsError, Registrati
 from codegen.registration import fields
 from codegen.registration.alignment import Kind
 from codegen.registration.certificate import Certificate, certify_with_positions
+from codegen.registration.coarse import Positions
 from codegen.registration.formats import Frames, read_landmarks
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
 from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
@@ -80,6 +81,7 @@ class Result:
     certificate: Certificate | None = None
     left_out: LeaveOneOut | None = None
     warped: Any = None
+    positions: Positions | None = None  # where the pixels of the warped image come from
 
     @property
     def passed(self) -> bool:
@@ -162,7 +164,7 @@ def _solved(
                 sigma = choose_sigma(pairs, shape, **method)
             found = register(pairs, shape, **method, sigma=sigma)
         with _timed(seconds, "certify"):
-            certificate, positions = certify_with_positions(found)
+            certificate, positions = certify_with_positions(found, inverse=options.inverse)
         with _timed(seconds, "leave one out"):
             left_out = _left_out(found, method)
     except RegistrationError as error:
@@ -179,10 +181,10 @@ def _solved(
             warped, how = warp_reported(
                 source.pixels, found, interpolation=options.interpolation, inverse=options.inverse,
                 spacing="auto" if options.coarse else None,
-                positions=None if options.inverse or options.coarse else positions,
+                positions=None if options.coarse else positions,
             )  # fmt: skip
         record["summary"] |= {"spacing": how.spacing, "spacing_bound": how.bound, "outside": how.outside}
-    return Result(record, pairs, moving, fixed, found, certificate, left_out, warped)
+    return Result(record, pairs, moving, fixed, found, certificate, left_out, warped, positions)
 
 
 def _left_out(found: Registration, method: dict[str, Any]) -> LeaveOneOut | None:
@@ -232,13 +234,10 @@ def _strict(value: Any) -> Any:
 
 
 def _write(job: Job, options: Options, result: Result) -> None:
-    assert result.registration is not None
-    if job.field is not None:
+    if job.field is not None and result.positions is not None:
         # The field that makes the image: from each of its pixels to where its value comes from.
         direction = "moving to fixed" if options.inverse else "fixed to moving"
-        spacing: Literal["auto"] | None = "auto" if options.coarse else None
-        field = fields.displacement_field(result.registration, inverse=not options.inverse, spacing=spacing)
-        fields.write_field(job.field, field, direction)
+        fields.write_field(job.field, fields.displacements(result.positions), direction)
     source = result.fixed if options.inverse and result.fixed is not None else result.moving
     write_image(job.out, result.warped, source.profile)
 

@@ -140,6 +140,14 @@ class Registration:
             factors = 1.0 / _determinant(jacobians)
         return self.alignment.apply_inverse(self._moved(points, before, after)), factors
 
+    def leaving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
+        """Where points of the moving image, in pixels, are carried, and by which factor areas grow, shape (n,)."""
+        points = as_points(xy)
+        aligned = self.alignment.apply(points)
+        before = self.frame.to_disc(aligned)
+        after, jacobians = self.flow.carry_with_jacobian(before, 1.0, 0.0)
+        return self._moved(aligned, before, after), _determinant(jacobians @ self.alignment.matrix)
+
     def arriving_determinant(self, xy: Any) -> NDArray[np.float64]:
         """The factors of `arriving`, shape (n,)."""
         return self.arriving(xy)[1]

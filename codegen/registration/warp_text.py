@@ -77,7 +77,7 @@ def record(done: Batch, summary: Path) -> dict[str, Any]:
     return {
         "problem": "image_registration", "task": "warp", "pairs": len(done.lines), "unchanged": done.unchanged,
         "failed": [_brief(line) for line in done.failed], "status": "failed" if done.failed else "solved",
-        "message": f"{len(done.failed)} of {len(done.lines)} pairs failed", "summary": str(summary),
+        "message": _outcome(done), "summary": str(summary),
     }  # fmt: skip
 
 
@@ -87,5 +87,9 @@ def _brief(line: Line) -> dict[str, str]:
 
 def overview(done: Batch, summary: Path) -> str:
     """One line about a batch."""
+    return f"{_outcome(done)}; see {summary}"
+
+
+def _outcome(done: Batch) -> str:
     solved = len(done.lines) - len(done.failed) - done.unchanged
-    return f"{solved} pairs warped, {done.unchanged} unchanged, {len(done.failed)} failed; see {summary}"
+    return f"{solved} pairs warped, {done.unchanged} unchanged, {len(done.failed)} failed"

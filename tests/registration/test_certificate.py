@@ -76,6 +76,20 @@ def test_trilobites_do_not_fold(registration):
     assert found.residual_max == registration.residuals.max()
 
 
+def test_the_inverse_is_certified_on_the_pixels_of_the_moving_image(registration):
+    shape = (40, 50)
+    found, positions = certify_with_positions(registration, shape, inverse=True)
+    grid = pixel_grid(shape)
+    determinants = registration.determinant(grid)
+    assert found.passed
+    assert (found.det_min, found.det_max) == (determinants.min(), determinants.max())
+    np.testing.assert_allclose(positions.places.reshape(-1, 2), registration.map_points(grid), atol=1e-11)
+    # Where the same pixels arrive, the inverse map has the inverse derivative.
+    there, factors = registration.arriving(positions.places.reshape(-1, 2))
+    np.testing.assert_allclose(there, grid, atol=1e-8)
+    np.testing.assert_allclose(factors, determinants, rtol=1e-7)
+
+
 def test_a_landmark_out_of_place_is_found(solver):
     x, y = np.meshgrid(np.linspace(20, 140, 5), np.linspace(15, 105, 4))
     moving = np.stack([x.ravel(), y.ravel()], axis=1)

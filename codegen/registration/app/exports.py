@@ -17,9 +17,8 @@ from codegen.registration.app.session import Task
 from codegen.registration.app.solving import arguments, frame, grid
 from codegen.registration.certificate import certify_with_positions
 from codegen.registration.coarse import Positions
-from codegen.registration.fields import write_field
+from codegen.registration.fields import displacements, write_field
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
-from codegen.registration.frame import pixel_grid
 from codegen.registration.images import write_image
 from codegen.registration.register import Registration, register
 from codegen.registration.warp import warp
@@ -69,8 +68,7 @@ def warped_image(task: Task) -> Download:
 
 def field(task: Task) -> Download:
     """The displacements from fixed to moving at every pixel of the fixed image, .npz."""
-    places = trusted(task)[1].places
-    values = places - pixel_grid(task.fixed.shape).reshape(places.shape)
+    values = displacements(trusted(task)[1])
     data = _written(".npz", lambda path: write_field(path, values, "fixed to moving"))
     return Download(f"{task.moving.stem}_displacement_fixed_to_moving.npz", "application/octet-stream", data)
 
