@@ -80,6 +80,18 @@ def test_landmarks_that_change_places(made, swapped):
     assert apart.min() > 0.1
 
 
+def test_with_a_sigma_they_do_not_end_half_way(made):
+    """The best inexact motion costs no more than the exact one, whose cost is its action alone."""
+    start, target = START[:2], START[1::-1].copy()
+    case = made.make_case(start, target, 8, sigma=0.05)
+    with np.errstate(all="ignore"):  # interpreted code warns where compiled code does not
+        exact, loose = made.solve(start, target, 8), made.solve_case(case)
+    assert (exact.status, loose.status) == ("solved", "solved")
+    assert made.penalised(case, loose.cost, loose.q[-1]) < 0.5 * exact.cost
+    assert np.linalg.norm(loose.q[-1] - target, axis=1).max() < 0.05
+    assert loose.attempts[-1].endswith("it costs less")
+
+
 def test_of_too_many_particles_no_path_is_sought(made):
     """Five matrices of 1000 by 1000 numbers are as many as are worked with, and too few for a path."""
     angle, radius = np.linspace(0.0, 6.0, 1000), np.linspace(0.1, 0.8, 1000)

@@ -36,6 +36,8 @@ class FlowModule(Protocol):
     momenta_of: Callable[..., NDArray[np.float64]]
     momenta_of_least_action: Callable[[Any], NDArray[np.float64]]
     momentum_matrix: Callable[..., None]
+    penalised: Callable[[Any, float, NDArray[np.float64]], float]
+    misses_by_far: Callable[[Any, NDArray[np.float64]], bool]
     stages_of: Callable[[Any, Any], NDArray[np.float64]]
     carry: Callable[..., tuple[PointArray, Any]]
     POINTS: int

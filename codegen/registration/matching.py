@@ -96,13 +96,15 @@ class Matching:
         With a sigma, equations are solved by any stationary point of the cost, such as two landmarks that ought to
         change places and end together half way. One that misses by far is compared with what other momenta lead to.
         """
+        module, least = registration_module(self.scheme), np.inf
         best: tuple[Any, str] | None = None
         for name, momenta in self._first_momenta(case, velocities):
-            solution = registration_module(self.scheme).solve_case(case._replace(max_iterations=PATIENCE), momenta)
+            solution = module.solve_case(case._replace(max_iterations=PATIENCE), momenta)
             if solution.status == "solved":
-                if best is None or penalised(case, solution) < penalised(case, best[0]):
-                    best = solution, f"shooting from {name}"
-                if not misses_by_far(case, best[0]):
+                penalised = module.penalised(case, solution.cost, solution.q[-1])
+                if best is None or penalised < least:
+                    best, least = (solution, f"shooting from {name}"), penalised
+                if not module.misses_by_far(case, best[0].q[-1]):
                     break
         return best, solution
 
@@ -151,19 +153,6 @@ class Matching:
         one, other = (self.pairs.names[k[worst]] for k in (i, j))
         x, y = self.pairs.moving[i[worst]]
         return f"{said} (hardest are landmarks {one} and {other}, near ({x:.1f}, {y:.1f}))"
-
-
-def penalised(case: Any, solution: Any) -> float:
-    """The action plus sum |q_N - target|^2/(2 sigma^2) over the landmarks that may miss their targets."""
-    free = case.sigma > 0.0
-    missed = ((solution.q[-1] - case.target)[free] / case.sigma[free, None]) ** 2
-    return float(0.5 * (solution.cost + missed.sum()))
-
-
-def misses_by_far(case: Any, solution: Any) -> bool:
-    """Whether some landmark that may miss its target does so by more than sigma."""
-    missed = np.linalg.norm(solution.q[-1] - case.target, axis=1)
-    return bool((missed > case.sigma)[case.sigma > 0.0].any())
 
 
 _aligned = align  # a parameter of `Matching.of` has that name
