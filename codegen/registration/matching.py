@@ -80,7 +80,7 @@ class Matching:
         module = registration_module(self.scheme)
         case = self._case(steps)
         with quiet_single_thread():
-            found, solution = self._cheapest(case, velocities)
+            found = self._cheapest(case, velocities)
             if found is not None:
                 return self._flow(case, found[0]), *found
             if not quick:
@@ -88,10 +88,10 @@ class Matching:
                 if solution.status == "solved":
                     return self._flow(case, solution), solution, solution.attempts[-1].split(":")[0]
         remedy = "allow for a sigma, take more steps, or leave out landmarks that are close and move apart"
-        raise RegistrationError(self._failure(solution.message), remedy)
+        raise RegistrationError(self._failure(steps), remedy)
 
-    def _cheapest(self, case: Any, velocities: NDArray[np.float64] | None) -> tuple[tuple[Any, str] | None, Any]:
-        """The solution to be taken and what led to it, if any attempt had one; and the last attempt's account.
+    def _cheapest(self, case: Any, velocities: NDArray[np.float64] | None) -> tuple[Any, str] | None:
+        """The solution to be taken and what led to it, if any attempt had one.
 
         With a sigma, equations are solved by any stationary point of the cost, such as two landmarks that ought to
         change places and end together half way. One that misses by far is compared with what other momenta lead to.
@@ -106,7 +106,7 @@ class Matching:
                     best, least = (solution, f"shooting from {name}"), penalised
                 if not module.misses_by_far(case, best[0].q[-1]):
                     break
-        return best, solution
+        return best
 
     def _case(self, steps: int) -> Any:
         """The generated module's account of what is to be connected."""
@@ -141,10 +141,10 @@ class Matching:
         path = np.stack([solution.q, solution.p], axis=1)
         return Flow(module, case, path, module.stages_of(case, path))
 
-    def _failure(self, message: str) -> str:
+    def _failure(self, steps: int) -> str:
         """What is reported of landmarks that no motion was found for: the two whose distance changes most."""
         before, after = self.alignment.apply(self.pairs.moving), self.pairs.fixed
-        said = message.split(";")[0]
+        said = f"no motion of {steps} steps of {self.scheme} was found that carries the landmarks to their places"
         if len(before) < 2:
             return said
         i, j = np.triu_indices(len(before), 1)
@@ -152,7 +152,7 @@ class Matching:
         worst = int(np.argmax(np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart))
         one, other = (self.pairs.names[k[worst]] for k in (i, j))
         x, y = self.pairs.moving[i[worst]]
-        return f"{said} (hardest are landmarks {one} and {other}, near ({x:.1f}, {y:.1f}))"
+        return f"{said}; hardest are landmarks {one} and {other}, near ({x:.1f}, {y:.1f})"
 
 
 _aligned = align  # a parameter of `Matching.of` has that name

@@ -87,7 +87,7 @@ def landmarks(task: Task, form: str) -> tuple[Download, ...]:
 
 def animation(task: Task, with_grid: bool = False) -> Download:
     """The flow of the preview from the moving image to the warped one and back, as a GIF that repeats."""
-    registration = registered(task)
+    registration, _ = trusted(task)
     frames = [_painted(task, registration, time, with_grid) for time in np.linspace(0.0, 1.0, FRAMES)]
     palette = frames[-1].quantize(255)
     drawn = [image.quantize(255, palette=palette, dither=Image.Dither.NONE) for image in frames + frames[-2:0:-1]]
