@@ -60,7 +60,8 @@ class VariationalInterval:
     Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
     point after the other, at the fractions `inner_places` of the step, and is stationary there up to `force_inner`.
     Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
-    made from those of L: to differentiate Ld itself would take long.
+    made from those of L: to differentiate Ld itself would take long. And `impulse` is what an interval adds to the
+    momenta, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
     """
 
     q: Sites
@@ -73,6 +74,7 @@ class VariationalInterval:
     inner_places: tuple[Expr, ...] = ()
     force_inner: tuple[Expr, ...] = ()
     slopes: tuple[Expr, ...] = ()
+    impulse: tuple[Expr, ...] = ()
 
     @property
     def left_momentum(self) -> tuple[Expr, ...]:
@@ -183,7 +185,9 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
             for i, f in enumerate(model.force):
                 node[i] += weight * share * force_at(f, c)
     minus, *between, plus = (tuple(node) for node in forces)
-    slopes = _slopes(model, scheme, motion, lambda f, c: at(f, c, _mean_controls(places, c))) if inner else ()
+    slopes, impulse = (), ()
+    if inner:
+        slopes, impulse = _slopes_and_impulse(model, scheme, motion, lambda f, c: at(f, c, _mean_controls(places, c)))
     return VariationalInterval(
         q=places,
         lagrangian=lagrangian,
@@ -195,14 +199,22 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
         inner_places=tuple(c for c in scheme.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),
         slopes=slopes,
+        impulse=impulse,
     )
 
 
-def _slopes(
-    model: Model, scheme: DiscreteLagrangian, motion: PolynomialMotion, at: Callable[[Expr, Expr], Expr]
-) -> tuple[Expr, ...]:
-    """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i."""
+def _slopes_and_impulse(
+    model: Model,
+    scheme: DiscreteLagrangian,
+    motion: PolynomialMotion,
+    at: Callable[[Expr, Expr], Expr],
+) -> tuple[tuple[Expr, ...], tuple[Expr, ...]]:
+    """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i.
+
+    Second, sum_i w_i h (L_q + f).
+    """
     slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
+    impulse = [sympy.S.Zero] * len(model.coordinates)
     for point in scheme.points:
         weight, c = point.weight, point.place
         by_position = [at(sympy.diff(model.function, q), c) for q in model.coordinates]
@@ -210,7 +222,9 @@ def _slopes(
         for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
             for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
                 node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
-    return tuple(slope for node in slopes for slope in node)
+        for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
+            impulse[i] += weight * STEP * (force + at(f, c))
+    return tuple(slope for node in slopes for slope in node), tuple(impulse)
 
 
 def one_step_interval(model: Model, scheme: OfSteps, nodal_controls: bool = False) -> OneStepInterval:

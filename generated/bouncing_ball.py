@@ -2396,10 +2396,10 @@ def initial_guess(grid):
     common[2] = 0.45  # T_2
     steps = grid.steps // PHASES
     t = node_times(grid, unknowns)[: steps + 1]
-    nodes[:, : steps + 1, 0] = ((10/9))*t  # x
+    nodes[:, : steps + 1, 0] = (10/9)*t  # x
     nodes[:, : steps + 1, 1] = 1 - (20/9)*t  # y
     t = node_times(grid, unknowns)[steps + 1 :]
-    nodes[:, steps + 1 :, 0] = ((10/9))*t  # x
+    nodes[:, steps + 1 :, 0] = (10/9)*t  # x
     nodes[:, steps + 1 :, 1] = 2*t - 0.9  # y
     intervals[:, steps : steps + 1, 0] = (10/9)  # switch_dx
     intervals[:, steps : steps + 1, 1] = (-20/9)  # switch_dy
@@ -2456,7 +2456,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_87e9bc2ab5524820"
+_IDENTITY = "codegen_bouncing_ball_aa18c5722f7c050c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

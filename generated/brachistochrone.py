@@ -2238,7 +2238,7 @@ def initial_guess(grid):
     nodes[:, :, 1] = start_y + t*(end_y - start_y)/duration  # y
     nodes[:, :, 2] = 5*t  # v
     t = duration * (0.5 + np.arange(grid.steps)) / grid.steps
-    intervals[:, :, 3] = ((1/18))*np.pi*(8*t + 1)  # theta_k
+    intervals[:, :, 3] = (1/18)*np.pi*(8*t + 1)  # theta_k
     return with_pinned_values(grid, unknowns)
 
 
@@ -2291,7 +2291,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_brachistochrone_a92f5654e7e02621"
+_IDENTITY = "codegen_brachistochrone_ce32c02be4e7529c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

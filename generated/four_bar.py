@@ -169,7 +169,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     x22 = x14*x5
     x23 = x10*x17
     x24 = l1**2*x13
-    x25 = x18*x22 + ((8/3))*x19*x24 - 0.5*x20*x23
+    x25 = x18*x22 + (8/3)*x19*x24 - 0.5*x20*x23
     x26 = x0*(eta_2_k*l1 - kappa_1_k*x2) + 0.25*x21 - x25 - x3*(eta_1_k*l1 + kappa_2_k*x2)
     x27 = math.cos(b_k)
     x28 = h*l2
@@ -184,21 +184,21 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     x37 = math.cos(c_k)
     x38 = l3**2/h
     x39 = x38*(lambda_c_k - lambda_c_k1)
-    x40 = x34*(eta_1_k*l3 + kappa_2_k*x36) - x37*(eta_2_k*l3 - kappa_1_k*x36) + ((2/3))*x39
+    x40 = x34*(eta_1_k*l3 + kappa_2_k*x36) - x37*(eta_2_k*l3 - kappa_1_k*x36) + (2/3)*x39
     x41 = x16*x17
     x42 = x12*x24 + 0.375*x20*x5
     x43 = h*u_k
     x44 = l1*x0
     x45 = l1*x3
-    x46 = ((8/3))*h*(-0.1875*x41 + x42) + h*(-kappa_1_k*x45 + kappa_2_k*x44) + x43
+    x46 = (8/3)*h*(-0.1875*x41 + x42) + h*(-kappa_1_k*x45 + kappa_2_k*x44) + x43
     x47 = x11*x31 + 1.5*x15*x5
     x48 = l2*x27
     x49 = l2*x30
-    x50 = h*(x41 + ((4/3))*x47) + 2*h*(-kappa_1_k*x49 + kappa_2_k*x48)
+    x50 = h*(x41 + (4/3)*x47) + 2*h*(-kappa_1_k*x49 + kappa_2_k*x48)
     x51 = l3*x34
     x52 = l3*x37
     x53 = x38*(c_k - c_k1)
-    x54 = h*(kappa_1_k*x51 - kappa_2_k*x52) + ((2/3))*x53
+    x54 = h*(kappa_1_k*x51 - kappa_2_k*x52) + (2/3)*x53
     x55 = math.cos(a_k1)
     x56 = lambda_a_k1*x1
     x57 = math.sin(a_k1)
@@ -329,7 +329,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x56 = x31*x33
     x57 = x30*x31
     x58 = l2**2*x42
-    x59 = x52 + ((4/3))*x58
+    x59 = x52 + (4/3)*x58
     x60 = kappa_1_k*x56 + kappa_2_k*x57 - 0.5*x54 - 0.5*x59
     x61 = x36*x38
     x62 = x35*x36
@@ -350,7 +350,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x77 = math.sin(c_k1)
     x78 = x75*(eta_1_k1*l3 + kappa_2_k1*x76) + x77*(eta_2_k1*l3 - kappa_1_k1*x76)
     x79 = x45 - 0.5*x47
-    x80 = x45 + ((16/3))*x49
+    x80 = x45 + (16/3)*x49
     x81 = x46 + 0.5*x52
     x82 = x1*x67
     x83 = x1*x65
@@ -371,7 +371,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     hessian[5] = 0.25*(x48 + 2*x53)  # d2l/dlambda_a_k db_k
     hessian[6] = -0.25*(x54 - 2*x55)  # d2l/dlambda_b_k da_k
     hessian[7] = -0.5*x60  # d2l/dlambda_b_k db_k
-    hessian[8] = 0.5*(kappa_1_k*x62 + kappa_2_k*x61 + ((2/3))*x63)  # d2l/dlambda_c_k dc_k
+    hessian[8] = 0.5*(kappa_1_k*x62 + kappa_2_k*x61 + (2/3)*x63)  # d2l/dlambda_c_k dc_k
     hessian[9] = -0.5*x2*x3  # d2l/dkappa_1_k da_k
     hessian[10] = -0.5*x32*x33  # d2l/dkappa_1_k db_k
     hessian[11] = 0.5*x35*x37  # d2l/dkappa_1_k dc_k
@@ -415,7 +415,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     hessian[49] = 0.25*(x85 + 2*x86)  # d2l/dlambda_b_k1 da_k1
     hessian[50] = -0.5*x90  # d2l/dlambda_b_k1 db_k1
     hessian[51] = -(1/3)*l3**2/h  # d2l/dlambda_c_k1 dc_k
-    hessian[52] = 0.5*(kappa_1_k1*x92 + kappa_2_k1*x91 + ((2/3))*x63)  # d2l/dlambda_c_k1 dc_k1
+    hessian[52] = 0.5*(kappa_1_k1*x92 + kappa_2_k1*x91 + (2/3)*x63)  # d2l/dlambda_c_k1 dc_k1
     hessian[53] = -0.5*x66*x67  # d2l/dkappa_1_k1 da_k1
     hessian[54] = -0.5*x72*x73  # d2l/dkappa_1_k1 db_k1
     hessian[55] = 0.5*x75*x76  # d2l/dkappa_1_k1 dc_k1
@@ -453,9 +453,9 @@ def start_gradient(unknowns, t, parameters, gradient):
     start_db = parameters[8]
     start_dc = parameters[9]
     x0 = 0.5*l1*l2*math.cos(a_k - b_k)
-    gradient[3] += ((4/3))*l1**2*start_da + start_db*x0  # by lambda_a_k
-    gradient[4] += ((1/3))*l2**2*start_db + start_da*x0  # by lambda_b_k
-    gradient[5] += ((1/3))*l3**2*start_dc  # by lambda_c_k
+    gradient[3] += (4/3)*l1**2*start_da + start_db*x0  # by lambda_a_k
+    gradient[4] += (1/3)*l2**2*start_db + start_da*x0  # by lambda_b_k
+    gradient[5] += (1/3)*l3**2*start_dc  # by lambda_c_k
     return 0
 
 
@@ -2212,7 +2212,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_four_bar_6efae1c4d0c0cf20"
+_IDENTITY = "codegen_four_bar_17c141af24738a57"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

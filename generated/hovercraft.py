@@ -373,7 +373,7 @@ def coupling_4(values, parameters, slopes, curvatures):
     a0 = values[0]
     slopes[0] = (1/3)  # by a0
     curvatures[0] = 0  # by a0 and a0
-    return ((1/3))*a0
+    return (1/3)*a0
 
 
 @njit(error_model="numpy")
@@ -2282,8 +2282,8 @@ def initial_guess(grid):
     own, common = shared_views(unknowns)
     duration = duration_of(grid, unknowns)
     t = duration * np.arange(grid.steps + 1) / grid.steps
-    nodes[:, :, 0] = t*(Mx - (1/3)*np.sqrt(3)*R*np.cos(((2/3))*np.pi*body)) + (1 - t)*(body + 1)  # x
-    nodes[:, :, 1] = t*(My - (1/3)*np.sqrt(3)*R*np.sin(((2/3))*np.pi*body))  # y
+    nodes[:, :, 0] = t*(Mx - (1/3)*np.sqrt(3)*R*np.cos((2/3)*np.pi*body)) + (1 - t)*(body + 1)  # x
+    nodes[:, :, 1] = t*(My - (1/3)*np.sqrt(3)*R*np.sin((2/3)*np.pi*body))  # y
     nodes[:, :, 2] = start_theta + t*(end_theta - start_theta)/duration  # theta
     t = duration * (0.5 + np.arange(grid.steps)) / grid.steps
     intervals[:, :, 0] = 1  # f1_k
@@ -2346,7 +2346,7 @@ def coupling_term(kind, values, parameters, slopes, curvatures):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_83b032fbe8cf3f95"
+_IDENTITY = "codegen_hovercraft_621e54507abf719c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

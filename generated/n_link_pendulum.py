@@ -251,7 +251,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x42 = x2*x33
     x43 = -x2*x28 + 2*x26 + 6*x41*x5 + x42
     x44 = x2*x9
-    x45 = ((1/6))*x17*x2 + x34*x8 + ((1/3))*x37
+    x45 = (1/6)*x17*x2 + x34*x8 + (1/3)*x37
     x46 = -6*x1*x45 + x19*x43 - x31*x44
     x47 = x13*x8
     x48 = x15*x47
@@ -281,7 +281,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x72 = x6**2
     x73 = -x19*x72*x8 + x28*x6 + 2*x4
     x74 = x1*(x17*x6 - x41*x72) + x19*x73
-    x75 = -x1*(((1/3))*x28 + x33) + x19*(x10 + ((1/3))*x17)
+    x75 = -x1*((1/3)*x28 + x33) + x19*(x10 + (1/3)*x17)
     x76 = x74 - 6*x75
     x77 = -x1*x28 + x17*x19
     x78 = x31*x8 + x39*x8
@@ -2120,7 +2120,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_n_link_pendulum_74a23dbffd8e5997"
+_IDENTITY = "codegen_n_link_pendulum_66a2e9e00979994a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

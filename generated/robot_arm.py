@@ -125,7 +125,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     x0 = mu_dphi_k*u_phi_k
     x1 = 0.5*rho_k + 0.5*rho_k1
     x2 = L - x1
-    x3 = ((1/3))*x1**3 + ((1/3))*x2**3
+    x3 = (1/3)*x1**3 + (1/3)*x2**3
     x4 = T*h
     x5 = x4*(-0.5*x1**2 + 0.5*x2**2)/x3**2
     x6 = 0.5*phi_k + 0.5*phi_k1
@@ -200,7 +200,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x0 = mu_dphi_k*u_phi_k
     x1 = 0.5*rho_k + 0.5*rho_k1
     x2 = L - x1
-    x3 = ((1/3))*x1**3 + ((1/3))*x2**3
+    x3 = (1/3)*x1**3 + (1/3)*x2**3
     x4 = x3**(-2)
     x5 = T*h
     x6 = 0.5*x5
@@ -2320,7 +2320,7 @@ def make_grid(
         "start dtheta": 0,
         "start dphi": 0,
         "end rho": 4.5,
-        "end theta": ((2/3))*math.pi,
+        "end theta": (2/3)*math.pi,
         "end phi": 0.25*math.pi,
         "end drho": 0,
         "end dtheta": 0,
@@ -2436,7 +2436,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_robot_arm_389b8e8d7d488d54"
+_IDENTITY = "codegen_robot_arm_70484c46bbc57c7f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -144,30 +144,30 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     x18 = x1*x13*x7 + 2*x14*(x11*x15 + x16*x17)
     x19 = x1*x15
     x20 = x14*x7
-    x21 = ((14/9))*x10*x17 + x10*x19 - 0.5*x16*x20
+    x21 = (14/9)*x10*x17 + x10*x19 - 0.5*x16*x20
     x22 = x1*x17
     x23 = x10*x15 + 1.125*x10*x22 - 0.5625*x11*x20
     x24 = x13*x14
-    x25 = ((9/14))*x1*x16 + x11
+    x25 = (9/14)*x1*x16 + x11
     x26 = -(9/28)*x24 + x25
     x27 = u1_k - u2_k
     x28 = x2*x27
     x29 = 1.125*x1*x11 + x16
-    x30 = x24 + ((16/9))*x29
+    x30 = x24 + (16/9)*x29
     x31 = u2_k*x2
     x32 = lambda_alpha_k + lambda_alpha_k1
     x33 = x2*x32
     x34 = lambda_beta_k + lambda_beta_k1
-    x35 = ((9/28))*x24 + x25
+    x35 = (9/28)*x24 + x25
     x36 = x24 - (16/9)*x29
     x37 = x9/T**3
     x38 = x37*x8
     x39 = x12*x37
-    x40 = ((28/9))*h*lambda_alpha_k*x26 - (28/9)*h*lambda_alpha_k1*x35 + h*lambda_beta_k*x30 + h*lambda_beta_k1*x36 + ((2/3))*h*u2_k*x34 + ((2/3))*h*x27*x32 + ((4/3))*h - 2*x12*x20*x38 + ((32/9))*x15*x39 + ((56/9))*x17*x38 + 4*x19*x38 + 4*x22*x39
+    x40 = (28/9)*h*lambda_alpha_k*x26 - (28/9)*h*lambda_alpha_k1*x35 + h*lambda_beta_k*x30 + h*lambda_beta_k1*x36 + (2/3)*h*u2_k*x34 + (2/3)*h*x27*x32 + (4/3)*h - 2*x12*x20*x38 + (32/9)*x15*x39 + (56/9)*x17*x38 + 4*x19*x38 + 4*x22*x39
     gradient[0] = 0.375*(x18 - 4*x21)  # dl/dalpha_k
-    gradient[1] = -0.375*(x18 + ((32/9))*x23)  # dl/dbeta_k
-    gradient[2] = ((7/3))*(x2*x26 + ((3/14))*x28)  # dl/dlambda_alpha_k
-    gradient[3] = 0.75*(x2*x30 + ((2/3))*x31)  # dl/dlambda_beta_k
+    gradient[1] = -0.375*(x18 + (32/9)*x23)  # dl/dbeta_k
+    gradient[2] = (7/3)*(x2*x26 + (3/14)*x28)  # dl/dlambda_alpha_k
+    gradient[3] = 0.75*(x2*x30 + (2/3)*x31)  # dl/dlambda_beta_k
     gradient[4] = 0.5*x33  # dl/du1_k
     gradient[5] = 0.5*(x2*x34 - x33)  # dl/du2_k
     gradient[6] = 0.375*(x18 + 4*x21)  # dl/dalpha_k1
@@ -243,7 +243,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x48 = 0.5*x24 + x25
     x49 = x20 - 2*x28
     x50 = x33 - 0.5*x36
-    x51 = x32 + ((9/28))*x33
+    x51 = x32 + (9/28)*x33
     x52 = x39 + 0.5*x40
     x53 = 0.5*x36 + x40
     x54 = -0.5*x33 + x39
@@ -266,39 +266,39 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x71 = x16*x65
     x72 = x14*x63
     x73 = x3*x67
-    x74 = -x15*x56 - x3*x71 + 0.5*x3*x72 + 2*x56*x70 + ((28/9))*x66 - (14/9)*x73
-    x75 = -x13*x58 + 0.5*x13*x64 + 2*x16*x66 - x16*x73 + ((16/9))*x17*x56 - (8/9)*x3*x65
+    x74 = -x15*x56 - x3*x71 + 0.5*x3*x72 + 2*x56*x70 + (28/9)*x66 - (14/9)*x73
+    x75 = -x13*x58 + 0.5*x13*x64 + 2*x16*x66 - x16*x73 + (16/9)*x17*x56 - (8/9)*x3*x65
     x76 = x14*x4
-    x77 = ((9/14))*x22 + x4
+    x77 = (9/14)*x22 + x4
     x78 = x1*x34
     x79 = x14*x78
     x80 = h*(u1_k - u2_k) + 3*x79
     x81 = x1*x31
-    x82 = x21*x81 + ((14/9))*x78
-    x83 = ((14/3))*h*(-(9/28)*x76 + x77) + x80 - 6*x82
+    x82 = x21*x81 + (14/9)*x78
+    x83 = (14/3)*h*(-(9/28)*x76 + x77) + x80 - 6*x82
     x84 = x18 + 1.125*x27
     x85 = h*u2_k - 3*x79
-    x86 = ((8/9))*x11*x81 + x16*x78
-    x87 = 1.5*h*(x76 + ((16/9))*x84) + x85 - 6*x86
+    x86 = (8/9)*x11*x81 + x16*x78
+    x87 = 1.5*h*(x76 + (16/9)*x84) + x85 - 6*x86
     x88 = h*(lambda_alpha_k + lambda_alpha_k1)
-    x89 = h*(((9/28))*x76 + x77) - (3/14)*x80 - (9/7)*x82
-    x90 = h*(x76 - (16/9)*x84) + ((2/3))*x85 + 4*x86
+    x89 = h*((9/28)*x76 + x77) - (3/14)*x80 - (9/7)*x82
+    x90 = h*(x76 - (16/9)*x84) + (2/3)*x85 + 4*x86
     x91 = x2/T**4
     x92 = x0*x91
-    x93 = ((8/9))*x11*x17*x91 - (16/27)*x11*x56*x65 - 0.5*x15*x92 + x19*x21*x91 + ((14/9))*x19*x92 - (2/3)*x21*x56*x67 - (28/27)*x57*x67 - (2/3)*x57*x71 + ((1/3))*x57*x72 + x70*x92
+    x93 = (8/9)*x11*x17*x91 - (16/27)*x11*x56*x65 - 0.5*x15*x92 + x19*x21*x91 + (14/9)*x19*x92 - (2/3)*x21*x56*x67 - (28/27)*x57*x67 - (2/3)*x57*x71 + (1/3)*x57*x72 + x70*x92
     hessian[0] = -0.1875*(x20 - 4*x24)  # d2l/dalpha_k dalpha_k
     hessian[1] = 0.1875*(4*x26 + x29)  # d2l/dbeta_k dalpha_k
     hessian[2] = -0.1875*(x20 + 4*x28)  # d2l/dbeta_k dbeta_k
     hessian[3] = -0.75*(x37 - (28/9)*x38)  # d2l/dlambda_alpha_k dalpha_k
     hessian[4] = 0.75*(x37 + 2*x41)  # d2l/dlambda_alpha_k dbeta_k
     hessian[5] = -0.75*(x42 - 2*x43)  # d2l/dlambda_beta_k dalpha_k
-    hessian[6] = 0.75*(x42 + ((16/9))*x44)  # d2l/dlambda_beta_k dbeta_k
+    hessian[6] = 0.75*(x42 + (16/9)*x44)  # d2l/dlambda_beta_k dbeta_k
     hessian[7] = x45  # d2l/du1_k dlambda_alpha_k
     hessian[8] = x46  # d2l/du2_k dlambda_alpha_k
     hessian[9] = x45  # d2l/du2_k dlambda_beta_k
     hessian[10] = x47  # d2l/dalpha_k1 dalpha_k
     hessian[11] = 0.1875*(-4*x26 + x29)  # d2l/dalpha_k1 dbeta_k
-    hessian[12] = -0.75*(x37 + ((28/9))*x38)  # d2l/dalpha_k1 dlambda_alpha_k
+    hessian[12] = -0.75*(x37 + (28/9)*x38)  # d2l/dalpha_k1 dlambda_alpha_k
     hessian[13] = -0.75*(x42 + 2*x43)  # d2l/dalpha_k1 dlambda_beta_k
     hessian[14] = -0.1875*(x20 + 4*x24)  # d2l/dalpha_k1 dalpha_k1
     hessian[15] = 0.1875*(-4*x48 + x49)  # d2l/dbeta_k1 dalpha_k
@@ -311,10 +311,10 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     hessian[22] = -0.75*(x50 + 2*x52)  # d2l/dlambda_alpha_k1 dbeta_k
     hessian[23] = x45  # d2l/dlambda_alpha_k1 du1_k
     hessian[24] = x46  # d2l/dlambda_alpha_k1 du2_k
-    hessian[25] = 0.75*(x50 + ((28/9))*x51)  # d2l/dlambda_alpha_k1 dalpha_k1
+    hessian[25] = 0.75*(x50 + (28/9)*x51)  # d2l/dlambda_alpha_k1 dalpha_k1
     hessian[26] = -0.75*(x50 - 2*x52)  # d2l/dlambda_alpha_k1 dbeta_k1
     hessian[27] = 0.75*(x53 - 2*x54)  # d2l/dlambda_beta_k1 dalpha_k
-    hessian[28] = -0.75*(x53 + ((16/9))*x55)  # d2l/dlambda_beta_k1 dbeta_k
+    hessian[28] = -0.75*(x53 + (16/9)*x55)  # d2l/dlambda_beta_k1 dbeta_k
     hessian[29] = x45  # d2l/dlambda_beta_k1 du2_k
     hessian[30] = 0.75*(x53 + 2*x54)  # d2l/dlambda_beta_k1 dalpha_k1
     hessian[31] = -0.75*(x53 - (16/9)*x55)  # d2l/dlambda_beta_k1 dbeta_k1
@@ -339,8 +339,8 @@ def start_gradient(unknowns, t, parameters, gradient):
     start_dalpha = parameters[5]
     start_dbeta = parameters[6]
     x0 = 1.5*math.cos(alpha_k - beta_k)
-    gradient[2] += ((7/3))*start_dalpha + start_dbeta*x0  # by lambda_alpha_k
-    gradient[3] += start_dalpha*x0 + ((4/3))*start_dbeta  # by lambda_beta_k
+    gradient[2] += (7/3)*start_dalpha + start_dbeta*x0  # by lambda_alpha_k
+    gradient[3] += start_dalpha*x0 + (4/3)*start_dbeta  # by lambda_beta_k
     return 0
 
 
@@ -2477,7 +2477,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_two_link_arm_468a4178a1332fcd"
+_IDENTITY = "codegen_two_link_arm_84814ab244565d82"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

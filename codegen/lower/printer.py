@@ -42,6 +42,11 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
             return decimal if len(decimal) <= 8 else f"({p}/{q})"
         return repr(p / q)
 
+    def parenthesize(self, item: Any, level: int, strict: bool = False) -> str:
+        """A fraction has parentheses of its own."""
+        text = str(super().parenthesize(item, level, strict))
+        return text[1:-1] if text.startswith("((") and isinstance(item, sympy.Rational) else text
+
     def _print_Integer(self, expr: Any) -> str:
         return str(int(expr)) if abs(int(expr)) < 2**53 else repr(float(expr))
 

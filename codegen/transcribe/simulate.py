@@ -174,6 +174,10 @@ def _solved_for_velocities(
     Inner points become q_k + c h v, c being their place.
     """
     dimension = len(model.coordinates)
+    arriving = interval.right_momentum
+    if interval.inner:
+        # All equations together: rounded coefficients of velocities would make the energy drift.
+        arriving = tuple(p + gained for p, gained in zip(left[dimension:], interval.impulse, strict=True))
     arrival: dict[Symbol, Expr] = {
         q1: q + STEP * v for q1, q, v in zip(interval.q.right, interval.q.left, velocities, strict=False)
     }
@@ -190,7 +194,7 @@ def _solved_for_velocities(
         *(p - in_velocities(value) for p, value in zip(left[dimension:], interval.left_momentum, strict=True)),
         *(in_velocities(value) for value in interval.inner_balance),
         *(q1 - value for q1, value in arrival.items()),
-        *(p - in_velocities(value) for p, value in zip(right[dimension:], interval.right_momentum, strict=True)),
+        *(p - in_velocities(value) for p, value in zip(right[dimension:], arriving, strict=True)),
     ]
     unknowns = (*velocities, *arrival, *right[dimension:])
     return eliminate(equations, unknowns, model.parameters)
