@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -142,7 +143,7 @@ def _smoothness(store: Store) -> Section:
     if rows:
         texts.append(
             "Displacements "
-            + "; ".join(f"{row[0]} need {row[2]} steps for an error of 1e-2 and {row[3]} for 1e-3" for row in rows)
+            + "; ".join(f"{row[0]} need N = {row[2]} for an error of 1e-2 and {row[3]} for 1e-3" for row in rows)
             + ". "
             + ("No warp folds." if all(row[4] == "none" for row in rows) else "Some warps fold.")
         )
@@ -202,7 +203,7 @@ def _jumps(settings: Settings, store: Store) -> Section:
                     number(max(errors), 2),
                     number(max(v["constraints"] for _, v in found), 2),
                     number(max(v["stationarity"] for _, v in found), 2),
-                    f"{min(v['iterations'] for _, v in found)}–{max(v['iterations'] for _, v in found)}",
+                    _span([v["iterations"] for _, v in found], "–"),
                     number(max(v["alternating"] for _, v in found), 2),
                 )
             )
@@ -268,10 +269,16 @@ def _verdict(settings: Settings, store: Store, count: int) -> list[str]:
     if thesis:
         early = [v["iterations"] for n, v in drawn.of_variant(settings, store, *_THESIS, count) if n in thesis]
         texts.append(
-            f"At these N the optimiser, started from the curved paths, is content after {min(early)} to {max(early)} "
+            f"At these N the optimiser, started from the curved paths, is content after {_span(early, ' to ')} "
             "iterations, because the cost then changes by less than the tolerance though it is not stationary."
         )
     return texts
+
+
+def _span(numbers: Sequence[Any], between: str) -> str:
+    """The least and the largest of some numbers, or the only one."""
+    least, largest = min(numbers), max(numbers)
+    return f"{least}" if least == largest else f"{least}{between}{largest}"
 
 
 def _jumps_at(settings: Settings, store: Store, variant: tuple[str, str, float], count: int) -> list[int]:
