@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -103,6 +105,7 @@ def _gather(
 
 def _get_ready() -> None:
     """Import what is slow, and let numba compile something, so that no module's times contain it."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     from numba import njit
 
     import codegen.compiler
@@ -111,6 +114,14 @@ def _get_ready() -> None:
     assert codegen.compiler
     assert codegen.survey
     njit(_nothing)(0.0)
+
+
+def _end_with_parent() -> None:
+    """Do not wait for ever where whoever gave the work was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _nothing(x: Any) -> Any:
