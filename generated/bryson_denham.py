@@ -1011,12 +1011,13 @@ def is_solved(grid, point, tolerance):
     """
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
-    measured = (point.residual, point.stationarity)
-    return all(
-        value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
-        for value, size in zip(measured, sizes, strict=True)
-    )
+    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+
+
+def is_small(value, size, tolerance):
+    """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
 
 
 def is_rounding(grid, point):
@@ -1596,8 +1597,11 @@ def checked_grid(steps, duration, parameters):
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
-    for i, value in enumerate(parameters):
-        table[:, i] = value
+    if all(isinstance(value, (int, float)) for value in parameters):
+        table[:, : len(parameters)] = parameters
+    else:  # some differ from body to body
+        for i, value in enumerate(parameters):
+            table[:, i] = value
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
@@ -1625,7 +1629,7 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
-    return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
+    return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 
 def print_log(rows):
@@ -1861,10 +1865,12 @@ def runaways(grid, guess, point, is_stationary):
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
     ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
     """
-    unknowns = point.unknowns
-    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
-    if is_stationary:
-        grown[: unknowns.size - ROOT] = False
+    unknowns, grown = point.unknowns, np.zeros(guess.size, bool)
+    seen = slice(guess.size - ROOT if is_stationary else 0, None)
+    if not np.abs(unknowns[seen]).max(initial=0.0) > GROWTH:
+        return grown
+    large = np.abs(unknowns[seen]) > GROWTH * np.maximum(1.0, np.abs(guess[seen]))
+    grown[seen] = ~grid.is_multiplier[seen] & large
     if not grown.any():
         return grown
     grown &= ~at_limits(grid, unknowns)
@@ -2197,7 +2203,8 @@ def initial_guess(grid):
     duration = duration_of(grid, unknowns)
     t = duration * np.arange(grid.steps + 1) / grid.steps
     nodes[:, :, 0] = start_x + t*(end_x - start_x)/duration  # x
-    return with_pinned_values(grid, unknowns)
+    pin_values(grid, unknowns, nodes)
+    return unknowns
 
 
 def with_pinned_values(grid, unknowns):
@@ -2205,12 +2212,17 @@ def with_pinned_values(grid, unknowns):
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
+    nodes, _ = views(grid, unknowns)
+    pin_values(grid, unknowns, nodes)
+    return unknowns
+
+
+def pin_values(grid, unknowns, nodes):
+    """Give the unknowns that a boundary condition fixes their values; `nodes` is a view of the unknowns."""
     start_x = grid.parameters[:, 1]
     end_x = grid.parameters[:, 3]
-    nodes, _ = views(grid, unknowns)
     nodes[:, 0, 0] = start_x
     nodes[:, -1, 0] = end_x
-    return unknowns
 
 
 def variable_bounds(grid):
@@ -2239,7 +2251,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bryson_denham_4ecc97e4eeb84440"
+_IDENTITY = "codegen_bryson_denham_9907fab4a6a923ff"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -1417,12 +1417,13 @@ def is_solved(grid, point, tolerance):
     """
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
-    measured = (point.residual, point.stationarity)
-    return all(
-        value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
-        for value, size in zip(measured, sizes, strict=True)
-    )
+    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+
+
+def is_small(value, size, tolerance):
+    """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
 
 
 def is_rounding(grid, point):
@@ -1603,18 +1604,17 @@ def search(grid, point, step, slope, small_violation, filtered, system):
 
     length = 1.0
     while length > SHORTEST_STEP:
-        trial = evaluate(grid, point.unknowns + length * step)
+        trial = evaluate(grid, point.unknowns + step)
         accepted = is_better(trial, length)
         if not accepted and length == 1.0 and trial.violation >= point.violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
-            corrected, correction = point.gradient.copy(), np.empty_like(step)
-            corrected[grid.is_multiplier] += trial.gradient[grid.is_multiplier]
-            solve_kkt(grid, system, corrected, correction)
+            correction = np.empty_like(step)
+            solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
             trial = evaluate(grid, point.unknowns + correction)
             accepted = is_better(trial, length)
         if accepted:
             return trial, length
-        length *= 0.5
+        length, step = 0.5 * length, 0.5 * step
     return None, length
 
 
@@ -1677,8 +1677,11 @@ def checked_grid(steps, duration, parameters):
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
-    for i, value in enumerate(parameters):
-        table[:, i] = value
+    if all(isinstance(value, (int, float)) for value in parameters):
+        table[:, : len(parameters)] = parameters
+    else:  # some differ from body to body
+        for i, value in enumerate(parameters):
+            table[:, i] = value
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
@@ -1706,7 +1709,7 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
-    return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
+    return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 
 def print_log(rows):
@@ -1922,10 +1925,12 @@ def runaways(grid, guess, point, is_stationary):
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
     ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
     """
-    unknowns = point.unknowns
-    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
-    if is_stationary:
-        grown[: unknowns.size - ROOT] = False
+    unknowns, grown = point.unknowns, np.zeros(guess.size, bool)
+    seen = slice(guess.size - ROOT if is_stationary else 0, None)
+    if not np.abs(unknowns[seen]).max(initial=0.0) > GROWTH:
+        return grown
+    large = np.abs(unknowns[seen]) > GROWTH * np.maximum(1.0, np.abs(guess[seen]))
+    grown[seen] = ~grid.is_multiplier[seen] & large
     if not grown.any():
         return grown
     if is_stationary:
@@ -2290,7 +2295,8 @@ def initial_guess(grid):
     intervals[:, :, 1] = 1  # f2_k
     own[:, 0] = nodes[:, -1, 0]  # coupled_x
     own[:, 1] = nodes[:, -1, 1]  # coupled_y
-    return with_pinned_values(grid, unknowns)
+    pin_values(grid, unknowns, nodes)
+    return unknowns
 
 
 def with_pinned_values(grid, unknowns):
@@ -2298,19 +2304,24 @@ def with_pinned_values(grid, unknowns):
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
+    nodes, _ = views(grid, unknowns)
+    pin_values(grid, unknowns, nodes)
+    return unknowns
+
+
+def pin_values(grid, unknowns, nodes):
+    """Give the unknowns that a boundary condition fixes their values; `nodes` is a view of the unknowns."""
     start_x = grid.parameters[:, 6]
     start_y = grid.parameters[:, 7]
     start_theta = grid.parameters[:, 8]
     end_theta = grid.parameters[:, 12]
     own, common = shared_views(unknowns)
-    nodes, _ = views(grid, unknowns)
     nodes[:, 0, 0] = start_x
     nodes[:, 0, 1] = start_y
     nodes[:, 0, 2] = start_theta
     nodes[:, -1, 2] = end_theta
     nodes[:, -1, 0] = own[:, 0]
     nodes[:, -1, 1] = own[:, 1]
-    return unknowns
 
 
 def unpack(grid, unknowns):
@@ -2346,7 +2357,7 @@ def coupling_term(kind, values, parameters, slopes, curvatures):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_83b032fbe8cf3f95"
+_IDENTITY = "codegen_hovercraft_f8ced927dfb1ac87"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

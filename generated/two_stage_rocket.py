@@ -1534,12 +1534,13 @@ def is_solved(grid, point, tolerance):
     """
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
-    measured = (point.residual, point.stationarity)
-    return all(
-        value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
-        for value, size in zip(measured, sizes, strict=True)
-    )
+    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+
+
+def is_small(value, size, tolerance):
+    """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
 
 
 def is_rounding(grid, point):
@@ -2092,8 +2093,11 @@ def checked_grid(steps, duration, parameters):
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
-    for i, value in enumerate(parameters):
-        table[:, i] = value
+    if all(isinstance(value, (int, float)) for value in parameters):
+        table[:, : len(parameters)] = parameters
+    else:  # some differ from body to body
+        for i, value in enumerate(parameters):
+            table[:, i] = value
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
@@ -2122,7 +2126,7 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
-    return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
+    return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 
 def print_log(rows):
@@ -2396,10 +2400,12 @@ def runaways(grid, guess, point, is_stationary):
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
     ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
     """
-    unknowns = point.unknowns
-    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
-    if is_stationary:
-        grown[: unknowns.size - ROOT] = False
+    unknowns, grown = point.unknowns, np.zeros(guess.size, bool)
+    seen = slice(guess.size - ROOT if is_stationary else 0, None)
+    if not np.abs(unknowns[seen]).max(initial=0.0) > GROWTH:
+        return grown
+    large = np.abs(unknowns[seen]) > GROWTH * np.maximum(1.0, np.abs(guess[seen]))
+    grown[seen] = ~grid.is_multiplier[seen] & large
     if not grown.any():
         return grown
     grown &= ~at_limits(grid, unknowns)
@@ -2788,7 +2794,8 @@ def initial_guess(grid):
     nodes[:, steps + 1 : 2 * steps + 1, 2] = -dry_1 - fuel_1 - 0.0125*fuel_2*(t - 40) + m_0  # m
     intervals[:, steps : 2 * steps, 3] = 0.75*F_2  # thrust
     nodes[:, 2 * steps + 1 :, 2] = -dry_1 - fuel_1 - fuel_2 + m_0  # m
-    return with_pinned_values(grid, unknowns)
+    pin_values(grid, unknowns, nodes)
+    return unknowns
 
 
 def with_pinned_values(grid, unknowns):
@@ -2796,16 +2803,21 @@ def with_pinned_values(grid, unknowns):
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
+    nodes, _ = views(grid, unknowns)
+    pin_values(grid, unknowns, nodes)
+    return unknowns
+
+
+def pin_values(grid, unknowns, nodes):
+    """Give the unknowns that a boundary condition fixes their values; `nodes` is a view of the unknowns."""
     start_r = grid.parameters[:, 9]
     start_v = grid.parameters[:, 10]
     start_m = grid.parameters[:, 11]
     end_v = grid.parameters[:, 12]
-    nodes, _ = views(grid, unknowns)
     nodes[:, 0, 0] = start_r
     nodes[:, 0, 1] = start_v
     nodes[:, 0, 2] = start_m
     nodes[:, -1, 1] = end_v
-    return unknowns
 
 
 def variable_bounds(grid):
@@ -2872,7 +2884,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_two_stage_rocket_2cc18f75e67cde61"
+_IDENTITY = "codegen_two_stage_rocket_1faa33e0bf2a716c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

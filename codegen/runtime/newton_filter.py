@@ -132,18 +132,17 @@ def search(grid, point, step, slope, small_violation, filtered, system):
 
     length = 1.0
     while length > SHORTEST_STEP:
-        trial = evaluate(grid, point.unknowns + length * step)
+        trial = evaluate(grid, point.unknowns + step)
         accepted = is_better(trial, length)
         if not accepted and length == 1.0 and trial.violation >= point.violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
-            corrected, correction = point.gradient.copy(), np.empty_like(step)
-            corrected[grid.is_multiplier] += trial.gradient[grid.is_multiplier]
-            solve_kkt(grid, system, corrected, correction)
+            correction = np.empty_like(step)
+            solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
             trial = evaluate(grid, point.unknowns + correction)
             accepted = is_better(trial, length)
         if accepted:
             return trial, length
-        length *= 0.5
+        length, step = 0.5 * length, 0.5 * step
     return None, length
 
 

@@ -56,10 +56,12 @@ def runaways(grid, guess, point, is_stationary):
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
     ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
     """
-    unknowns = point.unknowns
-    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
-    if is_stationary:
-        grown[: unknowns.size - ROOT] = False
+    unknowns, grown = point.unknowns, np.zeros(guess.size, bool)
+    seen = slice(guess.size - ROOT if is_stationary else 0, None)
+    if not np.abs(unknowns[seen]).max(initial=0.0) > GROWTH:
+        return grown
+    large = np.abs(unknowns[seen]) > GROWTH * np.maximum(1.0, np.abs(guess[seen]))
+    grown[seen] = ~grid.is_multiplier[seen] & large
     if not grown.any():
         return grown
     if INEQUALITIES:
