@@ -288,7 +288,8 @@ def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
 # Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
 #
 # The rows of an element matrix are those of block k, which is node k and its interval without what is eliminated inside
-# the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns.
+# the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns. One more
+# column is the right-hand side: elimination carries it along where a row, as wide as a multiple of four, has room for it.
 
 
 def padded(size):
@@ -305,6 +306,8 @@ TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
+CARRIED = int(ROWS % 4 > 0 and (ROWS - BLOCK) % 4 > 0)  # whether the right-hand side takes part: 1 or 0 columns
+RIGHT = ROWS  # the column
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 # The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
@@ -329,11 +332,13 @@ def pin_ends(k, steps, diagonal, element):
 
 @njit(error_model="numpy")
 def pin(place, element):
-    """Make one row and column of an element matrix that of the unit matrix."""
+    """Make one row and column of an element matrix that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
         element[place, i] = 0.0
         element[i, place] = 0.0
     element[place, place] = 1.0
+    if CARRIED:
+        element[place, RIGHT] = 0.0
 
 
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
@@ -561,14 +566,21 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 
 
 @njit(error_model="numpy", inline="always")
-def scatter(hessian, element, coupling):
-    """Add second derivatives by unknowns that stay to the element matrix, and put the mixed ones into `coupling`."""
+def scatter(hessian, gradient, element, coupling):
+    """Add second derivatives by unknowns that stay to the element matrix, and put the mixed ones into `coupling`.
+
+    There, too, the right-hand side is a column if it is carried along: minus what `gradient`, that by the interval's
+    node and interval unknowns, has for those to eliminate.
+    """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
         if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
             element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
     for j in range(COUPLED.size):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
+    if CARRIED:
+        for a in range(CONDENSED):
+            coupling[a, RIGHT] = -gradient[BLOCK + a]
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -595,7 +607,7 @@ def invert_positive_definite(block, inverse):
 
 @njit(error_model="numpy", inline="always")
 def subtract_condensed(coupling, inverse, element):
-    """Subtract B' inverse(C) B from the element matrix; B has a column for each of its unknowns."""
+    """Subtract B' inverse(C) B from the element matrix; B has a column for each of the matrix's."""
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0
@@ -695,10 +707,10 @@ def prepare_condensed(weight, diagonal, condensed):
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, condensed, interval, element):
+def add_element(hessian, diagonal, gradient, condensed, interval, element):
     """Add K - B' inverse(C) B of an interval to the element matrix, and keep B for the recovery of the controls."""
     _, inverses, couplings = condensed
-    scatter(hessian, element, couplings[interval])
+    scatter(hessian, gradient, element, couplings[interval])
     subtract_condensed(couplings[interval], inverses[0], element)
     return True
 
@@ -721,8 +733,8 @@ def add_element(hessian, diagonal, condensed, interval, element):
 REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
 REST_WIDTH = padded(REST)
 LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
-LAST_WIDTH = padded(LAST + padded(SHARED))
-SHARED_WIDTH, ROOT_WIDTH = padded(SHARED), padded(ROOT)
+SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
+LAST_WIDTH = padded(LAST + SHARED_WIDTH)
 MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
 ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
 COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
@@ -737,7 +749,7 @@ def allocate_system(grid):
     """
     blocks, last = BODIES * grid.steps * BLOCK, BODIES * LAST
     rows, numbers = blocks + last + ROOT, blocks * WIDTH + last * LAST_WIDTH + ROOT * ROOT_WIDTH
-    factors = np.empty(numbers + 2 * rows), np.zeros(rows, np.uint64), allocate_condensed(grid)
+    factors = np.empty(numbers + 2 * rows + ROOT), np.zeros(rows, np.uint64), allocate_condensed(grid)
     factors[0][numbers:] = 0.0
     return factors, multiplier_unknowns(grid).size
 
@@ -746,9 +758,11 @@ def allocate_system(grid):
 def factor_parts(numbers, places, steps):
     """The factors of all blocks, of the last nodes and of the shared unknowns, as views.
 
-    Each is the rows of an upper factor, the inverse of the pivots, and the order of elimination.
+    Each is the rows of an upper factor, the inverse of the pivots, and the order of elimination; and for the shared
+    unknowns their right-hand side, less what the elimination of the bodies has taken away. That of blocks and last
+    nodes, if it was carried along, is a column of the upper factor, multiplied by the inverse of the pivots already.
     """
-    # First rows, and where in `numbers` their upper factors begin; the inverse of all pivots comes last.
+    # First rows, and where in `numbers` their upper factors begin; then come the inverse of all pivots, and the rest.
     last, root = BODIES * steps * BLOCK, BODIES * (steps * BLOCK + LAST)
     last_upper = last * WIDTH
     root_upper = last_upper + BODIES * LAST * LAST_WIDTH
@@ -765,22 +779,27 @@ def factor_parts(numbers, places, steps):
     )
     shared = (
         numbers[root_upper:inverse].reshape((ROOT, ROOT_WIDTH)),
-        numbers[inverse + 2 * root :].reshape((ROOT, 2)),
+        numbers[inverse + 2 * root : inverse + 2 * (root + ROOT)].reshape((ROOT, 2)),
         places[root:],
+        numbers[inverse + 2 * (root + ROOT) :],
     )
     return blocks, ends, shared
 
 
-def factor_kkt(grid, unknowns, weight, diagonal, system):
+def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
 
     Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
     elimination stops when there are too many. None means that the matrix is singular, or that a block that is
     condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
-    array as long as the unknowns, is added to the diagonal of the whole matrix.
+    array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
+    part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
     """
     factors, equations = system
-    regular, excess = factor(unknowns, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors)
+    right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
+    regular, excess = factor(
+        unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
+    )
     return excess if regular else None
 
 
@@ -790,9 +809,9 @@ def is_factored(excess):
 
 
 @njit(cache=True, error_model="numpy")
-def factor(unknowns, steps, h, parameters, weight, diagonal, equations, numbers, places, storage):
+def factor(unknowns, gradient, steps, h, parameters, weight, diagonal, equations, numbers, places, storage):
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
-    blocks, ends, (root_upper, root_inverse, root_order) = factor_parts(numbers, places, steps)
+    blocks, ends, (root_upper, root_inverse, root_order, right) = factor_parts(numbers, places, steps)
     condensed = condensed_parts(storage, steps)
     factors = blocks, ends, condensed
     if not prepare_condensed(weight, diagonal, condensed):
@@ -800,7 +819,9 @@ def factor(unknowns, steps, h, parameters, weight, diagonal, equations, numbers,
     negative = 0
     root, left = np.zeros((ROOT, ROOT_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
     for body in range(BODIES):
-        regular, found, excess = eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, factors, left)
+        regular, found, excess = eliminate_body(
+            unknowns, gradient, body, steps, h, parameters, weight, diagonal, factors, left
+        )
         if not regular or excess > 0:
             return regular, excess
         negative += found
@@ -809,7 +830,7 @@ def factor(unknowns, steps, h, parameters, weight, diagonal, equations, numbers,
 
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, factors, left):
+def eliminate_body(unknowns, gradient, body, steps, h, parameters, weight, diagonal, factors, left):
     """Run the front over all intervals of a body; `left` takes what that leaves for the shared unknowns.
 
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
@@ -818,6 +839,7 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
     (upper, inverse, order), (last_upper, last_inverse, last_order), condensed = factors
     chain, negative = steps * STRIDE + NODE, 0
     own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
+    slopes = gradient[body * chain : (body + 1) * chain]
     element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
     last, hessian = np.empty((LAST, LAST_WIDTH)), np.empty(HESSIAN_ROWS.size)
     for k in range(steps):
@@ -825,11 +847,13 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
         if weight != 1.0:
             weigh(weight, hessian)
         element[:] = 0.0
-        here = added[k * STRIDE : (k + 1) * STRIDE]
-        if not add_element(hessian, here, condensed, body * steps + k, element):
+        here, slope = added[k * STRIDE : (k + 1) * STRIDE], slopes[k * STRIDE : (k + 1) * STRIDE]
+        if not add_element(hessian, here, slope, condensed, body * steps + k, element):
             return False, 0, 0
         for i in range(BLOCK):
             element[i, i] += here[i]
+        if CARRIED:
+            add_right_hand_side(slopes, k, steps, element)
         if k == 0 or k == steps - 1:
             close_element(own, k, steps, h, parameters[body], weight, added, element)
         if k == 0:
@@ -853,6 +877,16 @@ def eliminate_body(unknowns, body, steps, h, parameters, weight, diagonal, facto
     return True, negative, max(0, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON))
 
 
+@njit(error_model="numpy", inline="always")
+def add_right_hand_side(slopes, k, steps, element):
+    """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
+    for i in range(BLOCK):
+        element[i, RIGHT] -= slopes[k * STRIDE + i]
+    if k == steps - 1:
+        for i in range(NODE):
+            element[BLOCK + i, RIGHT] -= slopes[steps * STRIDE + i]
+
+
 @njit(error_model="numpy")
 def weigh(weight, hessian):
     """Multiply the second derivatives by primal unknowns."""
@@ -865,12 +899,12 @@ def weigh(weight, hessian):
 def begin_front(element, rest):
     """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
     for i in range(BORDER):
-        for j in range(ROWS):
+        for j in range(ROWS + CARRIED):
             element[SIZE + i, j] = element[FIRST[i], j]
         for j in range(ROWS):
             element[j, SIZE + i] = element[j, FIRST[i]]
     for i in range(REST):
-        for j in range(REST):
+        for j in range(REST + CARRIED):
             rest[i, j] = element[BLOCK + i, BLOCK + j]
 
 
@@ -886,10 +920,10 @@ def move_front(element, rest):
         for j in range(i + 1, NODE):
             element[i, j] += rest[i, j]
             element[j, i] += rest[i, j]
-        for j in range(NODE, REST):
+        for j in range(NODE, REST + CARRIED):
             element[i, BLOCK + j] += rest[i, j]
     for i in range(NODE):
-        for j in range(REST):
+        for j in range(REST + CARRIED):
             rest[i, j] = element[BLOCK + i, BLOCK + j]
 
 
@@ -899,55 +933,63 @@ def end_front(rest, last, left):
     last[:] = 0.0
     for i in range(LAST):
         last[i, i] = rest[i, i]
-        for j in range(i + 1, REST):
+        for j in range(i + 1, REST + CARRIED):
             last[i, j] = rest[i, j]
             if j < LAST:
                 last[j, i] = rest[i, j]
 
 
-def solve_kkt(grid, system, gradient, step):
+# Solve with the factors of the KKT matrix: forward over all bodies, the shared unknowns, backward over all bodies.
+#
+# A right-hand side that took part in the elimination needs no way forward any more: its column in the factors counts on
+# the way back, as if it belonged to one more unknown, with the value -1.
+
+
+def solve_kkt(grid, system, gradient, step, carried=False):
     """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt gave a number.
 
-    That number must not have been positive.
+    That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
-    substitute(gradient, grid.steps, *system[0], step)
+    substitute(gradient, carried and CARRIED > 0, grid.steps, *system[0], step)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def substitute(gradient, steps, numbers, places, storage, step):
-    """Solve with the factors: forward over all bodies, the shared unknowns, backward over all bodies."""
-    blocks, ends, root = factor_parts(numbers, places, steps)
+def substitute(gradient, carried, steps, numbers, places, storage, step):
+    """Solve with the factors: forward unless elimination has done that, the shared unknowns, and backward."""
+    blocks, ends, (root_upper, root_inverse, root_order, right) = factor_parts(numbers, places, steps)
     (upper, inverse, order), (last_upper, last_inverse, last_order) = blocks, ends
     condensed = condensed_parts(storage, steps)
-    root_upper, root_inverse, root_order = root
-    reduced, last = np.empty((BODIES, steps * BLOCK + NODE)), np.zeros((BODIES, LAST_WIDTH))
+    reduced, last = np.zeros((BODIES, steps * BLOCK + NODE)), np.zeros((BODIES, LAST_WIDTH))
     shared = np.zeros(ROOT_WIDTH)
-    condense(gradient, condensed, steps, reduced, shared)
+    if not carried:
+        condense(gradient, condensed, steps, reduced, right)
+        for body in range(BODIES):
+            forward(upper[body], inverse[body], order[body], reduced[body], last[body])
+            solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
+            solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
     for body in range(BODIES):
-        right = reduced[body]
-        for i in START_PINNED:
-            right[i] = 0.0
-        for i in END_PINNED:
-            right[steps * BLOCK + i] = 0.0
-        forward(upper[body], order[body], right, last[body])
-        solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
-    for body in range(BODIES):
-        solve_pivots(last_inverse[body], last_order[body], last_order.shape[1], last[body])
+        if CARRIED:
+            last[body, LAST + SHARED] = -1.0 if carried else 0.0
         solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
-        backward(upper[body], inverse[body], order[body], last[body], reduced[body])
+        backward(upper[body], order[body], last[body], carried, reduced[body])
     expand(gradient, condensed, steps, reduced, shared, step)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def forward(upper, order, right, last):
-    """Solve with the upper factors of the blocks of a body, transposed; `last` takes what borders the blocks."""
+def forward(upper, inverse, order, right, last):
+    """Solve with the upper factors of a body's blocks, transposed, and the pivots; `last` takes what borders them."""
     steps, front = upper.shape[0], np.zeros(WIDTH)
+    for i in START_PINNED:
+        right[i] = 0.0
+    for i in END_PINNED:
+        right[steps * BLOCK + i] = 0.0
     for k in range(1, steps):
         for i in range(BLOCK):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
         solve_forward(upper[k], order[k], INNER, COLUMNS, front)
+        solve_pivots(inverse[k], order[k], INNER, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
         for i in range(NODE):
@@ -959,9 +1001,14 @@ def forward(upper, order, right, last):
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def backward(upper, inverse, order, last, right):
-    """Solve with the pivots and the upper factors, from the last node and block 0, in `last`, to block 1."""
+def backward(upper, order, last, carried, right):
+    """Solve with the upper factors of a body's blocks, from the last node and block 0, in `last`, to block 1.
+
+    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
+    """
     steps, front = upper.shape[0], np.zeros(WIDTH)
+    if CARRIED:
+        front[RIGHT] = -1.0 if carried else 0.0
     for i in range(NODE):
         right[steps * BLOCK + i] = last[i]
     for i in range(BORDER):
@@ -971,7 +1018,6 @@ def backward(upper, inverse, order, last, right):
             front[i] = right[k * BLOCK + i]
         for i in range(NODE):
             front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_pivots(inverse[k], order[k], INNER, front)
         solve_backward(upper[k], order[k], INNER, COLUMNS, front)
         for i in range(BLOCK):
             right[k * BLOCK + i] = front[i]
@@ -1019,12 +1065,13 @@ def is_solved(grid, point, tolerance):
     """
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
-    measured = (point.residual, point.stationarity)
-    return all(
-        value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
-        for value, size in zip(measured, sizes, strict=True)
-    )
+    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+
+
+def is_small(value, size, tolerance):
+    """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
 
 
 def is_rounding(grid, point):
@@ -1047,8 +1094,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """
     system = allocate_system(grid)
     none = np.zeros(unknowns.size)
-    excess = factor_kkt(grid, unknowns, 1.0, none, system)
     point = evaluate(grid, unknowns)
+    excess = factor_kkt(grid, unknowns, 1.0, none, system, point.gradient)
     for iteration in range(4):
         log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
         if not point.error < np.inf:
@@ -1058,7 +1105,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if is_solved(grid, point, tolerance):
             return "solved", point, iteration
         step = np.empty_like(unknowns)
-        solve_kkt(grid, system, point.gradient, step)
+        solve_kkt(grid, system, point.gradient, step, carried=iteration == 0)
         point = evaluate(grid, point.unknowns + step)
     return "stalled", point, 3
 
@@ -1081,10 +1128,11 @@ def least_violation(grid, point, system):
     step = np.empty_like(point.unknowns)
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
     for _ in range(5):
-        excess = factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system)
+        gradient = np.where(grid.is_multiplier, point.gradient, 0.0)
+        excess = factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system, gradient)
         if not is_factored(excess):
             return point
-        solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
+        solve_kkt(grid, system, gradient, step, carried=True)
         step[grid.is_multiplier] = 0.0
         point = evaluate(grid, point.unknowns + step)
     return point
@@ -1127,8 +1175,11 @@ def checked_grid(steps, duration, parameters):
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
-    for i, value in enumerate(parameters):
-        table[:, i] = value
+    if all(isinstance(value, (int, float)) for value in parameters):
+        table[:, : len(parameters)] = parameters
+    else:  # some differ from body to body
+        for i, value in enumerate(parameters):
+            table[:, i] = value
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
@@ -1156,7 +1207,7 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
-    return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
+    return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 
 def print_log(rows):
@@ -1361,10 +1412,12 @@ def runaways(grid, guess, point, is_stationary):
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
     ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
     """
-    unknowns = point.unknowns
-    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
-    if is_stationary:
-        grown[: unknowns.size - ROOT] = False
+    unknowns, grown = point.unknowns, np.zeros(guess.size, bool)
+    seen = slice(guess.size - ROOT if is_stationary else 0, None)
+    if not np.abs(unknowns[seen]).max(initial=0.0) > GROWTH:
+        return grown
+    large = np.abs(unknowns[seen]) > GROWTH * np.maximum(1.0, np.abs(guess[seen]))
+    grown[seen] = ~grid.is_multiplier[seen] & large
     if not grown.any():
         return grown
     if is_stationary:
@@ -1376,9 +1429,9 @@ def runaways(grid, guess, point, is_stationary):
 def newton_step(grid, point):
     """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
     system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
-    if factor_kkt(grid, point.unknowns, 1.0, shift, system) != 0:
+    if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient) != 0:
         return np.full(step.size, np.inf)
-    solve_kkt(grid, system, point.gradient, step)
+    solve_kkt(grid, system, point.gradient, step, carried=True)
     return step
 
 
@@ -1689,7 +1742,8 @@ def initial_guess(grid):
     duration = duration_of(grid, unknowns)
     t = duration * np.arange(grid.steps + 1) / grid.steps
     nodes[:, :, 0] = start_x + t*(end_x - start_x)/duration  # x
-    return with_pinned_values(grid, unknowns)
+    pin_values(grid, unknowns, nodes)
+    return unknowns
 
 
 def with_pinned_values(grid, unknowns):
@@ -1697,12 +1751,17 @@ def with_pinned_values(grid, unknowns):
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
+    nodes, _ = views(grid, unknowns)
+    pin_values(grid, unknowns, nodes)
+    return unknowns
+
+
+def pin_values(grid, unknowns, nodes):
+    """Give the unknowns that a boundary condition fixes their values; `nodes` is a view of the unknowns."""
     start_x = grid.parameters[:, 2]
     end_x = grid.parameters[:, 4]
-    nodes, _ = views(grid, unknowns)
     nodes[:, 0, 0] = start_x
     nodes[:, -1, 0] = end_x
-    return unknowns
 
 
 def unpack(grid, unknowns):
@@ -1718,7 +1777,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_double_integrator_effort_7c34e1e31375578c"
+_IDENTITY = "codegen_double_integrator_effort_6d2ea5d9108f2cc2"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -155,10 +155,11 @@ def test_structured_step_solves_the_dense_system(interpreted, name, text, choice
     grid = module.make_grid(steps)
     unknowns = trial_point(module, grid, seed, 0.2)
     keep = np.flatnonzero(module.free_unknowns(grid))
+    gradient = module.evaluate(grid, unknowns).gradient
     system, excess = module.allocate_system(grid), 1
     while excess is not None and excess > 0:  # the elimination stops early where the Hessian is not convex
         diagonal = shifts(module, grid, shift, 1e-3)
-        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
+        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient)
         shift = max(1e-2, 10.0 * shift)
     matrix = dense_kkt(module, grid, unknowns) + np.diag(diagonal)
     if excess is None:
@@ -166,9 +167,10 @@ def test_structured_step_solves_the_dense_system(interpreted, name, text, choice
             module, grid, matrix
         )
         return
-    gradient = module.evaluate(grid, unknowns).gradient
-    step = np.empty_like(unknowns)
+    step, carried = np.empty_like(unknowns), np.empty_like(unknowns)
+    module.solve_kkt(grid, system, gradient, carried, carried=True)
     module.solve_kkt(grid, system, gradient, step)
+    np.testing.assert_allclose(carried, step, rtol=1e-9, atol=1e-9 * np.abs(step).max())
     scale = np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max()
     assert np.abs((matrix @ step + gradient)[keep]).max() <= 1e-8 * scale
     # What is given stays, and what equals a shared unknown follows it.

@@ -201,7 +201,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "ends_curved" if layout.is_curved(derivatives) else "ends_flat",
         "symmetric",
         *(condensed if derivatives.condensed else ("element_kept",)),
-        "frontal", "rounding",
+        "frontal", "substitution", "rounding",
         *solver,
         *(("momenta",) if program.method == "variational" else ()),
         "frame",

@@ -39,9 +39,7 @@ def shared_guesses(program: ControlProgram) -> dict[str, Any]:
         "shared_guess_inputs": (*_scalar_inputs(program, common), *shared_views(program, "own, common", "unknowns")),
         "common_guess": _common_guess(program, common),
         "own_guess": _own_guess(program),
-        "guess_result": "with_slacks(grid, with_pinned_values(grid, unknowns))"
-        if slack_places(program)
-        else "with_pinned_values(grid, unknowns)",
+        "guess_result": "with_slacks(grid, unknowns)" if slack_places(program) else "unknowns",
     }
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.elements import BLOCK, COLUMNS, ROWS, SIZE, TAIL
+from codegen.runtime.elements import BLOCK, CARRIED, COLUMNS, RIGHT, ROWS, SIZE, TAIL
 from codegen.runtime.example import (
     BODIES,
     CONDENSED,
@@ -40,14 +40,21 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 
 
 @njit(error_model="numpy", inline="always")
-def scatter(hessian, element, coupling):
-    """Add second derivatives by unknowns that stay to the element matrix, and put the mixed ones into `coupling`."""
+def scatter(hessian, gradient, element, coupling):
+    """Add second derivatives by unknowns that stay to the element matrix, and put the mixed ones into `coupling`.
+
+    There, too, the right-hand side is a column if it is carried along: minus what `gradient`, that by the interval's
+    node and interval unknowns, has for those to eliminate.
+    """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
         if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
             element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
     for j in range(COUPLED.size):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
+    if CARRIED:
+        for a in range(CONDENSED):
+            coupling[a, RIGHT] = -gradient[BLOCK + a]
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -74,7 +81,7 @@ def invert_positive_definite(block, inverse):
 
 @njit(error_model="numpy", inline="always")
 def subtract_condensed(coupling, inverse, element):
-    """Subtract B' inverse(C) B from the element matrix; B has a column for each of its unknowns."""
+    """Subtract B' inverse(C) B from the element matrix; B has a column for each of the matrix's."""
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0

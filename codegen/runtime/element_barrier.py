@@ -43,13 +43,14 @@ def prepare_condensed(weight, diagonal, condensed):
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, condensed, interval, element):
+def add_element(hessian, diagonal, gradient, condensed, interval, element):
     """Add K - B' inverse(C) B of an interval to the element matrix; False when C is not positive definite.
 
-    `diagonal` is that of the interval's node and interval unknowns; inverse(C) and B are kept for the recovery.
+    `diagonal` and `gradient` are those of the interval's node and interval unknowns; inverse(C) and B are kept for the
+    recovery.
     """
     block, inverses, couplings = condensed
-    scatter(hessian, element, couplings[interval])
+    scatter(hessian, gradient, element, couplings[interval])
     for a in range(CONDENSED):
         for b in range(CONDENSED):
             block[a, b] = 0.0

@@ -52,9 +52,9 @@ def prepare_condensed(weight, diagonal, condensed):
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, condensed, interval, element):
+def add_element(hessian, diagonal, gradient, condensed, interval, element):
     """Add K - B' inverse(C) B of an interval to the element matrix, and keep B for the recovery of the controls."""
     _, inverses, couplings = condensed
-    scatter(hessian, element, couplings[interval])
+    scatter(hessian, gradient, element, couplings[interval])
     subtract_condensed(couplings[interval], inverses[0], element)
     return True

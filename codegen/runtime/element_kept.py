@@ -28,7 +28,7 @@ def prepare_condensed(weight, diagonal, condensed):
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, condensed, interval, element):
+def add_element(hessian, diagonal, gradient, condensed, interval, element):
     """Add the Hessian of an interval to the element matrix."""
     for j in range(hessian.size):
         row, column = PLACE_ROWS[j], PLACE_COLUMNS[j]

@@ -1,7 +1,8 @@
 """Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
 
 The rows of an element matrix are those of block k, which is node k and its interval without what is eliminated inside
-the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns.
+the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns. One more
+column is the right-hand side: elimination carries it along where a row, as wide as a multiple of four, has room for it.
 """
 
 import numpy as np
@@ -42,6 +43,8 @@ TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
+CARRIED = int(ROWS % 4 > 0 and (ROWS - BLOCK) % 4 > 0)  # whether the right-hand side takes part: 1 or 0 columns
+RIGHT = ROWS  # the column
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 if PHASES:
     LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
@@ -72,8 +75,10 @@ def pin_ends(k, steps, diagonal, element):
 
 @njit(error_model="numpy")
 def pin(place, element):
-    """Make one row and column of an element matrix that of the unit matrix."""
+    """Make one row and column of an element matrix that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
         element[place, i] = 0.0
         element[i, place] = 0.0
     element[place, place] = 1.0
+    if CARRIED:
+        element[place, RIGHT] = 0.0

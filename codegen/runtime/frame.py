@@ -14,8 +14,11 @@ def checked_grid(steps, duration, parameters):
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
-    for i, value in enumerate(parameters):
-        table[:, i] = value
+    if all(isinstance(value, (int, float)) for value in parameters):
+        table[:, : len(parameters)] = parameters
+    else:  # some differ from body to body
+        for i, value in enumerate(parameters):
+            table[:, i] = value
     if not np.isfinite(table).all():
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
@@ -45,7 +48,7 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
-    return values.transpose(1, 0, 2).reshape(values.shape[1], -1).copy()
+    return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 
 def print_log(rows):

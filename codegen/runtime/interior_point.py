@@ -22,11 +22,12 @@ from codegen.runtime.barrier import (
 from codegen.runtime.curvature import FLAT
 from codegen.runtime.example import variable_bounds
 from codegen.runtime.filter import accept, acceptable, envelope
-from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt
 from codegen.runtime.layout import multiplier_unknowns
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_rounding, is_solved
+from codegen.runtime.substitution import solve_kkt
 
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
@@ -186,12 +187,12 @@ def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
     grid, bounds, system, _ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
-    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) is None:
-        return unknowns
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)
+    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system, gradient) is None:
+        return unknowns
     step = np.empty_like(unknowns)
-    solve_kkt(grid, system, gradient, step)
+    solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
     return unknowns + multipliers if np.abs(multipliers).max(initial=0.0) <= 1e3 else unknowns
 
@@ -219,9 +220,9 @@ def regularised_step(search, iterate, mu, last_shift):
     shift, dual_shift = 0.0, 0.0
     while shift < 1e20:
         add_barrier(point.gradient, *barrier, shift, dual_shift, gradient, diagonal)
-        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system)
+        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
-            solve_kkt(grid, system, gradient, primal)
+            solve_kkt(grid, system, gradient, primal, carried=True)
             measured = measure_step(point.unknowns, gradient, primal, *barrier, max(0.99, 1.0 - mu), dual)
             if abs(measured[0]) < np.inf:
                 return Step(primal, dual, gradient, *measured, shift)

@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.curvature import FLAT
-from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_rounding, is_solved
+from codegen.runtime.substitution import solve_kkt
 
 SHORTEST_STEP = 1e-10
 SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
@@ -78,10 +79,10 @@ def guess_multipliers(grid, unknowns, system):
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
     if point.stationarity == 0.0:
         return point.unknowns
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system)):
+    gradient, step = np.where(grid.is_multiplier, 0.0, point.gradient), np.empty_like(unknowns)
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system, gradient)):
         return point.unknowns
-    step = np.empty_like(unknowns)
-    solve_kkt(grid, system, np.where(grid.is_multiplier, 0.0, point.gradient), step)
+    solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
     return point.unknowns + multipliers if np.abs(multipliers).max() <= 1e3 else point.unknowns
 
@@ -98,9 +99,9 @@ def regularised_step(grid, point, before, system):
     at_once = before.value > 0.0 and lower > SMALL_SHIFT and not before.singular
     shift, dual_shift, singular = lower if at_once else 0.0, 0.0, before.singular
     while shift < 1e20:
-        excess = factor_kkt(grid, point.unknowns, 1.0, shifts(grid, shift, dual_shift), system)
+        excess = factor_kkt(grid, point.unknowns, 1.0, shifts(grid, shift, dual_shift), system, point.gradient)
         if excess == 0:
-            solve_kkt(grid, system, point.gradient, step)
+            solve_kkt(grid, system, point.gradient, step, carried=True)
             lowered = before.lowered + 1 if shift == lower and not singular else 0
             found = Shift(shift, shift or before.last, lowered, singular)
             return step, slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), found
@@ -132,18 +133,17 @@ def search(grid, point, step, slope, small_violation, filtered, system):
 
     length = 1.0
     while length > SHORTEST_STEP:
-        trial = evaluate(grid, point.unknowns + length * step)
+        trial = evaluate(grid, point.unknowns + step)
         accepted = is_better(trial, length)
         if not accepted and length == 1.0 and trial.violation >= point.violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
-            corrected, correction = point.gradient.copy(), np.empty_like(step)
-            corrected[grid.is_multiplier] += trial.gradient[grid.is_multiplier]
-            solve_kkt(grid, system, corrected, correction)
+            correction = np.empty_like(step)
+            solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
             trial = evaluate(grid, point.unknowns + correction)
             accepted = is_better(trial, length)
         if accepted:
             return trial, length
-        length *= 0.5
+        length, step = 0.5 * length, 0.5 * step
     return None, length
 
 
@@ -151,9 +151,10 @@ def restore(grid, point, filtered, system):
     """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced by a tenth."""
     step, first = np.empty_like(point.gradient), point.violation
     for _ in range(50):
-        if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system)):
+        gradient = np.where(grid.is_multiplier, point.gradient, 0.0)
+        if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system, gradient)):
             return None
-        solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
+        solve_kkt(grid, system, gradient, step, carried=True)
         step[grid.is_multiplier] = 0.0
         length = 1.0
         trial = evaluate(grid, point.unknowns + step)

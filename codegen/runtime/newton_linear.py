@@ -3,9 +3,10 @@
 import numpy as np
 
 from codegen.runtime.curvature import FLAT, least_shift
-from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_solved
+from codegen.runtime.substitution import solve_kkt
 
 CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
 LARGE = 1e6  # steps beyond it lead to infinity
@@ -19,8 +20,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """
     system = allocate_system(grid)
     none = np.zeros(unknowns.size)
-    excess = factor_kkt(grid, unknowns, 1.0, none, system)
     point = evaluate(grid, unknowns)
+    excess = factor_kkt(grid, unknowns, 1.0, none, system, point.gradient)
     for iteration in range(4):
         log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
         if not point.error < np.inf:
@@ -30,7 +31,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if is_solved(grid, point, tolerance):
             return "solved", point, iteration
         step = np.empty_like(unknowns)
-        solve_kkt(grid, system, point.gradient, step)
+        solve_kkt(grid, system, point.gradient, step, carried=iteration == 0)
         point = evaluate(grid, point.unknowns + step)
     return "stalled", point, 3
 
@@ -53,10 +54,11 @@ def least_violation(grid, point, system):
     step = np.empty_like(point.unknowns)
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
     for _ in range(5):
-        excess = factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system)
+        gradient = np.where(grid.is_multiplier, point.gradient, 0.0)
+        excess = factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system, gradient)
         if not is_factored(excess):
             return point
-        solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, 0.0), step)
+        solve_kkt(grid, system, gradient, step, carried=True)
         step[grid.is_multiplier] = 0.0
         point = evaluate(grid, point.unknowns + step)
     return point

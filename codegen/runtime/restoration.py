@@ -9,8 +9,9 @@ Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), se
 import numpy as np
 
 from codegen.runtime.barrier import add_barrier, measure_step, move, move_duals
-from codegen.runtime.frontal import factor_kkt, solve_kkt
+from codegen.runtime.frontal import factor_kkt
 from codegen.runtime.point import evaluate
+from codegen.runtime.substitution import solve_kkt
 
 RESTORATION_STEPS = 200
 
@@ -66,8 +67,9 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     while damping < 1e12:
         add_barrier(pull, *barrier, damping, 0.0, slopes, diagonal)
         diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
-        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system) is not None:
-            solve_kkt(grid, system, np.where(grid.is_multiplier, point.gradient, slopes - pull), step)
+        right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
+        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system, right) is not None:
+            solve_kkt(grid, system, right, step, carried=True)
             step[grid.is_multiplier] = 0.0
             _, length, dual_length = measure_step(point.unknowns, slopes, step, *barrier, 0.99, dual_step)
             unknowns, new_distance = np.empty(size), np.empty_like(distance)

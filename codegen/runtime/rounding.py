@@ -62,12 +62,13 @@ def is_solved(grid, point, tolerance):
     """
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
-    measured = (point.residual, point.stationarity)
-    return all(
-        value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
-        for value, size in zip(measured, sizes, strict=True)
-    )
+    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+
+
+def is_small(value, size, tolerance):
+    """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
 
 
 def is_rounding(grid, point):

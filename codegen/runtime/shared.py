@@ -68,7 +68,7 @@ def release_rows(places, shared, first, size, element):
     """Add the rows and columns of unknowns that equal a shared one to the shared one's, which begin at `size`."""
     for i in range(places.size):
         place, to = first + places[i], size + shared[i]
-        for j in range(element.shape[0]):
+        for j in range(element.shape[1]):
             element[to, j] += element[place, j]
         for j in range(element.shape[0]):
             element[j, to] += element[j, place]

@@ -4,9 +4,10 @@ import numpy as np
 
 from codegen.runtime.callbacks import hessian, jacobian
 from codegen.runtime.example import INEQUALITIES, PHASES, ROOT, SHARED, duration_of, phase_durations
-from codegen.runtime.frontal import allocate_system, factor_kkt, solve_kkt
+from codegen.runtime.frontal import allocate_system, factor_kkt
 from codegen.runtime.limits import at_limits
 from codegen.runtime.point import evaluate
+from codegen.runtime.substitution import solve_kkt
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
@@ -56,10 +57,12 @@ def runaways(grid, guess, point, is_stationary):
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
     ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
     """
-    unknowns = point.unknowns
-    grown = ~grid.is_multiplier & (np.abs(unknowns) > GROWTH * np.maximum(1.0, np.abs(guess)))
-    if is_stationary:
-        grown[: unknowns.size - ROOT] = False
+    unknowns, grown = point.unknowns, np.zeros(guess.size, bool)
+    seen = slice(guess.size - ROOT if is_stationary else 0, None)
+    if not np.abs(unknowns[seen]).max(initial=0.0) > GROWTH:
+        return grown
+    large = np.abs(unknowns[seen]) > GROWTH * np.maximum(1.0, np.abs(guess[seen]))
+    grown[seen] = ~grid.is_multiplier[seen] & large
     if not grown.any():
         return grown
     if INEQUALITIES:
@@ -75,7 +78,7 @@ def newton_step(grid, point):
     system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
     if INEQUALITIES:
         shift[at_limits(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
-    if factor_kkt(grid, point.unknowns, 1.0, shift, system) != 0:
+    if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient) != 0:
         return np.full(step.size, np.inf)
-    solve_kkt(grid, system, point.gradient, step)
+    solve_kkt(grid, system, point.gradient, step, carried=True)
     return step

@@ -79,7 +79,7 @@ def test_shared_indices(prepared, damaged, old, new):
 
 def test_unknown_that_does_not_follow_the_shared_one(prepared, damaged):
     context = prepared("hovercraft")
-    line = re.search(r"    nodes\[:, -1, 1\] = own\[:, 1\]", text_from(context, "with_pinned_values"))[0]
+    line = re.search(r"    nodes\[:, -1, 1\] = own\[:, 1\]", text_from(context, "pin_values"))[0]
     (failure,) = failures("given values", damaged(context, line, line.replace("own[:, 1]", "own[:, 0]")))
     assert failure.subject == "pinned unknowns"
     assert "y at node 3 of body 0" in failure.detail

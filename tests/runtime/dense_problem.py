@@ -73,7 +73,9 @@ def allocate_system(grid: Dense) -> list[Any]:
     return [None, None]
 
 
-def factor_kkt(grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any]) -> int | None:
+def factor_kkt(
+    grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any], gradient: Vector | None = None
+) -> int | None:
     """Excess of negative eigenvalues, or None; rows and columns are scaled alike for it, which keeps their signs."""
     matrix = kkt_matrix(grid, unknowns)
     primal = ~grid.is_multiplier
@@ -89,7 +91,7 @@ def factor_kkt(grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, s
     return int(np.count_nonzero(eigenvalues < 0.0) - np.count_nonzero(grid.is_multiplier & grid.free))
 
 
-def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:
+def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector, carried: bool = False) -> None:
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
 

@@ -20,13 +20,13 @@ def tried(monkeypatch):
     """The shifts tried since the list was emptied; the system, a number, is the least curvature, or None."""
     shifts: list[float] = []
 
-    def factor_kkt(grid, unknowns, weight, diagonal, curvature):
+    def factor_kkt(grid, unknowns, weight, diagonal, curvature, gradient):
         shifts.append(float(diagonal[0]))
         if curvature is None:  # singular unless the multipliers' diagonal is shifted, too
             return 0 if diagonal[1] < 0.0 else None
         return 0 if curvature + diagonal[0] > 0.0 else 1
 
-    def solve_kkt(grid, system, gradient, step):
+    def solve_kkt(grid, system, gradient, step, carried):
         step[:] = -gradient
 
     monkeypatch.setattr(newton_filter, "factor_kkt", factor_kkt)
