@@ -1,9 +1,10 @@
 """Compile the machine code of a generated module in two processes at once.
 
 numba compiles one function after the other. The KKT factorisation of a control problem, or the loop over the steps of
-a simulation, takes about half of that time, so one process compiles it, and another one everything else; both have
-loaded numba while the module was still being derived, and numba's cache on disk brings their work together.
-`python -m codegen.drivers.compilation SHARE` is such a process: it reads the path of a module from its standard input.
+a simulation, takes about half of that time, so one process compiles it, and another one everything else; numba's cache
+on disk brings their work together. `python -m codegen.drivers.compilation SHARE` loads numba while the module is still
+being derived, and reads the path of the module from its standard input. Where a process can fork, it becomes the two
+only then, so that numba is loaded once; elsewhere two are started.
 
 They let LLVM pack neighbouring operations into one instruction, which numba leaves out by default. Without it the
 factorisation takes 1.25 (orbital transfer), 1.4 (quadrotor) and 1.5 times (hovercraft) as long. What they leave out are
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -31,16 +33,16 @@ class Compilers:
     """Processes that have numba ready and compile a module between them when they are told to."""
 
     def __init__(self) -> None:
-        shares = SHARES[:2] if (os.cpu_count() or 1) > 1 else SHARES[2:]
         self.processes = [
             subprocess.Popen(
                 [sys.executable, "-m", "codegen.drivers.compilation", share],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                env={**os.environ, "NUMBA_SLP_VECTORIZE": "1"},
+                env={**os.environ, "NUMBA_SLP_VECTORIZE": "1", "OPENBLAS_NUM_THREADS": "1"},
+                process_group=0 if CAN_FORK else None,
             )
-            for share in shares
+            for share in shares()
         ]
 
     def compile(self, path: Path) -> bool:
@@ -53,6 +55,18 @@ class Compilers:
         statuses = [process.wait() for process in self.processes]
         return not any(statuses)
 
+    def end(self) -> None:
+        """End the processes, and those that they have become, if they have not ended by themselves."""
+        for process in self.processes:
+            if process.poll() is None and CAN_FORK:
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
+            process.wait()
+            if process.stdin is not None:
+                with suppress(BrokenPipeError):
+                    process.stdin.close()
+
 
 @contextmanager
 def compilers() -> Iterator[Compilers]:
@@ -61,12 +75,14 @@ def compilers() -> Iterator[Compilers]:
     try:
         yield started
     finally:
-        for process in started.processes:
-            process.kill()
-            process.wait()
-            if process.stdin is not None:
-                with suppress(BrokenPipeError):
-                    process.stdin.close()
+        started.end()
+
+
+def shares() -> tuple[str, ...]:
+    """What the processes that are to be started compile, each."""
+    if (os.cpu_count() or 1) == 1:
+        return ("all",)
+    return ("both",) if CAN_FORK else ("the_longest", "all_but_the_longest")
 
 
 @contextmanager
@@ -169,8 +185,7 @@ def compile_all(module: Any) -> None:
 
 LONG = 3000
 """Bytes of bytecode from which on a function is worth keeping by itself."""
-SHARES = ("the_longest", "all_but_the_longest", "all")
-"""What a process may be told to compile: both of the first two, or all."""
+CAN_FORK = hasattr(os, "fork")
 UNFINISHED = 3
 """Exit status of a process that has compiled its share, where the shares together are not all that `solve` calls."""
 
@@ -209,25 +224,43 @@ def _compiled_functions(module: GeneratedModule) -> list[Any]:
     return [value for value in vars(module).values() if hasattr(value, "targetoptions")]
 
 
-def main(share: str) -> None:
-    """Get numba ready, wait for the path of a module, compile a share of it."""
+def main(share: str) -> int:
+    """Get numba ready, wait for the path of a module, compile a share of it; the exit status."""
     from numba import njit
 
-    from codegen.drivers.operators import remembered_operators
-
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
-    compile_share = {"the_longest": compile_the_longest, "all_but_the_longest": compile_all_but_the_longest}
     njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
     path = os.fsdecode(sys.stdin.buffer.read())
     if not path:
-        return
+        return 0
     module = load(Path(path))
     if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
         compile_for_callers(module)
-    with remembered_operators():
-        compile_share.get(share, compile_all)(module)
-    if module.metadata["task"] == "connect":
-        sys.exit(UNFINISHED)
+    if share == "both":
+        return compile_in_two(module)
+    return compile_share(module, share)
+
+
+def compile_in_two(module: Any) -> int:
+    """Compile the longest function in a process of its own, everything else in this one; the worse exit status."""
+    other = os.fork()
+    if not other:
+        try:
+            os._exit(compile_share(module, "the_longest"))
+        finally:
+            os._exit(1)  # after an error, which this process must not handle
+    own = compile_share(module, "all_but_the_longest")
+    return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]) or own
+
+
+def compile_share(module: Any, share: str) -> int:
+    """Compile a share of a module; the exit status."""
+    from codegen.drivers.shortcuts import quick_numba
+
+    compile_functions = {"the_longest": compile_the_longest, "all_but_the_longest": compile_all_but_the_longest}
+    with quick_numba():
+        compile_functions.get(share, compile_all)(module)
+    return UNFINISHED if module.metadata["task"] == "connect" else 0
 
 
 def _nothing(x: Any) -> Any:
@@ -235,4 +268,6 @@ def _nothing(x: Any) -> Any:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    status = main(sys.argv[1])
+    sys.stdout.flush()
+    os._exit(status)  # at once: to take everything down that numba and LLVM have built takes half a second
