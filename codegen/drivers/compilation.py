@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import gc
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -192,10 +193,11 @@ UNFINISHED = 3
 
 def compile_for_callers(module: GeneratedModule) -> None:
     """Have functions that only compiled functions call compiled as parts of these, in this process from now on."""
-    from codegen.drivers.linking import forget_constants, link_inner_functions
+    from codegen.drivers.linking import forget_constants, link_inner_functions, optimise_by_themselves
 
+    link_inner_functions()
     leave_out_entries(module)
-    link_inner_functions(share_long_functions(module))
+    optimise_by_themselves(share_long_functions(module))
     for function in _compiled_functions(module):
         forget_constants(function)
 
@@ -228,14 +230,22 @@ def main(share: str) -> int:
     """Get numba ready, wait for the path of a module, compile a share of it; the exit status."""
     from numba import njit
 
+    from codegen.drivers.ahead import compile_ahead, take_over
+    from codegen.drivers.linking import link_inner_functions
+
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
     njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
+    undo = link_inner_functions()
+    if share == "both":
+        compile_ahead(lambda: bool(select.select([sys.stdin], [], [], 0.0)[0]))
     path = os.fsdecode(sys.stdin.buffer.read())
     if not path:
         return 0
     module = load(Path(path))
+    undo()
     if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
         compile_for_callers(module)
+        take_over(_compiled_functions(module))
     if share == "both":
         return compile_in_two(module)
     return compile_share(module, share)
