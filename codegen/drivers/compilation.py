@@ -20,7 +20,7 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -100,63 +100,68 @@ def packed_operations() -> Iterator[None]:
         setattr(config, name, before)
 
 
-def compile_all_but_the_longest(module: Any) -> None:
-    """Call what a solution calls, except the longest function; the factors of a control problem are zeros."""
+def parts(module: Any) -> list[Callable[[], Any]]:
+    """Calls that compile, together, what a solution calls; those that take longest come first.
+
+    What comes later may use what an earlier one has compiled and kept on the disk.
+    """
     if module.metadata["task"] == "connect":
-        case = small_case(module)
-        module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters))
-        return
+        return _connect_parts(module)
     if is_simulation_of_particles(module):
-        return
+        return [lambda: module.solve(2)]
     grid = module.make_grid(2)
     if module.metadata["task"] == "simulate":
         path = np.vstack([grid.start, grid.start])
-        module.path_residual(grid, path)
-        module.energies(path, np.zeros(2), grid.parameters, np.empty(2))
-        return
-    unknowns = module.initial_guess(grid)
-    gradient = module.evaluate(grid, unknowns).gradient
-    step, system = np.zeros_like(unknowns), module.allocate_system(grid)
-    with np.errstate(all="ignore"):
-        module.solve_kkt(grid, system, gradient, step)
-        module.unpack(grid, unknowns)
-        if hasattr(module, "finite_bounds"):
-            _compile_interior_point(module, grid, unknowns, step)
-        elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
-            module.slope_of(unknowns, gradient, gradient, grid.is_multiplier)
-        module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+        stored = np.empty((3, grid.start.size))
+        return [
+            lambda: module.follow(grid.start, 2, grid.h, grid.parameters, 1, 1e-13, 50, stored, stored),
+            lambda: module.path_residual(grid, path),
+            lambda: module.energies(path, np.zeros(2), grid.parameters, np.empty(2)),
+        ]
+    unknowns, system = module.initial_guess(grid), module.allocate_system(grid)
+    step, zeros = np.zeros_like(unknowns), np.zeros_like(unknowns)
+    calls = [
+        lambda: module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), system),
+        lambda: module.solve_kkt(grid, module.allocate_system(grid), zeros, step),  # its factors are zeros
+        lambda: module.evaluate(grid, unknowns),
+    ]
+    if hasattr(module, "finite_bounds"):
+        calls += _interior_point_parts(module, grid, unknowns, zeros)
+    elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
+        calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
+    return [
+        *calls,
+        lambda: module.unpack(grid, unknowns),
+        lambda: module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier),
+    ]
 
 
-def _compile_interior_point(module: Any, grid: Any, unknowns: Any, step: Any) -> None:
-    """Call what only the interior point method calls."""
+def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> list[Callable[[], Any]]:
+    """Calls of what only the interior point method calls."""
     bounds = module.finite_bounds(*module.variable_bounds(grid))
-    point, distance, _ = module.moved(grid, bounds, unknowns, step, 0.0)
+    distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
     duals, result = np.ones(distance.size), np.empty(distance.size)
-    module.measure_optimality(point.gradient, point.unknowns, grid.is_multiplier, *bounds, distance, duals)
     barrier = grid.is_multiplier, *bounds[::2], distance, duals, 1.0
-    module.add_barrier(point.gradient, *barrier, 0.0, 0.0, step, np.empty_like(step))
-    module.measure_step(unknowns, point.gradient, step, *barrier, 0.99, result)
-    module.move_duals(duals, duals, 1.0, distance, 1.0, result)
+    return [
+        lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *bounds, distance, duals),
+        lambda: module.measure_step(unknowns, gradient, step, *barrier, 0.99, result),
+        lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
+        lambda: module.move_duals(duals, duals, 1.0, distance, 1.0, result),
+        lambda: module.moved(grid, bounds, unknowns, step, 0.0),
+    ]
 
 
-def compile_the_longest(module: Any) -> None:
-    """Call the factorisation of a control problem, or the loop of a simulation, once."""
-    if module.metadata["task"] == "connect":
-        case = small_case(module)
-        points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
-        points[:, 0] = case.start
-        module.Linearised(case, points, None).matrix()
-        return
-    if is_simulation_of_particles(module):
-        module.solve(2)
-        return
-    grid = module.make_grid(2)
-    if module.metadata["task"] == "simulate":
-        path = np.empty((3, grid.start.size))
-        module.follow(grid.start, 2, grid.h, grid.parameters, 1, 1e-13, 50, path, path)
-        return
-    unknowns = module.initial_guess(grid)
-    module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), module.allocate_system(grid))
+def _connect_parts(module: Any) -> list[Callable[[], Any]]:
+    """Calls for a module that connects points."""
+    case = small_case(module)
+    points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
+    points[:, 0] = case.start
+    return [
+        lambda: module.Linearised(case, points, None).matrix(),
+        lambda: module.path_cost(
+            case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)
+        ),
+    ]
 
 
 def is_simulation_of_particles(module: Any) -> bool:
@@ -180,8 +185,9 @@ def solve_small(module: Any) -> None:
 
 def compile_all(module: Any) -> None:
     """Call all that a solution calls."""
-    compile_the_longest(module)
-    compile_all_but_the_longest(module)
+    with np.errstate(all="ignore"):
+        for call in parts(module):
+            call()
 
 
 LONG = 3000
@@ -252,24 +258,37 @@ def main(share: str) -> int:
 
 
 def compile_in_two(module: Any) -> int:
-    """Compile the longest function in a process of its own, everything else in this one; the worse exit status."""
+    """Compile a module in this process and in a copy of it, each taking the next part that is left; the exit status."""
+    from codegen.drivers.shortcuts import quick_numba
+
+    calls = parts(module)
+    left, numbers = os.pipe()
+    os.write(numbers, bytes(range(len(calls))))
+    os.close(numbers)
     other = os.fork()
-    if not other:
-        try:
-            os._exit(compile_share(module, "the_longest"))
-        finally:
-            os._exit(1)  # after an error, which this process must not handle
-    own = compile_share(module, "all_but_the_longest")
-    return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]) or own
+    try:
+        with quick_numba(), np.errstate(all="ignore"):
+            while number := os.read(left, 1):
+                calls[number[0]]()
+    finally:
+        if not other:
+            os._exit(0 if sys.exc_info()[0] is None else 1)  # errors are not handled twice
+    return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]) or status_of(module)
 
 
 def compile_share(module: Any, share: str) -> int:
     """Compile a share of a module; the exit status."""
     from codegen.drivers.shortcuts import quick_numba
 
-    compile_functions = {"the_longest": compile_the_longest, "all_but_the_longest": compile_all_but_the_longest}
-    with quick_numba():
-        compile_functions.get(share, compile_all)(module)
+    shares = {"the_longest": slice(1), "all_but_the_longest": slice(1, None)}
+    with quick_numba(), np.errstate(all="ignore"):
+        for call in parts(module)[shares.get(share, slice(None))]:
+            call()
+    return status_of(module)
+
+
+def status_of(module: Any) -> int:
+    """The exit status of a process that has compiled its share of a module."""
     return UNFINISHED if module.metadata["task"] == "connect" else 0
 
 
