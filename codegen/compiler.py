@@ -118,7 +118,7 @@ def generate(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
 
 @contextmanager
 def _rare_collections() -> Iterator[None]:
-    """Look for garbage in cycles a hundred times less often: expressions leave little, and it takes a sixth of a build."""
+    """Look for cyclic garbage less often: expressions leave little, and looking takes a sixth of the time."""
     before = gc.get_threshold()
     gc.set_threshold(100_000, *before[1:])
     try:

@@ -104,12 +104,17 @@ def _prepare(runtime: Any) -> None:
 
 def _are_same(function: Any, twin: Any) -> bool:
     """Whether two functions, with all that they read, are compiled to the same."""
-    first, second = function.py_func.__code__, twin.py_func.__code__
-    if any(getattr(first, part) != getattr(second, part) for part in ("co_code", "co_consts", "co_names", "co_varnames")):
-        return False
-    return function.targetoptions == twin.targetoptions and all(
-        _mean_same(function.py_func.__globals__.get(name), twin.py_func.__globals__.get(name))
-        for name in first.co_names
+    # Code objects are compared with the types of their constants; lines and how annotations are read do not matter.
+    first, second = (
+        f.py_func.__code__.replace(co_firstlineno=1, co_linetable=b"", co_flags=0) for f in (function, twin)
+    )
+    return (
+        first == second
+        and function.targetoptions == twin.targetoptions
+        and all(
+            _mean_same(function.py_func.__globals__.get(name), twin.py_func.__globals__.get(name))
+            for name in first.co_names
+        )
     )
 
 

@@ -158,9 +158,7 @@ def _connect_parts(module: Any) -> list[Callable[[], Any]]:
     points[:, 0] = case.start
     return [
         lambda: module.Linearised(case, points, None).matrix(),
-        lambda: module.path_cost(
-            case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)
-        ),
+        lambda: module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)),
     ]
 
 

@@ -14,8 +14,8 @@ from codegen.drivers import Driver
 from codegen.drivers.compilation import Compilers, packed_operations, solve_small
 from codegen.drivers.connect_result import connect_result
 from codegen.drivers.control_result import control_result
-from codegen.drivers.shortcuts import quick_numba
 from codegen.drivers.result import Request, Result
+from codegen.drivers.shortcuts import quick_numba
 from codegen.drivers.simulate_result import simulate_result
 from codegen.errors import NumericsError
 from codegen.load import GeneratedModule, is_connect, is_control, is_simulation, load, machine_code_counts

@@ -1,9 +1,8 @@
 """Have numba take shorter ways to the same machine code.
 
-Each shortcut replaces a method of numba by one that gives the same result in less time. Together they take a third of
-the time away that numba itself, LLVM aside, takes to compile a solver. Where a numba has no such method, or one of
-other arguments, that shortcut is left out; where a value is of a kind that a shortcut does not know, numba's own method
-is called.
+Each shortcut replaces a method of numba by one that gives the same result in less time; what operators mean, which is
+looked up once, matters most. Where a numba has no such method, or one of other arguments, that shortcut is left out;
+where a value is of a kind that a shortcut does not know, numba's own method is called.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ def quick_numba() -> Iterator[None]:
 def _replaced(
     owner: Any, name: str, parameters: list[str] | None, make: Callable[[Any], Callable[..., Any]]
 ) -> Iterator[None]:
-    """Put what is made of a class's own method in its place, if its parameters have these names (None: there is none)."""
+    """Put what is made of a class's own method in its place, if its parameters are these (None: there is no method)."""
     own = vars(owner).get(name)
     found = None if own is None else list(inspect.signature(own).parameters)
     if found != parameters:
@@ -132,7 +131,7 @@ def _counted_parts(own: Any) -> Callable[..., Any]:
 @contextmanager
 def _silent_lock() -> Iterator[None]:
     """Tell nobody of each call of LLVM; numba would, twice, to measure times that nobody asks for."""
-    from llvmlite.binding import ffi
+    from llvmlite.binding import ffi  # type: ignore[import-untyped]
 
     listeners = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
     told, listeners[:] = listeners[:], []
