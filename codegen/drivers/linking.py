@@ -31,7 +31,9 @@ class LinkedLibrary(JITCodeLibrary):
     @property
     def is_inner(self) -> bool:
         """Whether Python cannot call the function."""
-        return not any(f.name.startswith(ENTRY) and not f.is_declaration for f in self._final_module.functions)
+        # Of what is read from the disk as machine code, the intermediate code is beside it.
+        code = self._final_module if any(True for _ in self._final_module.functions) else self._shared_module
+        return code is None or not any(f.name.startswith(ENTRY) and not f.is_declaration for f in code.functions)
 
     def _optimize_final_module(self) -> None:
         if not self.is_inner or self.name in self.optimised:

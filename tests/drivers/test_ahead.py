@@ -11,6 +11,7 @@ from numba.core import ir
 from numba.core.compiler import run_frontend
 
 from codegen.drivers import ahead
+from codegen.drivers.compilation import compilers
 from codegen.drivers.shortcuts import _replaced, quick_numba
 from codegen.load import load
 
@@ -60,6 +61,19 @@ def test_a_module_takes_over_what_was_compiled_ahead(tmp_path):
     assert (status, compiled) == ("solved", "0")
     assert int(read) >= 5
     assert float(cost) == pytest.approx(4.530801094, rel=1e-9)
+
+
+def test_one_process_becomes_two_and_tells_how_both_ended(tmp_path):
+    path = tmp_path / "pendulum.py"
+    path.write_bytes((GENERATED / path.name).read_bytes())
+    with compilers() as processes:
+        assert processes.compile(path)
+    program = "from codegen.load import *; m = load({!r}); print(m.solve(9).status, *machine_code_counts(m))"
+    status, compiled, _ = output(program.format(str(path)))
+    assert (status, compiled) == ("solved", "0")
+    (tmp_path / "broken.py").write_text(path.read_text().replace("def path_residual(", "def path_residual(missing, "))
+    with compilers() as processes:
+        assert not processes.compile(tmp_path / "broken.py")
 
 
 @pytest.mark.parametrize("name", ["hovercraft", "orbital_transfer", "two_stage_rocket"])
