@@ -68,7 +68,7 @@ def test_one_process_becomes_two_and_tells_how_both_ended(tmp_path):
     path.write_bytes((GENERATED / path.name).read_bytes())
     with compilers() as processes:
         assert processes.compile(path)
-    program = "import sys; from codegen.load import *; m = load(sys.argv[1]); m.solve(9); print(*machine_code_counts(m))"
+    program = USE.split("solution = ")[0] + "module.solve(9); print(*machine_code_counts(module))"
     compiled, read = output(program, path)
     assert compiled == "0" < read
     (tmp_path / "broken.py").write_text(path.read_text().replace("def path_residual(", "def path_residual(missing, "))
