@@ -26,25 +26,32 @@ from codegen.drivers.linking import forget_constants
 from codegen.drivers.shortcuts import quick_numba
 
 MATRIX, VECTOR, ORDER, MASK = float64[:, ::1], float64[::1], uint64[::1], boolean[::1]
-FUNCTIONS = (
-    ("symmetric", "eliminate_rows", (MATRIX, int64, int64, MATRIX, MATRIX, ORDER)),
-    ("symmetric", "subtract_products", (MATRIX, MATRIX, int64, int64, int64, int64, MATRIX)),
-    ("symmetric", "solve_backward", (MATRIX, ORDER, int64, int64, VECTOR)),
-    ("symmetric", "solve_forward", (MATRIX, ORDER, int64, int64, VECTOR)),
-    ("symmetric", "subtract_row", (float64, MATRIX, int64, int64, MATRIX, int64)),
-    ("symmetric", "solve_pivots", (MATRIX, ORDER, int64, VECTOR)),
-    ("norms", "measure", (VECTOR, MASK)),
+SUMS: dict[str, Any] = {"fastmath": {"reassoc", "contract"}}
+"""How the factorisation and the substitution are compiled: their sums may be taken in any order."""
+FUNCTIONS: tuple[tuple[str, str, tuple[Any, ...], dict[str, Any]], ...] = (
+    ("symmetric", "eliminate_rows", (MATRIX, int64, int64, MATRIX, MATRIX, ORDER), SUMS),
+    ("symmetric", "subtract_products", (MATRIX, MATRIX, int64, int64, int64, int64, MATRIX), SUMS),
+    ("symmetric", "solve_backward", (MATRIX, ORDER, int64, int64, VECTOR), SUMS),
+    ("symmetric", "solve_forward", (MATRIX, ORDER, int64, int64, VECTOR), SUMS),
+    ("symmetric", "solve_pivots", (MATRIX, ORDER, int64, VECTOR), SUMS),
+    ("norms", "measure", (VECTOR, MASK), {}),
 )
-"""Files and functions of the runtime, with the types of their arguments, those first that take longest."""
+"""Files and functions of the runtime with the types of their arguments, those first that take longest.
+
+The last column is what a function without options of its own inherits, in numba, from the one that calls it.
+"""
 
 
 def compile_ahead(has_come: Callable[[], bool]) -> None:
     """Compile what all modules have in common until the module that is waited for has come."""
     with quick_numba():
-        for function, types in _functions():
+        for function, types, inherited in _functions():
             if has_come():
                 return
+            own = dict(function.targetoptions)
+            function.targetoptions |= {**inherited, **own}
             function.compile(types)
+            function.targetoptions = own
 
 
 def take_over(functions: list[Any]) -> None:
@@ -64,21 +71,20 @@ _MODULES: list[ModuleType] = []
 """The modules by whose names numba tells them from all other code."""
 
 
-def _functions() -> Iterator[tuple[Any, Any]]:
-    for file, name, types in FUNCTIONS:
+def _functions() -> Iterator[tuple[Any, Any, dict[str, Any]]]:
+    for file, name, types, inherited in FUNCTIONS:
         runtime = import_module(f"codegen.runtime.{file}")
         if name not in _READY:
             _prepare(runtime)
-        yield _READY[name], types
-        if (file, name) == ("symmetric", "subtract_products"):
-            yield from ((njit(**options)(_use_arrays), (int64, int64)) for options in _OPTIONS)
+        yield _READY[name], types, inherited
+        if name == "subtract_products":
+            yield from (
+                (njit(error_model="numpy", **PARTS)(_use_arrays), (int64, int64), inherited) for inherited in (SUMS, {})
+            )
 
 
-_OPTIONS: tuple[dict[str, Any], ...] = (
-    {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True},
-    {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "fastmath": {"reassoc", "contract"}},
-)
-"""What functions of the runtime are compiled with: numba compiles what they call anew for each."""
+PARTS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of functions that Python does not call."""
 
 
 def _use_arrays(rows: Any, columns: Any) -> Any:
@@ -97,7 +103,7 @@ def _prepare(runtime: Any) -> None:
     for function in vars(runtime).values():
         if hasattr(function, "targetoptions") and function.stats.cache_path is None:
             function.py_func.__module__ = name
-            function.targetoptions |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": True}
+            function.targetoptions |= PARTS
             forget_constants(function)
             _READY[function.py_func.__name__] = function
 
