@@ -17,23 +17,27 @@ from codegen.load import load
 
 GENERATED = Path(__file__).parents[2] / "generated"
 
-ADOPT = """
+COMPILE = """
 import sys
-import numpy as np
 from numba import njit
 from codegen.drivers import ahead, compilation
 from codegen.drivers.linking import link_inner_functions
 from codegen.load import load
 njit(lambda x: x)(0.0)
 link_inner_functions()
-waiting = iter([False, True])
+waiting = iter([False] * int(sys.argv[2]) + [True])
 ahead.compile_ahead(lambda: next(waiting))
 module = load(sys.argv[1])
 compilation.compile_for_callers(module)
 functions = [f for f in vars(module).values() if hasattr(f, "overloads")]
 ahead.take_over(functions)
 print(*[f.py_func.__name__ for f in functions if f.overloads])
-compilation.compile_all(module)
+if int(sys.argv[2]):
+    compilation.compile_all(module)
+else:
+    compilation.parts(module)[0]()
+(code,) = module.factor.inspect_asm().values()
+print(hash(tuple(line.split()[0] for line in code.splitlines() if line.startswith("\\t") and "\\t." not in line)))
 """
 
 USE = """
@@ -49,14 +53,20 @@ print(solution.status, solution.cost, *machine_code_counts(module))
 def output(program: str, *arguments: object) -> list[str]:
     """What a new process prints."""
     command = [sys.executable, "-c", program, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ).stdout.split()
+    return subprocess.run(
+        command, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONHASHSEED": "0"}
+    ).stdout.split()
 
 
 def test_a_module_takes_over_what_was_compiled_ahead(tmp_path):
-    """Of the four functions that eliminate rows; what lands on the disk is whole without them."""
+    """Its machine code has the same instructions as without, and is whole on the disk."""
     path = tmp_path / "linear_pendulum.py"
     path.write_bytes((GENERATED / path.name).read_bytes())
-    assert set(output(ADOPT, path)) == {"eliminate_rows", "eliminate_one", "eliminate_pair", "subtract_row"}
+    (instructions,) = output(COMPILE, path, 0)
+    (tmp_path / "__pycache__").rename(tmp_path / "without")
+    *names, same = output(COMPILE, path, 1)
+    assert set(names) == {"eliminate_rows", "eliminate_one", "eliminate_pair", "subtract_row"}
+    assert same == instructions
     status, cost, compiled, read = output(USE, path)
     assert (status, compiled) == ("solved", "0")
     assert int(read) >= 5
