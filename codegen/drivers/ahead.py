@@ -59,10 +59,10 @@ def take_over(functions: list[Any]) -> None:
     for nameless in _MODULES:
         vars(nameless).pop("__name__", None)  # numba keeps no environment that it could not find by this name
     for function in functions:
-        for twin in filter(None, [_READY.get(function.py_func.__name__)]):
-            if _are_same(function, twin):
-                for compiled in twin.overloads.values():
-                    function.add_overload(compiled)
+        twin = _READY.get(function.py_func.__name__)
+        if twin is not None and _are_same(function, twin):
+            for compiled in twin.overloads.values():
+                function.add_overload(compiled)
 
 
 _READY: dict[str, Any] = {}
@@ -78,9 +78,8 @@ def _functions() -> Iterator[tuple[Any, Any, dict[str, Any]]]:
             _prepare(runtime)
         yield _READY[name], types, inherited
         if name == "subtract_products":
-            yield from (
-                (njit(error_model="numpy", **PARTS)(_use_arrays), (int64, int64), inherited) for inherited in (SUMS, {})
-            )
+            for options in (SUMS, {}):  # what makes arrays inherits them as well
+                yield njit(error_model="numpy", **PARTS)(_use_arrays), (int64, int64), options
 
 
 PARTS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
