@@ -14,7 +14,7 @@ from interpreted import Interpreted
 from registered_images import SHAPE
 
 from codegen.compiler import build
-from codegen.drivers.operators import remembered_operators
+from codegen.drivers.shortcuts import quick_numba
 from codegen.load import GeneratedModule, load
 from codegen.points import read_points
 from codegen.registration import LandmarkPairs, Registration, register
@@ -40,7 +40,7 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session", autouse=True)
 def quick_compilation() -> Iterator[None]:
     """What `codegen build` and `codegen solve` do to compile faster, for all that tests compile."""
-    with remembered_operators():
+    with quick_numba():
         yield
 
 

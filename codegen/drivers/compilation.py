@@ -1,9 +1,10 @@
 """Compile the machine code of a generated module in two processes at once.
 
 numba compiles one function after the other. The KKT factorisation of a control problem, or the loop over the steps of
-a simulation, takes about half of that time, so one process compiles it, and another one everything else; both have
-loaded numba while the module was still being derived, and numba's cache on disk brings their work together.
-`python -m codegen.drivers.compilation SHARE` is such a process: it reads the path of a module from its standard input.
+a simulation, takes about half of that time, so one process compiles it, and another one everything else; numba's cache
+on disk brings their work together. `python -m codegen.drivers.compilation SHARE` loads numba while the module is still
+being derived, and reads the path of the module from its standard input. Where a process can fork, it becomes the two
+only then, so that numba is loaded once; elsewhere two are started.
 
 They let LLVM pack neighbouring operations into one instruction, which numba leaves out by default. Without it the
 factorisation takes 1.25 (orbital transfer), 1.4 (quadrotor) and 1.5 times (hovercraft) as long. What they leave out are
@@ -15,9 +16,11 @@ from __future__ import annotations
 
 import gc
 import os
+import select
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -31,16 +34,16 @@ class Compilers:
     """Processes that have numba ready and compile a module between them when they are told to."""
 
     def __init__(self) -> None:
-        shares = SHARES[:2] if (os.cpu_count() or 1) > 1 else SHARES[2:]
         self.processes = [
             subprocess.Popen(
                 [sys.executable, "-m", "codegen.drivers.compilation", share],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                env={**os.environ, "NUMBA_SLP_VECTORIZE": "1"},
+                env={**os.environ, "NUMBA_SLP_VECTORIZE": "1", "OPENBLAS_NUM_THREADS": "1"},
+                process_group=0 if CAN_FORK else None,
             )
-            for share in shares
+            for share in shares()
         ]
 
     def compile(self, path: Path) -> bool:
@@ -53,6 +56,18 @@ class Compilers:
         statuses = [process.wait() for process in self.processes]
         return not any(statuses)
 
+    def end(self) -> None:
+        """End the processes, and those that they have become, if they have not ended by themselves."""
+        for process in self.processes:
+            if process.poll() is None and CAN_FORK:
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
+            process.wait()
+            if process.stdin is not None:
+                with suppress(BrokenPipeError):
+                    process.stdin.close()
+
 
 @contextmanager
 def compilers() -> Iterator[Compilers]:
@@ -61,12 +76,14 @@ def compilers() -> Iterator[Compilers]:
     try:
         yield started
     finally:
-        for process in started.processes:
-            process.kill()
-            process.wait()
-            if process.stdin is not None:
-                with suppress(BrokenPipeError):
-                    process.stdin.close()
+        started.end()
+
+
+def shares() -> tuple[str, ...]:
+    """What the processes that are to be started compile, each."""
+    if (os.cpu_count() or 1) == 1:
+        return ("all",)
+    return ("both",) if CAN_FORK else ("the_longest", "all_but_the_longest")
 
 
 @contextmanager
@@ -83,63 +100,66 @@ def packed_operations() -> Iterator[None]:
         setattr(config, name, before)
 
 
-def compile_all_but_the_longest(module: Any) -> None:
-    """Call what a solution calls, except the longest function; the factors of a control problem are zeros."""
+def parts(module: Any) -> list[Callable[[], Any]]:
+    """Calls that compile, together, what a solution calls; those that take longest come first.
+
+    What comes later may use what an earlier one has compiled and kept on the disk.
+    """
     if module.metadata["task"] == "connect":
-        case = small_case(module)
-        module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters))
-        return
+        return _connect_parts(module)
     if is_simulation_of_particles(module):
-        return
+        return [lambda: module.solve(2)]
     grid = module.make_grid(2)
     if module.metadata["task"] == "simulate":
         path = np.vstack([grid.start, grid.start])
-        module.path_residual(grid, path)
-        module.energies(path, np.zeros(2), grid.parameters, np.empty(2))
-        return
-    unknowns = module.initial_guess(grid)
-    gradient = module.evaluate(grid, unknowns).gradient
-    step, system = np.zeros_like(unknowns), module.allocate_system(grid)
-    with np.errstate(all="ignore"):
-        module.solve_kkt(grid, system, gradient, step)
-        module.unpack(grid, unknowns)
-        if hasattr(module, "finite_bounds"):
-            _compile_interior_point(module, grid, unknowns, step)
-        elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
-            module.slope_of(unknowns, gradient, gradient, grid.is_multiplier)
-        module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+        stored = np.empty((3, grid.start.size))
+        return [
+            lambda: module.follow(grid.start, 2, grid.h, grid.parameters, 1, 1e-13, 50, stored, stored),
+            lambda: module.path_residual(grid, path),
+            lambda: module.energies(path, np.zeros(2), grid.parameters, np.empty(2)),
+        ]
+    unknowns, system = module.initial_guess(grid), module.allocate_system(grid)
+    step, zeros = np.zeros_like(unknowns), np.zeros_like(unknowns)
+    calls = [
+        lambda: module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), system),
+        lambda: module.solve_kkt(grid, module.allocate_system(grid), zeros, step),  # its factors are zeros
+        lambda: module.evaluate(grid, unknowns),
+    ]
+    if hasattr(module, "finite_bounds"):
+        calls += _interior_point_parts(module, grid, unknowns, zeros)
+    elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
+        calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
+    return [
+        *calls,
+        lambda: module.unpack(grid, unknowns),
+        lambda: module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier),
+    ]
 
 
-def _compile_interior_point(module: Any, grid: Any, unknowns: Any, step: Any) -> None:
-    """Call what only the interior point method calls."""
+def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> list[Callable[[], Any]]:
+    """Calls of what only the interior point method calls."""
     bounds = module.finite_bounds(*module.variable_bounds(grid))
-    point, distance, _ = module.moved(grid, bounds, unknowns, step, 0.0)
+    distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
     duals, result = np.ones(distance.size), np.empty(distance.size)
-    module.measure_optimality(point.gradient, point.unknowns, grid.is_multiplier, *bounds, distance, duals)
     barrier = grid.is_multiplier, *bounds[::2], distance, duals, 1.0
-    module.add_barrier(point.gradient, *barrier, 0.0, 0.0, step, np.empty_like(step))
-    module.measure_step(unknowns, point.gradient, step, *barrier, 0.99, result)
-    module.move_duals(duals, duals, 1.0, distance, 1.0, result)
+    return [
+        lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *bounds, distance, duals),
+        lambda: module.measure_step(unknowns, gradient, step, *barrier, 0.99, result),
+        lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
+        lambda: module.move_duals(duals, duals, 1.0, distance, 1.0, result),
+        lambda: module.moved(grid, bounds, unknowns, step, 0.0),
+    ]
 
 
-def compile_the_longest(module: Any) -> None:
-    """Call the factorisation of a control problem, or the loop of a simulation, once."""
-    if module.metadata["task"] == "connect":
-        case = small_case(module)
-        points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
-        points[:, 0] = case.start
-        module.Linearised(case, points, None).matrix()
-        return
-    if is_simulation_of_particles(module):
-        module.solve(2)
-        return
-    grid = module.make_grid(2)
-    if module.metadata["task"] == "simulate":
-        path = np.empty((3, grid.start.size))
-        module.follow(grid.start, 2, grid.h, grid.parameters, 1, 1e-13, 50, path, path)
-        return
-    unknowns = module.initial_guess(grid)
-    module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), module.allocate_system(grid))
+def _connect_parts(module: Any) -> list[Callable[[], Any]]:
+    """Calls for a module that connects points."""
+    case = small_case(module)
+    points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
+    points[:, 0] = case.start
+    return [
+        lambda: module.Linearised(case, points, None).matrix(),
+        lambda: module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)),
+    ]
 
 
 def is_simulation_of_particles(module: Any) -> bool:
@@ -163,24 +183,25 @@ def solve_small(module: Any) -> None:
 
 def compile_all(module: Any) -> None:
     """Call all that a solution calls."""
-    compile_the_longest(module)
-    compile_all_but_the_longest(module)
+    with np.errstate(all="ignore"):
+        for call in parts(module):
+            call()
 
 
 LONG = 3000
 """Bytes of bytecode from which on a function is worth keeping by itself."""
-SHARES = ("the_longest", "all_but_the_longest", "all")
-"""What a process may be told to compile: both of the first two, or all."""
+CAN_FORK = hasattr(os, "fork")
 UNFINISHED = 3
 """Exit status of a process that has compiled its share, where the shares together are not all that `solve` calls."""
 
 
 def compile_for_callers(module: GeneratedModule) -> None:
     """Have functions that only compiled functions call compiled as parts of these, in this process from now on."""
-    from codegen.drivers.linking import forget_constants, link_inner_functions
+    from codegen.drivers.linking import forget_constants, link_inner_functions, optimise_by_themselves
 
+    link_inner_functions()
     leave_out_entries(module)
-    link_inner_functions(share_long_functions(module))
+    optimise_by_themselves(share_long_functions(module))
     for function in _compiled_functions(module):
         forget_constants(function)
 
@@ -209,25 +230,64 @@ def _compiled_functions(module: GeneratedModule) -> list[Any]:
     return [value for value in vars(module).values() if hasattr(value, "targetoptions")]
 
 
-def main(share: str) -> None:
-    """Get numba ready, wait for the path of a module, compile a share of it."""
+def main(share: str) -> int:
+    """Get numba ready, wait for the path of a module, compile a share of it; the exit status."""
     from numba import njit
 
-    from codegen.drivers.operators import remembered_operators
+    from codegen.drivers.ahead import compile_ahead, take_over
+    from codegen.drivers.linking import link_inner_functions
 
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
-    compile_share = {"the_longest": compile_the_longest, "all_but_the_longest": compile_all_but_the_longest}
     njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
+    undo = link_inner_functions()
+    if share == "both":
+        compile_ahead(lambda: bool(select.select([sys.stdin], [], [], 0.0)[0]))
     path = os.fsdecode(sys.stdin.buffer.read())
     if not path:
-        return
+        return 0
     module = load(Path(path))
+    undo()
     if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
         compile_for_callers(module)
-    with remembered_operators():
-        compile_share.get(share, compile_all)(module)
-    if module.metadata["task"] == "connect":
-        sys.exit(UNFINISHED)
+        take_over(_compiled_functions(module))
+    if share == "both":
+        return compile_in_two(module)
+    return compile_share(module, share)
+
+
+def compile_in_two(module: Any) -> int:
+    """Compile a module in this process and in a copy of it, each taking the next part that is left; the exit status."""
+    from codegen.drivers.shortcuts import quick_numba
+
+    calls = parts(module)
+    left, numbers = os.pipe()
+    os.write(numbers, bytes(range(len(calls))))
+    os.close(numbers)
+    other = os.fork()
+    try:
+        with quick_numba(), np.errstate(all="ignore"):
+            while number := os.read(left, 1):
+                calls[number[0]]()
+    finally:
+        if not other:
+            os._exit(0 if sys.exc_info()[0] is None else 1)  # errors are not handled twice
+    return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]) or status_of(module)
+
+
+def compile_share(module: Any, share: str) -> int:
+    """Compile a share of a module; the exit status."""
+    from codegen.drivers.shortcuts import quick_numba
+
+    shares = {"the_longest": slice(1), "all_but_the_longest": slice(1, None)}
+    with quick_numba(), np.errstate(all="ignore"):
+        for call in parts(module)[shares.get(share, slice(None))]:
+            call()
+    return status_of(module)
+
+
+def status_of(module: Any) -> int:
+    """The exit status of a process that has compiled its share of a module."""
+    return UNFINISHED if module.metadata["task"] == "connect" else 0
 
 
 def _nothing(x: Any) -> Any:
@@ -235,4 +295,6 @@ def _nothing(x: Any) -> Any:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    status = main(sys.argv[1])
+    sys.stdout.flush()
+    os._exit(status)  # at once: to take everything down that numba and LLVM have built takes half a second

@@ -11,7 +11,7 @@ from compiled functions only have no machine code in it. Nothing of this changes
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from numba.core import types
@@ -31,7 +31,9 @@ class LinkedLibrary(JITCodeLibrary):
     @property
     def is_inner(self) -> bool:
         """Whether Python cannot call the function."""
-        return not any(f.name.startswith(ENTRY) and not f.is_declaration for f in self._final_module.functions)
+        # Of what is read from the disk as machine code, the intermediate code is beside it.
+        code = self._final_module if any(True for _ in self._final_module.functions) else self._shared_module
+        return code is None or not any(f.name.startswith(ENTRY) and not f.is_declaration for f in code.functions)
 
     def _optimize_final_module(self) -> None:
         if not self.is_inner or self.name in self.optimised:
@@ -57,21 +59,28 @@ class LinkedLibrary(JITCodeLibrary):
         return super().serialize_using_object_code()  # type: ignore[no-any-return]
 
 
-def link_inner_functions(long: Iterable[str]) -> None:
-    """From now on, let this process make machine code of those functions only that Python can call.
+def link_inner_functions() -> Callable[[], None]:
+    """From now on, let this process make machine code of those functions only that Python can call; what undoes that.
 
-    `long` names functions that are optimised by themselves as well. numba must have compiled something before, so that
-    its own run-time library is there.
+    numba must have compiled something before, so that its own run-time library is there.
     """
     generator = cpu_target.target_context.codegen()
-    set_environment = generator.set_env
+    before, set_environment = generator._library_class, generator.set_env
 
     def set_environment_if_any(name: str, environment: Any) -> None:
         if generator._engine.is_symbol_defined(name):
             set_environment(name, environment)
 
-    generator._library_class = type("LinkedLibrary", (LinkedLibrary,), {"optimised": frozenset(long)})
-    generator.set_env = set_environment_if_any
+    def undo() -> None:
+        generator._library_class, generator.set_env = before, set_environment
+
+    generator._library_class, generator.set_env = LinkedLibrary, set_environment_if_any
+    return undo
+
+
+def optimise_by_themselves(long: Iterable[str]) -> None:
+    """Optimise functions of these names even if Python cannot call them."""
+    LinkedLibrary.optimised = frozenset(long)
 
 
 def forget_constants(function: Any) -> None:

@@ -14,8 +14,8 @@ from codegen.drivers import Driver
 from codegen.drivers.compilation import Compilers, packed_operations, solve_small
 from codegen.drivers.connect_result import connect_result
 from codegen.drivers.control_result import control_result
-from codegen.drivers.operators import remembered_operators
 from codegen.drivers.result import Request, Result
+from codegen.drivers.shortcuts import quick_numba
 from codegen.drivers.simulate_result import simulate_result
 from codegen.errors import NumericsError
 from codegen.load import GeneratedModule, is_connect, is_control, is_simulation, load, machine_code_counts
@@ -30,7 +30,7 @@ def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) 
     function = driver.function(module.metadata["task"])
     begin, compiled_before = time.perf_counter(), machine_code_counts(module)[0]
     try:
-        with packed_operations(), remembered_operators():  # for what is compiled only now
+        with packed_operations(), quick_numba():  # for what is compiled only now
             _touch(module, request, driver.name)
             attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
     except ValueError as error:
@@ -77,7 +77,7 @@ def prepare(path: Path, compilers: Compilers) -> float:
     begin = time.perf_counter()
     if not compilers.compile(path):
         module = load(path)
-        with packed_operations(), remembered_operators():
+        with packed_operations(), quick_numba():
             if is_connect(module):
                 solve_small(module)
             else:

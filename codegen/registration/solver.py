@@ -69,10 +69,10 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
 def _touch(module: Any) -> None:
     """Call what a registration calls, so that its machine code is read, or compiled, before anything is timed."""
     from codegen.drivers.compilation import packed_operations, small_case
-    from codegen.drivers.operators import remembered_operators
+    from codegen.drivers.shortcuts import quick_numba
 
     case = small_case(module)
-    with packed_operations(), remembered_operators():
+    with packed_operations(), quick_numba():
         solution = module.solve_case(case)
         path = np.stack([solution.q, solution.p], axis=1)
         module.carry(case, module.stages_of(case, path), case.start, derivative=True)

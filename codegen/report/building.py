@@ -142,7 +142,7 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     """Derive, write and compile; times of each, size of the text, and what was left out. Runs in a worker."""
     from codegen import drivers
     from codegen.drivers.compilation import compile_all, packed_operations
-    from codegen.drivers.operators import remembered_operators
+    from codegen.drivers.shortcuts import quick_numba
 
     begin = time.perf_counter()
     try:
@@ -152,7 +152,7 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     derived, busy_derived = time.perf_counter(), time.process_time()
     module = load(path)
     loaded = time.perf_counter()
-    with packed_operations(), remembered_operators():
+    with packed_operations(), quick_numba():
         if module.metadata["task"] == "simulate":
             drivers.solve(module, steps=2)
         else:

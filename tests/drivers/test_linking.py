@@ -51,6 +51,18 @@ print(*[len(f.signatures) for f in (linked.power_sum, linked.ratio, linked.outer
 print(*[f.overloads[f.signatures[0]].library.is_inner for f in (linked.power_sum, linked.ratio, linked.outer)])
 """
 
+AGAIN = """
+import sys
+from numba import njit
+from codegen.drivers import compilation
+sys.path.insert(0, sys.argv[1])
+njit(lambda x: x)(0.0)
+import linked
+compilation.compile_for_callers(linked)
+import numpy as np
+print(linked.outer(np.array([1.0, 2.0, 3.0, 4.0])), sum(linked.outer.stats.cache_hits.values()))
+"""
+
 USE = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -74,6 +86,9 @@ def test_functions_that_only_compiled_ones_call_have_code_in_their_callers_alone
     value, *rest = output(COMPILE, tmp_path, long)
     assert float(value) == pytest.approx(expected, rel=1e-15)
     assert rest == ["1", "1", "1", "True", "True", "False"]  # one signature each; the last is machine code
+    value, hits = output(AGAIN, tmp_path)  # one process that compiles may need what another one has compiled
+    assert float(value) == pytest.approx(expected, rel=1e-15)
+    assert hits == "1"
     value, misses, inner = output(USE, tmp_path)
     assert float(value) == pytest.approx(expected, rel=1e-15)
     assert misses == "0"

@@ -1,0 +1,131 @@
+"""What is compiled before a module is there, and how numba is made quicker: the results stay numba's own."""
+
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from numba.core import ir
+from numba.core.compiler import run_frontend
+
+from codegen.drivers import ahead
+from codegen.drivers.compilation import compilers
+from codegen.drivers.shortcuts import _replaced, quick_numba
+from codegen.load import load
+
+GENERATED = Path(__file__).parents[2] / "generated"
+
+COMPILE = """
+import sys
+from numba import njit
+from codegen.drivers import ahead, compilation
+from codegen.drivers.linking import link_inner_functions
+from codegen.load import load
+njit(lambda x: x)(0.0)
+link_inner_functions()
+waiting = iter([False] * int(sys.argv[2]) + [True])
+ahead.compile_ahead(lambda: next(waiting))
+module = load(sys.argv[1])
+compilation.compile_for_callers(module)
+functions = [f for f in vars(module).values() if hasattr(f, "overloads")]
+ahead.take_over(functions)
+print(*[f.py_func.__name__ for f in functions if f.overloads])
+if int(sys.argv[2]):
+    compilation.compile_all(module)
+else:
+    compilation.parts(module)[0]()
+(code,) = module.factor.inspect_asm().values()
+print(hash(tuple(line.split()[0] for line in code.splitlines() if line.startswith("\\t") and "\\t." not in line)))
+"""
+
+USE = """
+import sys
+from codegen.load import load, machine_code_counts
+module = load(sys.argv[1])
+solution = module.solve(200)
+assert "codegen.drivers" not in sys.modules
+print(solution.status, solution.cost, *machine_code_counts(module))
+"""
+
+
+def output(program: str, *arguments: object) -> list[str]:
+    """What a new process prints."""
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONHASHSEED": "0"}
+    ).stdout.split()
+
+
+def test_a_module_takes_over_what_was_compiled_ahead(tmp_path):
+    """Its machine code has the same instructions as without, and is whole on the disk."""
+    path = tmp_path / "linear_pendulum.py"
+    path.write_bytes((GENERATED / path.name).read_bytes())
+    (instructions,) = output(COMPILE, path, 0)
+    (tmp_path / "__pycache__").rename(tmp_path / "without")
+    *names, same = output(COMPILE, path, 1)
+    assert set(names) == {"eliminate_rows", "eliminate_one", "eliminate_pair", "subtract_row"}
+    assert same == instructions
+    status, cost, compiled, read = output(USE, path)
+    assert (status, compiled) == ("solved", "0")
+    assert int(read) >= 5
+    assert float(cost) == pytest.approx(4.530801094, rel=1e-9)
+
+
+def test_one_process_becomes_two_and_tells_how_both_ended(tmp_path):
+    path = tmp_path / "pendulum.py"
+    path.write_bytes((GENERATED / path.name).read_bytes())
+    with compilers() as processes:
+        assert processes.compile(path)
+    program = USE.split("solution = ")[0] + "module.solve(9); print(*machine_code_counts(module))"
+    compiled, read = output(program, path)
+    assert compiled == "0" < read
+    (tmp_path / "broken.py").write_text(path.read_text().replace("def path_residual(", "def path_residual(missing, "))
+    with compilers() as processes:
+        assert not processes.compile(tmp_path / "broken.py")
+
+
+@pytest.mark.parametrize("name", ["hovercraft", "orbital_transfer", "two_stage_rocket"])
+@pytest.mark.parametrize(("file", "function"), [row[:2] for row in ahead.FUNCTIONS])
+def test_modules_have_the_functions_that_are_compiled_ahead(name, file, function):
+    """Otherwise the work would be lost."""
+    module, runtime = load(GENERATED / f"{name}.py"), import_module(f"codegen.runtime.{file}")
+    assert ahead._are_same(getattr(module, function), getattr(runtime, function))
+
+
+def test_functions_that_read_other_values_are_not_the_same():
+    module, runtime = load(GENERATED / "hovercraft.py"), import_module("codegen.runtime.symmetric")
+    assert not ahead._are_same(module.solve_forward, runtime.solve_backward)
+    assert not ahead._are_same(module.subtract_row, runtime.subtract_products)
+    before, runtime.BALANCE = runtime.BALANCE, 0.5
+    try:
+        assert not ahead._are_same(module.eliminate_rows, runtime.eliminate_rows)
+    finally:
+        runtime.BALANCE = before
+
+
+@pytest.mark.parametrize("function", ["interval_hessian", "factor_parts", "substitute", "eliminate_rows"])
+def test_variables_are_listed_as_numba_lists_them(function):
+    """The method of numba's that looks through everything is left as it is."""
+    code = run_frontend(getattr(load(GENERATED / "hovercraft.py"), function).py_func)
+    statements = [statement for block in code.blocks.values() for statement in block.body]
+    values = [s.value for s in statements if isinstance(s, ir.Assign) and isinstance(s.value, ir.Expr)]
+    with quick_numba():
+        assert ir.Stmt.list_vars.__module__ == ir.Expr.list_vars.__module__ == "codegen.drivers.shortcuts"
+        assert [s.list_vars() for s in statements] == [s._rec_list_vars(s.__dict__) for s in statements]
+        assert [v.list_vars() for v in values] == [v._rec_list_vars(v._kws) for v in values]
+
+
+def test_a_method_of_other_arguments_is_left_alone():
+    class Numba:
+        def method(self, one):
+            return one
+
+    for name, parameters in (("method", ["self"]), ("method", None), ("other", ["self", "one"])):
+        before = dict(vars(Numba))
+        with _replaced(Numba, name, parameters, lambda own: None):
+            assert dict(vars(Numba)) == before
+    with _replaced(Numba, "method", ["self", "one"], lambda own: lambda self, one: own(self, one) + 1):
+        assert Numba().method(1) == 2
+    assert Numba().method(1) == 1
