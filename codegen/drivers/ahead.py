@@ -28,6 +28,8 @@ from codegen.drivers.shortcuts import quick_numba
 MATRIX, VECTOR, ORDER, MASK = float64[:, ::1], float64[::1], uint64[::1], boolean[::1]
 SUMS: dict[str, Any] = {"fastmath": {"reassoc", "contract"}}
 """How the factorisation and the substitution are compiled: their sums may be taken in any order."""
+PARTS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of functions that Python does not call."""
 FUNCTIONS: tuple[tuple[str, str, tuple[Any, ...], dict[str, Any]], ...] = (
     ("symmetric", "eliminate_rows", (MATRIX, int64, int64, MATRIX, MATRIX, ORDER), SUMS),
     ("symmetric", "subtract_products", (MATRIX, MATRIX, int64, int64, int64, int64, MATRIX), SUMS),
@@ -40,6 +42,11 @@ FUNCTIONS: tuple[tuple[str, str, tuple[Any, ...], dict[str, Any]], ...] = (
 
 The last column is what a function without options of its own inherits, in numba, from the one that calls it.
 """
+
+_READY: dict[str, Any] = {}
+"""Functions of the runtime by name, of which some have been compiled."""
+_MODULES: list[ModuleType] = []
+"""The modules by whose names numba tells them from all other code."""
 
 
 def compile_ahead(has_come: Callable[[], bool]) -> None:
@@ -65,12 +72,6 @@ def take_over(functions: list[Any]) -> None:
                 function.add_overload(compiled)
 
 
-_READY: dict[str, Any] = {}
-"""Functions of the runtime by name, of which some have been compiled."""
-_MODULES: list[ModuleType] = []
-"""The modules by whose names numba tells them from all other code."""
-
-
 def _functions() -> Iterator[tuple[Any, Any, dict[str, Any]]]:
     for file, name, types, inherited in FUNCTIONS:
         runtime = import_module(f"codegen.runtime.{file}")
@@ -80,10 +81,6 @@ def _functions() -> Iterator[tuple[Any, Any, dict[str, Any]]]:
         if name == "subtract_products":
             for options in (SUMS, {}):  # what makes arrays inherits them as well
                 yield njit(error_model="numpy", **PARTS)(_use_arrays), (int64, int64), options
-
-
-PARTS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Options of functions that Python does not call."""
 
 
 def _use_arrays(rows: Any, columns: Any) -> Any:
