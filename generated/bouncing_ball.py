@@ -124,6 +124,7 @@ OWN = 0  # shared unknowns of a body: none
 SHARED = 3  # with those of the whole problem: nu_1, T_1, T_2
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 3  # unknowns that no node owns, with the conditions' multipliers
+TIED = 0  # unknowns of the first and last node that equal shared ones
 IS_MULTIPLIER = np.array([False, False, True, True, False, False, True, True, False, False])  # of node and interval
 START_PINNED = np.array([0, 1], dtype=np.int64)  # unknowns of the first node that are given
 END_PINNED = np.array([0, 1], dtype=np.int64)  # unknowns of the last node that are given
@@ -131,10 +132,6 @@ ONLY_AT_ENDS = np.zeros(0, np.int64)  # unknowns that inner nodes do not have; z
 HESSIAN_ROWS = np.array([2, 3, 4, 4, 5, 5, 6, 6, 6, 7, 7, 7, 8, 8, 8, 9, 9, 9, 10, 10, 11, 11, 12, 12, 12, 13, 13, 13, 14, 15, 15, 15, 15, 15, 15, 15, 15, 15, 15, 15, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16], dtype=np.int64)
 HESSIAN_COLUMNS = np.array([0, 1, 2, 4, 3, 5, 0, 4, 6, 1, 5, 7, 2, 6, 8, 3, 7, 9, 2, 6, 3, 7, 0, 8, 10, 1, 9, 11, 1, 0, 1, 2, 3, 8, 9, 10, 11, 12, 13, 15, 0, 1, 2, 3, 6, 7, 8, 9, 10, 11, 12, 13, 16], dtype=np.int64)
 EQUATIONS = np.arange(2, 4)  # multipliers of the equations of motion in a node
-START_SHARED_PLACES = np.zeros(0, np.int64)  # equal to
-START_SHARED = np.zeros(0, np.int64)  # these shared unknowns
-END_SHARED_PLACES = np.zeros(0, np.int64)  # equal to
-END_SHARED = np.zeros(0, np.int64)  # these shared unknowns
 PHASES = 2  # phases, each of equally many intervals
 PHASE_LACKS = np.array([[True, True, True, True, False, False], [True, True, True, True, False, False]])  # unknowns of an interval, by phase
 SWITCH_LACKS = np.array([[False, False, False, False, False, False]])  # the same of the first interval after each switch
@@ -687,49 +684,6 @@ def add_shared(part, place, body, gradient):
         gradient[first + root_place(body, j)] += part[place + j]
 
 
-@njit(error_model="numpy")
-def release_shared(start, end, body, gradient):
-    """Move the gradient by what equals a shared unknown, at the first and last node of a body, to that unknown."""
-    first = gradient.size - ROOT
-    for i in range(START_SHARED.size):
-        gradient[first + root_place(body, START_SHARED[i])] += gradient[start + START_SHARED_PLACES[i]]
-    for i in range(END_SHARED.size):
-        gradient[first + root_place(body, END_SHARED[i])] += gradient[end + END_SHARED_PLACES[i]]
-
-
-@njit(cache=True, error_model="numpy")
-def follow_shared(chain, step):
-    """Give the unknowns that equal a shared one, at the first and last nodes, its step."""
-    first = step.size - ROOT
-    for body in range(BODIES):
-        for i in range(START_SHARED.size):
-            step[body * chain + START_SHARED_PLACES[i]] = step[first + root_place(body, START_SHARED[i])]
-        for i in range(END_SHARED.size):
-            last = (body + 1) * chain - NODE
-            step[last + END_SHARED_PLACES[i]] = step[first + root_place(body, END_SHARED[i])]
-
-
-@njit(error_model="numpy", inline="always")
-def release_rows(places, shared, first, size, element):
-    """Add the rows and columns of unknowns that equal a shared one to the shared one's, which begin at `size`."""
-    for i in range(places.size):
-        place, to = first + places[i], size + shared[i]
-        for j in range(element.shape[1]):
-            element[to, j] += element[place, j]
-        for j in range(element.shape[0]):
-            element[j, to] += element[j, place]
-
-
-def shared_representatives(grid, size):
-    """For every unknown its own place, or that of the shared unknown which it equals."""
-    places, chain = np.arange(size), grid.steps * STRIDE + NODE
-    for body in range(BODIES):
-        shared = np.array([size - ROOT + root_place(body, j) for j in range(SHARED)])
-        places[body * chain + START_SHARED_PLACES] = shared[START_SHARED]
-        places[(body + 1) * chain - NODE + END_SHARED_PLACES] = shared[END_SHARED]
-    return places
-
-
 def shared_views(unknowns):
     """Views of the shared unknowns: those of each body (bodies, OWN), and those of the whole problem."""
     first = unknowns.size - ROOT
@@ -768,7 +722,6 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
             here = first + k * STRIDE
             cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
             add_end(part, here, ELEMENT, body, gradient)
-        release_shared(first, last, body, gradient)
         for i in START_PINNED:
             gradient[first + i] = 0.0
         for i in END_PINNED:
@@ -895,11 +848,9 @@ def pin_ends(k, steps, diagonal, element):
         for i in range(NODE):
             element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
     if k == 0:
-        release_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
         for i in START_PINNED:
             pin(i, element)
     if k == steps - 1:
-        release_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
         for i in END_PINNED:
             pin(BLOCK + i, element)
 
@@ -1457,7 +1408,6 @@ def substitute(gradient, carried, steps, numbers, places, storage, step):
         solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         backward(upper[body], order[body], last[body], carried, reduced[body])
     expand(gradient, condensed, steps, reduced, shared, step)
-    follow_shared(steps * STRIDE + NODE, step)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
@@ -1996,8 +1946,6 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
     value = np.concatenate([value, value[off_diagonal]])
     new_row, new_column = np.full(unknowns.size, -1), np.full(unknowns.size, -1)
     new_row[rows], new_column[columns] = np.arange(rows.size), np.arange(columns.size)
-    representative = shared_representatives(grid, unknowns.size)
-    row, column = representative[row], representative[column]
     inside = (new_row[row] >= 0) & (new_column[column] >= 0)
     return new_row[row[inside]], new_column[column[inside]], value[inside]
 
@@ -2513,7 +2461,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_33bbfce6d5660107"
+_IDENTITY = "codegen_bouncing_ball_e2963128f79a3139"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -118,6 +118,7 @@ OWN = 2  # shared unknowns of a body: coupled_x, coupled_y
 SHARED = 2  # with those of the whole problem: coupled_x, coupled_y
 COUPLINGS = 6  # conditions between shared unknowns
 ROOT = 12  # unknowns that no node owns, with the conditions' multipliers
+TIED = 2  # unknowns of the first and last node that equal shared ones
 IS_MULTIPLIER = np.array([False, False, False, True, True, True, False, False])  # of node and interval
 START_PINNED = np.array([0, 1, 2], dtype=np.int64)  # unknowns of the first node that are given
 END_PINNED = np.array([0, 1, 2], dtype=np.int64)  # unknowns of the last node that are given
@@ -419,30 +420,36 @@ def add_shared(part, place, body, gradient):
         gradient[first + root_place(body, j)] += part[place + j]
 
 
-@njit(error_model="numpy")
-def release_shared(start, end, body, gradient):
-    """Move the gradient by what equals a shared unknown, at the first and last node of a body, to that unknown."""
-    first = gradient.size - ROOT
-    for i in range(START_SHARED.size):
-        gradient[first + root_place(body, START_SHARED[i])] += gradient[start + START_SHARED_PLACES[i]]
-    for i in range(END_SHARED.size):
-        gradient[first + root_place(body, END_SHARED[i])] += gradient[end + END_SHARED_PLACES[i]]
+def shared_views(unknowns):
+    """Views of the shared unknowns: those of each body (bodies, OWN), and those of the whole problem."""
+    first = unknowns.size - ROOT
+    own = unknowns[first : first + BODIES * OWN].reshape(BODIES, OWN)
+    return own, unknowns[first + BODIES * OWN : unknowns.size - COUPLINGS]
 
 
-@njit(cache=True, error_model="numpy")
-def follow_shared(chain, step):
-    """Give the unknowns that equal a shared one, at the first and last nodes, its step."""
-    first = step.size - ROOT
-    for body in range(BODIES):
-        for i in range(START_SHARED.size):
-            step[body * chain + START_SHARED_PLACES[i]] = step[first + root_place(body, START_SHARED[i])]
-        for i in range(END_SHARED.size):
-            last = (body + 1) * chain - NODE
-            step[last + END_SHARED_PLACES[i]] = step[first + root_place(body, END_SHARED[i])]
+# Unknowns of the first and last node that equal shared ones: what acts on them acts on those, and they follow.
 
 
 @njit(error_model="numpy", inline="always")
-def release_rows(places, shared, first, size, element):
+def release_tied(values, first, last, body, root):
+    """Move values of what equals a shared unknown to that unknown's; `first` and `last` are where the nodes begin."""
+    for i in range(START_SHARED.size):
+        root[root_place(body, START_SHARED[i])] += values[first + START_SHARED_PLACES[i]]
+    for i in range(END_SHARED.size):
+        root[root_place(body, END_SHARED[i])] += values[last + END_SHARED_PLACES[i]]
+
+
+@njit(error_model="numpy", inline="always")
+def follow_shared(values, first, last, body, root):
+    """Give what equals a shared unknown the value of that unknown."""
+    for i in range(START_SHARED.size):
+        values[first + START_SHARED_PLACES[i]] = root[root_place(body, START_SHARED[i])]
+    for i in range(END_SHARED.size):
+        values[last + END_SHARED_PLACES[i]] = root[root_place(body, END_SHARED[i])]
+
+
+@njit(error_model="numpy", inline="always")
+def release_tied_rows(places, shared, first, size, element):
     """Add the rows and columns of unknowns that equal a shared one to the shared one's, which begin at `size`."""
     for i in range(places.size):
         place, to = first + places[i], size + shared[i]
@@ -460,13 +467,6 @@ def shared_representatives(grid, size):
         places[body * chain + START_SHARED_PLACES] = shared[START_SHARED]
         places[(body + 1) * chain - NODE + END_SHARED_PLACES] = shared[END_SHARED]
     return places
-
-
-def shared_views(unknowns):
-    """Views of the shared unknowns: those of each body (bodies, OWN), and those of the whole problem."""
-    first = unknowns.size - ROOT
-    own = unknowns[first : first + BODIES * OWN].reshape(BODIES, OWN)
-    return own, unknowns[first + BODIES * OWN : unknowns.size - COUPLINGS]
 
 
 # Conditions that tie shared unknowns together: sums of terms, each an instance of one of a few kinds of term.
@@ -549,7 +549,7 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
             here = first + k * STRIDE
             cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
             add_end(part, here, ELEMENT, body, gradient)
-        release_shared(first, last, body, gradient)
+        release_tied(gradient, first, last, body, gradient[gradient.size - ROOT :])
         for i in START_PINNED:
             gradient[first + i] = 0.0
         for i in END_PINNED:
@@ -676,11 +676,11 @@ def pin_ends(k, steps, diagonal, element):
         for i in range(NODE):
             element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
     if k == 0:
-        release_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
+        release_tied_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
         for i in START_PINNED:
             pin(i, element)
     if k == steps - 1:
-        release_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
+        release_tied_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
         for i in END_PINNED:
             pin(BLOCK + i, element)
 
@@ -1347,6 +1347,7 @@ def substitute(gradient, carried, steps, numbers, places, storage, step):
             right[i] = -gradient[gradient.size - ROOT + i]
         condense(gradient, condensed, steps, reduced, right)
         for body in range(BODIES):
+            release_tied(reduced[body], 0, steps * BLOCK, body, right)
             forward(upper[body], inverse[body], order[body], reduced[body], last[body])
             solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
             solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
@@ -1366,8 +1367,8 @@ def substitute(gradient, carried, steps, numbers, places, storage, step):
             last[body, LAST + SHARED] = -1.0 if carried else 0.0
         solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         backward(upper[body], order[body], last[body], carried, reduced[body])
+        follow_shared(reduced[body], 0, steps * BLOCK, body, shared)
     expand(gradient, condensed, steps, reduced, shared, step)
-    follow_shared(steps * STRIDE + NODE, step)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
@@ -2410,7 +2411,7 @@ def coupling_term(kind, values, parameters, slopes, curvatures):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_698556237e2ed6dc"
+_IDENTITY = "codegen_hovercraft_95ba90a57a79fb50"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -47,6 +47,17 @@ def problem() -> Control:
         guess={q: (1 - 2 * body) * cos(pi * t / 3)}, steps=20)
 '''
 
+PUSHED = '''"""A damped pendulum, pushed at a slant, in a forced periodic motion with little effort."""
+from sympy import cos, pi, sin
+from codegen import Control, control, coordinate, time
+def problem() -> Control:
+    q, v = coordinate("q")
+    u, t = control("u"), time()
+    return Control(
+        lagrangian=v**2/2 + cos(q), force={q: u*cos(q) - v/5 + sin(t)}, cost=u**2 + (q - sin(t))**2, duration=2*pi,
+        periodic=[q, v], guess={q: sin(t)}, steps=20)
+'''
+
 VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
     ("linear_pendulum", None, {}),
     ("orbital_transfer", None, {}),
@@ -59,6 +70,7 @@ VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
     ("hovercraft", None, {}),
     ("antiphase", ANTIPHASE, {}),
     ("antiphase", ANTIPHASE, {"method": "hamiltonian"}),
+    ("pushed", PUSHED, {}),
     ("spherical_pendulum", None, {}),
     ("van_der_pol", None, {"scheme": "trapezoidal"}),
     ("goddard_rocket", None, {}),

@@ -27,6 +27,7 @@ def sizes(program: ControlProgram) -> tuple[tuple[str, int], ...]:
         ("SHARED", shared),
         ("COUPLINGS", couplings),
         ("ROOT", program.bodies * own + shared - own + couplings),
+        ("TIED", len(program.start.shared) + len(program.end.shared)),
         ("PHASES", len(program.phases)),
         ("INEQUALITIES", int(program.has_inequalities)),
     )
@@ -54,7 +55,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         n = len(program.model.coordinates)
         lines.append(Line("EQUATIONS", f"np.arange({n}, {2 * n})", "multipliers of the equations of motion in a node"))
     for name, end in (("START", program.start), ("END", program.end)):
-        if program.shared:
+        if dict(sizes(program))["TIED"]:
             lines.append(Line(f"{name}_SHARED_PLACES", integers([i for i, _, _ in end.shared]), "equal to"))
             lines.append(Line(f"{name}_SHARED", integers([j for _, j, _ in end.shared]), "these shared unknowns"))
     if is_curved(derivatives):
@@ -202,6 +203,7 @@ def _size_lines(program: ControlProgram) -> list[Line]:
         Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
         Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"),
+        Line("TIED", str(number["TIED"]), "unknowns of the first and last node that equal shared ones"),
     ]
 
 

@@ -19,11 +19,13 @@ from codegen.runtime.example import (
     ROOT,
     SHARED,
     STRIDE,
+    TIED,
     interval_hessian,
 )
 from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.point import evaluate
-from codegen.runtime.shared import read_shared, root_place, shared_representatives
+from codegen.runtime.shared import read_shared, root_place
+from codegen.runtime.tied import shared_representatives
 
 
 def cost(grid, unknowns):
@@ -80,7 +82,7 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
     value = np.concatenate([value, value[off_diagonal]])
     new_row, new_column = np.full(unknowns.size, -1), np.full(unknowns.size, -1)
     new_row[rows], new_column[columns] = np.arange(rows.size), np.arange(columns.size)
-    if SHARED:
+    if TIED:
         representative = shared_representatives(grid, unknowns.size)
         row, column = representative[row], representative[column]
     inside = (new_row[row] >= 0) & (new_column[column] >= 0)

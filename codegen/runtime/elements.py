@@ -25,8 +25,9 @@ from codegen.runtime.example import (
     START_SHARED,
     START_SHARED_PLACES,
     STRIDE,
+    TIED,
 )
-from codegen.runtime.shared import release_rows
+from codegen.runtime.tied import release_tied_rows
 
 
 def padded(size):
@@ -62,13 +63,13 @@ def pin_ends(k, steps, diagonal, element):
         for i in range(NODE):
             element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
     if k == 0:
-        if SHARED:
-            release_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
+        if TIED:
+            release_tied_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
         for i in START_PINNED:
             pin(i, element)
     if k == steps - 1:
-        if SHARED:
-            release_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
+        if TIED:
+            release_tied_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
         for i in END_PINNED:
             pin(BLOCK + i, element)
 

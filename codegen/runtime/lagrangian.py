@@ -15,14 +15,17 @@ from codegen.runtime.example import (
     ELEMENT,
     END_PINNED,
     NODE,
+    ROOT,
     SHARED,
     START_PINNED,
     STRIDE,
+    TIED,
     end_gradient,
     interval_gradient,
     start_gradient,
 )
-from codegen.runtime.shared import add_shared, read_shared, release_shared
+from codegen.runtime.shared import add_shared, read_shared
+from codegen.runtime.tied import release_tied
 
 
 @njit(error_model="numpy")
@@ -50,8 +53,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
             here = first + k * STRIDE
             cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
             add_end(part, here, ELEMENT, body, gradient)
-        if SHARED:
-            release_shared(first, last, body, gradient)
+        if TIED:
+            release_tied(gradient, first, last, body, gradient[gradient.size - ROOT :])
         for i in START_PINNED:
             gradient[first + i] = 0.0
         for i in END_PINNED:

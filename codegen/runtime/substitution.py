@@ -10,10 +10,11 @@ from numba import njit
 from codegen.runtime.condensation import condense, expand
 from codegen.runtime.element_condensed import condensed_parts
 from codegen.runtime.elements import BLOCK, BORDER, CARRIED, COLUMNS, FIRST, INNER, RIGHT, SIZE, TAIL, WIDTH
-from codegen.runtime.example import BODIES, END_PINNED, NODE, ROOT, SHARED, START_PINNED, STRIDE
+from codegen.runtime.example import BODIES, END_PINNED, NODE, ROOT, SHARED, START_PINNED, TIED
 from codegen.runtime.frontal import LAST, LAST_WIDTH, ROOT_WIDTH, factor_parts
-from codegen.runtime.shared import follow_shared, root_place
+from codegen.runtime.shared import root_place
 from codegen.runtime.symmetric import solve_backward, solve_forward, solve_pivots
+from codegen.runtime.tied import follow_shared, release_tied
 
 
 def solve_kkt(grid, system, gradient, step, carried=False):
@@ -37,6 +38,8 @@ def substitute(gradient, carried, steps, numbers, places, storage, step):
             right[i] = -gradient[gradient.size - ROOT + i]
         condense(gradient, condensed, steps, reduced, right)
         for body in range(BODIES):
+            if TIED:
+                release_tied(reduced[body], 0, steps * BLOCK, body, right)
             forward(upper[body], inverse[body], order[body], reduced[body], last[body])
             solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
             solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
@@ -57,9 +60,9 @@ def substitute(gradient, carried, steps, numbers, places, storage, step):
             last[body, LAST + SHARED] = -1.0 if carried else 0.0
         solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
         backward(upper[body], order[body], last[body], carried, reduced[body])
+        if TIED:
+            follow_shared(reduced[body], 0, steps * BLOCK, body, shared)
     expand(gradient, condensed, steps, reduced, shared, step)
-    if SHARED:
-        follow_shared(steps * STRIDE + NODE, step)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
