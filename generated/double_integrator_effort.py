@@ -98,7 +98,6 @@ OWN = 0  # shared unknowns of a body: none
 SHARED = 0  # with those of the whole problem: none
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 0  # unknowns that no node owns, with the conditions' multipliers
-TIED = 0  # unknowns of the first and last node that equal shared ones
 IS_MULTIPLIER = np.array([False, True, False])  # of node and interval
 START_PINNED = np.array([0], dtype=np.int64)  # unknowns of the first node that are given
 END_PINNED = np.array([0], dtype=np.int64)  # unknowns of the last node that are given
@@ -1778,7 +1777,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_double_integrator_effort_9186e177eeafcc8c"
+_IDENTITY = "codegen_double_integrator_effort_6d2ea5d9108f2cc2"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

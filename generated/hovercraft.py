@@ -118,7 +118,6 @@ OWN = 2  # shared unknowns of a body: coupled_x, coupled_y
 SHARED = 2  # with those of the whole problem: coupled_x, coupled_y
 COUPLINGS = 6  # conditions between shared unknowns
 ROOT = 12  # unknowns that no node owns, with the conditions' multipliers
-TIED = 2  # unknowns of the first and last node that equal shared ones
 IS_MULTIPLIER = np.array([False, False, False, True, True, True, False, False])  # of node and interval
 START_PINNED = np.array([0, 1, 2], dtype=np.int64)  # unknowns of the first node that are given
 END_PINNED = np.array([0, 1, 2], dtype=np.int64)  # unknowns of the last node that are given
@@ -2411,7 +2410,7 @@ def coupling_term(kind, values, parameters, slopes, curvatures):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_95ba90a57a79fb50"
+_IDENTITY = "codegen_hovercraft_01aa833c1c394858"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -82,7 +82,6 @@ def _sizes(program: ControlProgram) -> dict[str, int]:
         "SHARED": shared,
         "COUPLINGS": couplings,
         "ROOT": program.bodies * own + shared - own + couplings,
-        "TIED": len(program.start.shared) + len(program.end.shared),
         **({"PHASES": len(program.phases)} if program.phases else {}),
     }
 

@@ -203,7 +203,6 @@ def _size_lines(program: ControlProgram) -> list[Line]:
         Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
         Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"),
-        Line("TIED", str(number["TIED"]), "unknowns of the first and last node that equal shared ones"),
     ]
 
 
