@@ -36,7 +36,8 @@ def padded(size):
 
 
 BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
-INNER = BLOCK - ONLY_AT_ENDS.size if BLOCK == NODE else BLOCK  # those to eliminate: what only ends have comes last
+# Those to eliminate: what only ends have is zero in inner nodes, and is left out where it comes last.
+INNER = BLOCK - ONLY_AT_ENDS.size if np.all(ONLY_AT_ENDS >= BLOCK - ONLY_AT_ENDS.size) else BLOCK
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
 BORDER = FIRST.size

@@ -64,6 +64,7 @@ def assemble(
         equations=(*program.equations, *path.equations, *(pair for terms in nodal for pair in terms.equations)),
         start=ends.start_element(program.node, program.shared),
         end=ends.end_element(program.node, program.shared, _idle_controls(program)),
+        path_multipliers=len(path.multipliers),
         slacks=path.slacks,
         slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,

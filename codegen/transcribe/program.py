@@ -108,7 +108,8 @@ class ControlProgram:
     """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
 
     Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` live on intervals.
-    A slack belongs to the unknown of `interval` at the same place of `slack_multipliers`, and is not negative.
+    The last `path_multipliers` of `interval` are those of path conditions. A slack belongs to the unknown of
+    `interval` at the same place of `slack_multipliers`, and is not negative.
 
     `shared` unknowns belong to no node: first the `own` ones of each body (its coordinates at the end where bodies
     are coupled, or at both ends of a periodic motion), named in `shared_symbols` once for any body, then those of the
@@ -149,6 +150,7 @@ class ControlProgram:
     slacks: tuple[Unknown, ...] = ()
     slack_symbols: tuple[Symbol, ...] = ()
     slack_multipliers: tuple[int, ...] = ()
+    path_multipliers: int = 0
     shared: tuple[Unknown, ...] = ()
     shared_symbols: tuple[Symbol, ...] = ()
     shared_guess: tuple[Expr, ...] = ()

@@ -57,8 +57,7 @@ def _names(programs: Sequence[ControlProgram]) -> Names:
 
 def _numbered_multipliers(program: ControlProgram) -> list[Unknown]:
     """The multipliers of path conditions on intervals."""
-    steps = ("stage value", "multiplier of the step")
-    return [unknown for unknown in program.interval if not unknown.meaning.startswith(steps)]
+    return list(program.interval[len(program.interval) - program.path_multipliers :])
 
 
 def only_at_ends(program: ControlProgram) -> list[Unknown]:
