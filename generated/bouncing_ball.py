@@ -822,7 +822,9 @@ def padded(size):
 
 BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
 # Those to eliminate: what only ends have is zero in inner nodes, and is left out where it comes last.
-INNER = BLOCK - ONLY_AT_ENDS.size if np.all(ONLY_AT_ENDS >= BLOCK - ONLY_AT_ENDS.size) else BLOCK
+INNER = BLOCK - ONLY_AT_ENDS.size
+if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
+    INNER = BLOCK
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
 BORDER = FIRST.size
@@ -2461,7 +2463,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_5d69770f6d4b14ac"
+_IDENTITY = "codegen_bouncing_ball_815f21fd5c359a54"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -271,7 +271,9 @@ def padded(size):
 
 BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
 # Those to eliminate: what only ends have is zero in inner nodes, and is left out where it comes last.
-INNER = BLOCK - ONLY_AT_ENDS.size if np.all(ONLY_AT_ENDS >= BLOCK - ONLY_AT_ENDS.size) else BLOCK
+INNER = BLOCK - ONLY_AT_ENDS.size
+if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
+    INNER = BLOCK
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
 BORDER = FIRST.size
@@ -1725,7 +1727,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_b4756d53c948723c"
+_IDENTITY = "codegen_hypersensitive_114d95a4a34eef31"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

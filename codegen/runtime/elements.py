@@ -37,7 +37,9 @@ def padded(size):
 
 BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
 # Those to eliminate: what only ends have is zero in inner nodes, and is left out where it comes last.
-INNER = BLOCK - ONLY_AT_ENDS.size if np.all(ONLY_AT_ENDS >= BLOCK - ONLY_AT_ENDS.size) else BLOCK
+INNER = BLOCK - ONLY_AT_ENDS.size
+if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
+    INNER = BLOCK
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
 BORDER = FIRST.size
