@@ -76,7 +76,7 @@ class _Variable(Quantity):
         return symbol
 
     def of(self, body: int) -> EndValue:
-        """The value for one body (0, 1, ...) at the end of the time interval, to be used in `end_conditions`.
+        """The value for one body (0, 1, ...), to be used in `end_conditions`, and in `path` at every time.
 
         The same symbol each time, named `<name>_<body>`. Raises SymbolError when `body` is no such number.
         """
@@ -91,7 +91,7 @@ class _Variable(Quantity):
 
 
 class EndValue(Quantity):
-    """The value of its `partner`, a coordinate or a state, for one body at the end of the time interval."""
+    """The value of its `partner`, a coordinate or a state, for one body, at the end unless it stands in `path`."""
 
     __slots__ = ("body", "partner")
     partner: Coordinate | State

@@ -12,6 +12,7 @@ from typing import Any
 import sympy
 
 from codegen import expressions
+from codegen.copies import meet_on_the_way, written_out
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.model import drawings, normal_form, values
 from codegen.model.definitions import FreeParameter, Model
@@ -29,6 +30,8 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of
     CodegenError that names the symbol or expression and the remedy.
     """
+    if meet_on_the_way(problem):
+        problem, declared = written_out(problem, declared)
     if not isinstance(problem, Phases):
         return normal_form.normalise(problem, declared, name, title)
     form = _common_form(problem)

@@ -169,7 +169,7 @@ def _misplaced(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | E
         return SymbolError(f"control {symbol} in the {form}", "let controls act through force={...}")
     finding = f"{entry.what} depends on {symbol}"
     if isinstance(symbol, EndValue):
-        return ExpressionError(finding, f"use {symbol.partner}.of({symbol.body}) in end_conditions only")
+        return ExpressionError(finding, f"use {symbol.partner}.of({symbol.body}) in end_conditions and path only")
     if isinstance(symbol, FreeParameter):
         return ExpressionError(finding, "a free parameter has no value there, use parameters and numbers only")
     if isinstance(symbol, Time) and entry.role in ("terminal_cost", "end_conditions"):
