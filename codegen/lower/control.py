@@ -196,7 +196,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         solver = ("descent", "filter", "barrier", "restoration", "interior_point")
     return (
         *(("shared",) if program.shared else ()),
-        *(("tied",) if program.start.shared or program.end.shared else ()),
+        *(("equal_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),
         "lagrangian", "norms", "point", "elements",
         "ends_curved" if layout.is_curved(derivatives) else "ends_flat",

@@ -25,7 +25,7 @@ from codegen.runtime.example import (
 from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.point import evaluate
 from codegen.runtime.shared import read_shared, root_place
-from codegen.runtime.tied import shared_representatives
+from codegen.runtime.equal_ends import shared_representatives
 
 
 def cost(grid, unknowns):

@@ -27,7 +27,7 @@ from codegen.runtime.example import (
     STRIDE,
     TIED,
 )
-from codegen.runtime.tied import release_tied_rows
+from codegen.runtime.equal_ends import release_tied_rows
 
 
 def padded(size):

@@ -25,7 +25,7 @@ from codegen.runtime.example import (
     start_gradient,
 )
 from codegen.runtime.shared import add_shared, read_shared
-from codegen.runtime.tied import release_tied
+from codegen.runtime.equal_ends import release_tied
 
 
 @njit(error_model="numpy")

@@ -14,7 +14,7 @@ from codegen.runtime.example import BODIES, END_PINNED, NODE, ROOT, SHARED, STAR
 from codegen.runtime.frontal import LAST, LAST_WIDTH, ROOT_WIDTH, factor_parts
 from codegen.runtime.shared import root_place
 from codegen.runtime.symmetric import solve_backward, solve_forward, solve_pivots
-from codegen.runtime.tied import follow_shared, release_tied
+from codegen.runtime.equal_ends import follow_shared, release_tied
 
 
 def solve_kkt(grid, system, gradient, step, carried=False):
