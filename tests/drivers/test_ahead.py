@@ -3,12 +3,14 @@
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 from numba.core import ir
-from numba.core.compiler import run_frontend
+from numba.core.compiler import Flags, run_frontend
+from numba.core.postproc import PostProcessor
 
 from codegen.drivers import ahead
 from codegen.drivers.compilation import compilers
@@ -115,6 +117,58 @@ def test_variables_are_listed_as_numba_lists_them(function):
         assert ir.Stmt.list_vars.__module__ == ir.Expr.list_vars.__module__ == "codegen.drivers.shortcuts"
         assert [s.list_vars() for s in statements] == [s._rec_list_vars(s.__dict__) for s in statements]
         assert [v.list_vars() for v in values] == [v._rec_list_vars(v._kws) for v in values]
+
+
+QUICKLY = """
+import sys
+from contextlib import nullcontext
+from codegen.drivers.compilation import parts
+from codegen.drivers.shortcuts import quick_numba
+from codegen.load import load
+module = load(sys.argv[1])
+with quick_numba() if sys.argv[2] == "quick" else nullcontext():
+    parts(module)[0]()
+    parts(module)[1]()
+for function in (module.factor, module.substitute):
+    (code,) = function.inspect_asm().values()
+    print(hash(tuple(line.split()[0] for line in code.splitlines() if line.startswith("\\t") and "\\t." not in line)))
+    print(function.stats.cache_path is not None, len(function.overloads), sum(function.stats.cache_misses.values()))
+"""
+
+
+def test_shorter_ways_lead_to_the_same_machine_code(tmp_path):
+    path = tmp_path / "linear_pendulum.py"
+    path.write_bytes((GENERATED / path.name).read_bytes())
+    plain = output(QUICKLY, path, "plain")
+    (tmp_path / "__pycache__").rename(tmp_path / "plain")
+    assert output(QUICKLY, path, "quick") == plain
+    files = [sorted(f.name for f in folder.glob("*.nb?")) for folder in (tmp_path / "plain", tmp_path / "__pycache__")]
+    assert files[0] == files[1] != []
+
+
+def test_lives_are_found_out_when_they_are_asked_for():
+    """In the end, every variable is given up where numba's own method gives it up."""
+    function = load(GENERATED / "hovercraft.py").solve_backward.py_func
+    given_up = []
+    for context in (nullcontext(), quick_numba()):
+        with context:
+            code = run_frontend(function)
+            PostProcessor(code).run(emit_dels=True)
+            lives = code.variable_lifetime
+            assert lives.livemap.keys() == code.blocks.keys()
+            given_up.append([str(statement) for block in code.blocks.values() for statement in block.body])
+    assert given_up[0] == given_up[1]
+    assert any(line.startswith("del ") for line in given_up[0])
+
+
+def test_options_are_all_listed():
+    flags = Flags()
+    flags.nrt, flags.fastmath = True, True
+    plain = flags.values()
+    with quick_numba():
+        assert list(flags.values().items()) == list(plain.items())
+        assert flags != Flags()
+        assert flags == flags.copy()
 
 
 def test_a_method_of_other_arguments_is_left_alone():
