@@ -107,7 +107,7 @@ def test_functions_that_read_other_values_are_not_the_same():
         runtime.BALANCE = before
 
 
-@pytest.mark.parametrize("function", ["interval_hessian", "factor_parts", "substitute", "eliminate_rows"])
+@pytest.mark.parametrize("function", ["interval_hessian", "eliminate_body", "substitute", "eliminate_rows"])
 def test_variables_are_listed_as_numba_lists_them(function):
     """The method of numba's that looks through everything is left as it is."""
     code = run_frontend(getattr(load(GENERATED / "hovercraft.py"), function).py_func)
