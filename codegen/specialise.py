@@ -70,4 +70,5 @@ def _replaced(lines: list[str], node: ast.If | ast.For, kept: list[ast.stmt]) ->
 
 def _first_line(node: ast.stmt) -> int:
     """The line where a statement begins, with its decorators."""
-    return min([node.lineno, *(d.lineno for d in getattr(node, "decorator_list", []))])
+    decorators: list[ast.expr] = getattr(node, "decorator_list", [])
+    return min([node.lineno, *(decorator.lineno for decorator in decorators)])
