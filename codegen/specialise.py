@@ -19,25 +19,34 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
     In a sum `... + NAME`, a size that is zero is left out.
     """
     while True:
-        lines = text.splitlines()
+        lines, chosen = text.splitlines(), list[_Place]()
+        # What lies inside, or on a line of, something decided has to wait for the next round.
         for node in ast.walk(ast.parse(text)):
-            decided = _decided(node, lines, sizes)
-            if decided is not None:
-                text = "\n".join(decided) + "\n"
-                break
-        else:
+            if isinstance(node, _Place) and _decided(node, lines, sizes) and not any(_meet(node, c) for c in chosen):
+                chosen.append(node)
+        if not chosen:
             return text
+        for node in sorted(chosen, key=lambda node: -node.lineno):  # so that lines above keep their numbers
+            lines = _decided(node, lines, sizes) or lines
+        text = "\n".join(lines) + "\n"
 
 
-def _decided(node: ast.AST, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:
+_Place = ast.If | ast.For | ast.BinOp
+"""Where there may be something to decide."""
+
+
+def _meet(one: _Place, other: _Place) -> bool:
+    """Whether two places have a line in common."""
+    return one.lineno <= (other.end_lineno or 0) and other.lineno <= (one.end_lineno or 0)
+
+
+def _decided(node: _Place, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:
     """The lines with one statement decided, or None when there is nothing to decide about it."""
     if isinstance(node, ast.BinOp):
         return _without_zero(lines, node, sizes)
     if isinstance(node, ast.For):
         empty = isinstance(node.iter, ast.Call) and [sizes.get(getattr(a, "id", ""), 1) for a in node.iter.args] == [0]
         return _replaced(lines, node, []) if empty else None
-    if not isinstance(node, ast.If):
-        return None
     combined = isinstance(node.test, ast.BoolOp) and isinstance(node.test.op, ast.And)
     name = getattr(node.test.values[0] if isinstance(node.test, ast.BoolOp) and combined else node.test, "id", "")
     if name not in sizes:
