@@ -659,6 +659,25 @@ def solve_backward(upper, order, count, width, values):
         values[order[c]] = value
 
 
+@njit(error_model="numpy", forceinline=True)
+def invert_positive_definite(block, size):
+    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
+    for k in range(size):
+        pivot = block[k, k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        block[k, k] = 1.0
+        for j in range(size):
+            block[k, j] /= pivot
+        for i in range(size):
+            if i != k:
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(size):
+                    block[i, j] -= factor * block[k, j]
+    return True
+
+
 # What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery.
 
 
@@ -698,25 +717,6 @@ def scatter(hessian, gradient, element, coupling):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
     for a in range(CONDENSED):
         coupling[a, RIGHT] = -gradient[BLOCK + a]
-
-
-@njit(error_model="numpy", forceinline=True)
-def invert_positive_definite(block):
-    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
-    for k in range(CONDENSED):
-        pivot = block[k, k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        block[k, k] = 1.0
-        for j in range(CONDENSED):
-            block[k, j] /= pivot
-        for i in range(CONDENSED):
-            if i != k:
-                factor = block[i, k]
-                block[i, k] = 0.0
-                for j in range(CONDENSED):
-                    block[i, j] -= factor * block[k, j]
-    return True
 
 
 @njit(error_model="numpy", inline="always")
@@ -805,7 +805,7 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
         block[INSIDE_ROWS[j], INSIDE_COLUMNS[j]] += hessian[INSIDE[j]]
         if INSIDE_ROWS[j] != INSIDE_COLUMNS[j]:
             block[INSIDE_COLUMNS[j], INSIDE_ROWS[j]] += hessian[INSIDE[j]]
-    if not invert_positive_definite(block):
+    if not invert_positive_definite(block, CONDENSED):
         return False
     subtract_condensed(couplings[k], block, element)
     return True
@@ -2431,7 +2431,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_convoy_8da257a248a2899d"
+_IDENTITY = "codegen_convoy_7c36f6560b7d1328"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -874,6 +874,25 @@ def solve_backward(upper, order, count, width, values):
         values[order[c]] = value
 
 
+@njit(error_model="numpy", forceinline=True)
+def invert_positive_definite(block, size):
+    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
+    for k in range(size):
+        pivot = block[k, k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        block[k, k] = 1.0
+        for j in range(size):
+            block[k, j] /= pivot
+        for i in range(size):
+            if i != k:
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(size):
+                    block[i, j] -= factor * block[k, j]
+    return True
+
+
 # What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery.
 
 
@@ -913,25 +932,6 @@ def scatter(hessian, gradient, element, coupling):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
     for a in range(CONDENSED):
         coupling[a, RIGHT] = -gradient[BLOCK + a]
-
-
-@njit(error_model="numpy", forceinline=True)
-def invert_positive_definite(block):
-    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
-    for k in range(CONDENSED):
-        pivot = block[k, k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        block[k, k] = 1.0
-        for j in range(CONDENSED):
-            block[k, j] /= pivot
-        for i in range(CONDENSED):
-            if i != k:
-                factor = block[i, k]
-                block[i, k] = 0.0
-                for j in range(CONDENSED):
-                    block[i, j] -= factor * block[k, j]
-    return True
 
 
 @njit(error_model="numpy", inline="always")
@@ -1008,7 +1008,7 @@ def prepare_condensed(weight, diagonal, inverses):
         for b in range(CONDENSED):
             inverse[a, b] = weight * block[a, b]
         inverse[a, a] += diagonal[BLOCK + a]
-    return invert_positive_definite(inverse)
+    return invert_positive_definite(inverse, CONDENSED)
 
 
 @njit(error_model="numpy", inline="always")
@@ -2240,7 +2240,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_four_bar_093d754e2e589d05"
+_IDENTITY = "codegen_four_bar_f1ba8e2e17c5adef"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -57,25 +57,6 @@ def scatter(hessian, gradient, element, coupling):
             coupling[a, RIGHT] = -gradient[BLOCK + a]
 
 
-@njit(error_model="numpy", forceinline=True)
-def invert_positive_definite(block):
-    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
-    for k in range(CONDENSED):
-        pivot = block[k, k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        block[k, k] = 1.0
-        for j in range(CONDENSED):
-            block[k, j] /= pivot
-        for i in range(CONDENSED):
-            if i != k:
-                factor = block[i, k]
-                block[i, k] = 0.0
-                for j in range(CONDENSED):
-                    block[i, j] -= factor * block[k, j]
-    return True
-
-
 @njit(error_model="numpy", inline="always")
 def subtract_condensed(coupling, inverse, element):
     """Subtract B' inverse(C) B from the element matrix; B has a column for each of the matrix's."""

@@ -11,12 +11,12 @@ from codegen.runtime.condensation import (
     INSIDE,
     INSIDE_COLUMNS,
     INSIDE_ROWS,
-    invert_positive_definite,
     scatter,
     subtract_condensed,
 )
 from codegen.runtime.elements import BLOCK, WIDTH
 from codegen.runtime.example import BODIES, CONDENSED
+from codegen.runtime.symmetric import invert_positive_definite
 
 
 def allocate_condensed(grid):
@@ -50,7 +50,7 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
         block[INSIDE_ROWS[j], INSIDE_COLUMNS[j]] += hessian[INSIDE[j]]
         if INSIDE_ROWS[j] != INSIDE_COLUMNS[j]:
             block[INSIDE_COLUMNS[j], INSIDE_ROWS[j]] += hessian[INSIDE[j]]
-    if not invert_positive_definite(block):
+    if not invert_positive_definite(block, CONDENSED):
         return False
     subtract_condensed(couplings[k], block, element)
     return True

@@ -8,12 +8,12 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.condensation import (
-    invert_positive_definite,
     scatter,
     subtract_condensed,
 )
 from codegen.runtime.elements import BLOCK, WIDTH
 from codegen.runtime.example import BODIES, CONDENSED, control_hessian
+from codegen.runtime.symmetric import invert_positive_definite
 
 
 def allocate_condensed(grid):
@@ -35,7 +35,7 @@ def prepare_condensed(weight, diagonal, inverses):
         for b in range(CONDENSED):
             inverse[a, b] = weight * block[a, b]
         inverse[a, a] += diagonal[BLOCK + a]
-    return invert_positive_definite(inverse)
+    return invert_positive_definite(inverse, CONDENSED)
 
 
 @njit(error_model="numpy", inline="always")
