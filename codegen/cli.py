@@ -110,6 +110,9 @@ def build(
                 made = _build(problem, set_, scheme, method, controls, out)
             with working("Compiling"):
                 drivers.prepare(made.path, processes)
+        if processes.failure:
+            text = f"machine code could not be made ahead ({one_line(processes.failure)}); a first solve has made it"
+            typer.echo(f"codegen: {text}", err=True)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
     typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")

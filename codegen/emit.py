@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -58,8 +59,7 @@ def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = 
     """The runtime files one after the other, without docstrings, imports and what concerns only sizes that are zero."""
     parts = []
     for name in names:
-        text = resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8")
-        tree = ast.parse(text)
+        text, tree = _runtime_file(name)
         docstring = ast.get_docstring(tree, clean=True) or ""
         head = max((node.end_lineno or 0 for node in tree.body if _is_head(node)), default=0)
         body = specialise("\n".join(text.splitlines()[head:]), dict(sizes)).strip()
@@ -83,8 +83,14 @@ def standard_imports(names: tuple[str, ...]) -> list[str]:
 def _imports(names: tuple[str, ...]) -> Iterator[ast.ImportFrom]:
     """The lines `from ... import ...` of runtime files."""
     for name in names:
-        tree = ast.parse(resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8"))
-        yield from (node for node in tree.body if isinstance(node, ast.ImportFrom))
+        yield from (node for node in _runtime_file(name)[1].body if isinstance(node, ast.ImportFrom))
+
+
+@cache
+def _runtime_file(name: str) -> tuple[str, ast.Module]:
+    """The text of a runtime file, and what it means."""
+    text = resources.files("codegen.runtime").joinpath(f"{name}.py").read_text(encoding="utf-8")
+    return text, ast.parse(text)
 
 
 def _is_head(node: ast.stmt) -> bool:

@@ -104,6 +104,7 @@ OWN = 0  # shared unknowns of a body: none
 SHARED = 0  # with those of the whole problem: none
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 0  # unknowns that no node owns, with the conditions' multipliers
+CARRIED = 1  # columns of right-hand sides that take part in the elimination
 IS_MULTIPLIER = np.array([False, False, False, True, True, True, False, False, True, True, False])  # of node and interval
 START_PINNED = np.array([0, 1, 2, 8, 9], dtype=np.int64)  # unknowns of the first node that are given
 END_PINNED = np.array([0, 1, 2, 8, 9], dtype=np.int64)  # unknowns of the last node that are given
@@ -478,6 +479,31 @@ def end_gradient(unknowns, t, parameters, gradient):
 
 
 # ---- Numerics: the same for every problem of this kind ----
+# Arrays that compiled functions make and clear for themselves.
+#
+# Each is compiled once for all that call it, and inlined, so that numbers of rows and columns stay constants.
+
+
+@njit(error_model="numpy", forceinline=True)
+def zero_vector(size):
+    """A vector of zeros."""
+    return np.zeros(size)
+
+
+@njit(error_model="numpy", forceinline=True)
+def zero_matrix(rows, columns):
+    """A matrix of zeros."""
+    return np.zeros((rows, columns))
+
+
+@njit(error_model="numpy", forceinline=True)
+def clear(matrix):
+    """Make all entries of a matrix zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
 # Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 #
 # Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
@@ -491,8 +517,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
-    part = np.empty(ELEMENT + SHARED)
-    at_end = np.empty(NODE + SHARED)
+    part = zero_vector(ELEMENT)
+    at_end = zero_vector(NODE)
     cost = 0.0
     for body in range(BODIES):
         first, last = body * chain, (body + 1) * chain - NODE
@@ -615,10 +641,9 @@ SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
-ROWS = TAIL + SHARED  # of an element matrix
+ROWS = TAIL  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
-CARRIED = int(ROWS % 4 > 0 and (ROWS - BLOCK) % 4 > 0)  # whether the right-hand side takes part: 1 or 0 columns
 RIGHT = ROWS  # the column
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 # The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
@@ -649,8 +674,7 @@ def pin(place, element):
         element[place, i] = 0.0
         element[i, place] = 0.0
     element[place, place] = 1.0
-    if CARRIED:
-        element[place, RIGHT] = 0.0
+    element[place, RIGHT] = 0.0
 
 
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
@@ -853,6 +877,25 @@ def solve_backward(upper, order, count, width, values):
         values[order[c]] = value
 
 
+@njit(error_model="numpy", forceinline=True)
+def invert_positive_definite(block, size):
+    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
+    for k in range(size):
+        pivot = block[k, k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        block[k, k] = 1.0
+        for j in range(size):
+            block[k, j] /= pivot
+        for i in range(size):
+            if i != k:
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(size):
+                    block[i, j] -= factor * block[k, j]
+    return True
+
+
 # What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery.
 
 
@@ -862,7 +905,7 @@ def sort_entries():
     Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are those of the
     element matrix, or counted among the unknowns that are eliminated.
     """
-    eliminated = (np.arange(ELEMENT + SHARED) >= BLOCK) & (np.arange(ELEMENT + SHARED) < STRIDE)
+    eliminated = (np.arange(ELEMENT) >= BLOCK) & (np.arange(ELEMENT) < STRIDE)
     place = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
     kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
@@ -890,31 +933,8 @@ def scatter(hessian, gradient, element, coupling):
             element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
     for j in range(COUPLED.size):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
-    if CARRIED:
-        for a in range(CONDENSED):
-            coupling[a, RIGHT] = -gradient[BLOCK + a]
-
-
-@njit(error_model="numpy", forceinline=True)
-def invert_positive_definite(block, inverse):
-    """Invert a small symmetric matrix by Gauss-Jordan elimination in place; False when it is not positive definite."""
-    for k in range(CONDENSED):
-        pivot = block[k, k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        block[k, k] = 1.0
-        for j in range(CONDENSED):
-            block[k, j] /= pivot
-        for i in range(CONDENSED):
-            if i != k:
-                factor = block[i, k]
-                block[i, k] = 0.0
-                for j in range(CONDENSED):
-                    block[i, j] -= factor * block[k, j]
     for a in range(CONDENSED):
-        for b in range(CONDENSED):
-            inverse[a, b] = block[a, b]
-    return True
+        coupling[a, RIGHT] = -gradient[BLOCK + a]
 
 
 @njit(error_model="numpy", inline="always")
@@ -929,52 +949,41 @@ def subtract_condensed(coupling, inverse, element):
 
 
 @njit(error_model="numpy")
-def condense(gradient, condensed, steps, reduced, root):
-    """Fill the right-hand sides -(g - B' inverse(C) g_u) of the unknowns that stay; `root` holds -g already."""
-    _, inverses, couplings = condensed
-    chain = steps * STRIDE + NODE
-    for body in range(BODIES):
-        here = gradient[body * chain : (body + 1) * chain]
-        right = reduced[body]
-        for i in range(NODE):
-            right[steps * BLOCK + i] = -here[steps * STRIDE + i]
-        for k in range(steps - 1, -1, -1):
-            interval = body * steps + k
-            inverse = inverses[min(interval, inverses.shape[0] - 1)]
-            for i in range(BLOCK):
-                right[k * BLOCK + i] = -here[k * STRIDE + i]
-            for a in range(CONDENSED):
-                weighted = 0.0
-                for b in range(CONDENSED):
-                    weighted += inverse[a, b] * here[k * STRIDE + BLOCK + b]
-                for i in range(SIZE):
-                    right[k * BLOCK + i] += couplings[interval, a, i] * weighted
+def condense(gradient, inverses, couplings, steps, right):
+    """Fill a body's right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay; shared unknowns come last."""
+    for i in range(NODE):
+        right[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
+    for k in range(steps - 1, -1, -1):
+        inverse = inverses[min(k + 1, inverses.shape[0] - 1)]
+        for i in range(BLOCK):
+            right[k * BLOCK + i] = -gradient[k * STRIDE + i]
+        for a in range(CONDENSED):
+            weighted = 0.0
+            for b in range(CONDENSED):
+                weighted += inverse[a, b] * gradient[k * STRIDE + BLOCK + b]
+            for i in range(SIZE):
+                right[k * BLOCK + i] += couplings[k, a, i] * weighted
 
 
 @njit(error_model="numpy")
-def expand(gradient, condensed, steps, reduced, root, step):
-    """Fill `step` with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
-    _, inverses, couplings = condensed
-    chain = steps * STRIDE + NODE
-    forcing = np.empty(CONDENSED)
-    for body in range(BODIES):
-        first, solved = body * chain, reduced[body]
-        for i in range(NODE):
-            step[first + steps * STRIDE + i] = solved[steps * BLOCK + i]
-        for k in range(steps):
-            interval, here = body * steps + k, first + k * STRIDE
-            inverse = inverses[min(interval, inverses.shape[0] - 1)]
-            for i in range(BLOCK):
-                step[here + i] = solved[k * BLOCK + i]
+def expand(gradient, inverses, couplings, steps, solved, step):
+    """Fill a body's step with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
+    forcing = zero_vector(CONDENSED)
+    for i in range(NODE):
+        step[steps * STRIDE + i] = solved[steps * BLOCK + i]
+    for k in range(steps):
+        inverse = inverses[min(k + 1, inverses.shape[0] - 1)]
+        for i in range(BLOCK):
+            step[k * STRIDE + i] = solved[k * BLOCK + i]
+        for b in range(CONDENSED):
+            forcing[b] = gradient[k * STRIDE + BLOCK + b]
+            for i in range(SIZE):
+                forcing[b] += couplings[k, b, i] * solved[k * BLOCK + i]
+        for a in range(CONDENSED):
+            value = 0.0
             for b in range(CONDENSED):
-                forcing[b] = gradient[here + BLOCK + b]
-                for i in range(SIZE):
-                    forcing[b] += couplings[interval, b, i] * solved[k * BLOCK + i]
-            for a in range(CONDENSED):
-                value = 0.0
-                for b in range(CONDENSED):
-                    value -= inverse[a, b] * forcing[b]
-                step[here + BLOCK + a] = value
+                value -= inverse[a, b] * forcing[b]
+            step[k * STRIDE + BLOCK + a] = value
 
 
 # An interval's element matrix, with the interval's controls eliminated.
@@ -984,46 +993,32 @@ def expand(gradient, condensed, steps, reduced, root, step):
 
 
 def allocate_condensed(grid):
-    """Room for the block C, which is filled in, for its inverse, and for B of all intervals of all bodies."""
-    storage = np.zeros(2 * CONDENSED**2 + BODIES * grid.steps * CONDENSED * WIDTH)
-    block = storage[: CONDENSED**2].reshape(CONDENSED, CONDENSED)
+    """For every body the block C, which is filled in, with room for its inverse, and room for B of all intervals."""
+    inverses, block = np.zeros((BODIES, 2, CONDENSED, CONDENSED)), np.zeros((CONDENSED, CONDENSED))
     control_hessian(grid.h, grid.parameters[0], block)
     for a in range(CONDENSED):
         for b in range(a):
             block[b, a] = block[a, b]
-    return storage
+    inverses[:, 0] = block
+    return inverses, np.zeros((BODIES, grid.steps, CONDENSED, WIDTH))
 
 
 @njit(error_model="numpy", inline="always")
-def condensed_parts(storage, steps):
-    """The block C, its inverse, and B of all intervals of all bodies."""
-    size = CONDENSED * CONDENSED
-    block, inverse = storage[:size], storage[size : 2 * size]
-    return (
-        block.reshape((CONDENSED, CONDENSED)),
-        inverse.reshape((1, CONDENSED, CONDENSED)),
-        storage[2 * size :].reshape((BODIES * steps, CONDENSED, WIDTH)),
-    )
-
-
-@njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, diagonal, condensed):
+def prepare_condensed(weight, diagonal, inverses):
     """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
-    block, inverses, _ = condensed
-    shifted = np.empty((CONDENSED, CONDENSED))
+    block, inverse = inverses[0], inverses[1]
     for a in range(CONDENSED):
         for b in range(CONDENSED):
-            shifted[a, b] = weight * block[a, b]
-        shifted[a, a] += diagonal[BLOCK + a]
-    return invert_positive_definite(shifted, inverses[0])
+            inverse[a, b] = weight * block[a, b]
+        inverse[a, a] += diagonal[BLOCK + a]
+    return invert_positive_definite(inverse, CONDENSED)
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, gradient, condensed, interval, element):
-    """Add K - B' inverse(C) B of an interval to the element matrix, and keep B for the recovery of the controls."""
-    _, inverses, couplings = condensed
-    scatter(hessian, gradient, element, couplings[interval])
-    subtract_condensed(couplings[interval], inverses[0], element)
+def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
+    """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
+    scatter(hessian, gradient, element, couplings[k])
+    subtract_condensed(couplings[k], inverses[1], element)
     return True
 
 
@@ -1045,148 +1040,73 @@ def add_element(hessian, diagonal, gradient, condensed, interval, element):
 REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
 REST_WIDTH = padded(REST)
 LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
-SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
-LAST_WIDTH = padded(LAST + SHARED_WIDTH)
+LAST_WIDTH = padded(LAST + padded(CARRIED))
 MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
 ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
 COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
 
 
-def allocate_system(grid):
-    """Room for the factors and for what is condensed, and the number of equations.
+def allocate_factors(grid):
+    """Room for the factors of all bodies, and for what is condensed.
 
-    The factors are an array of numbers and one of places, of which `factor_parts` tells the meaning: few arrays are
-    handed to compiled functions quickly. Places and the inverse of the pivots are zeros, so that solving without
-    factors, as compilation does, stays inside the arrays.
+    A body has BLOCK rows for each block, then LAST rows for its last node and block 0. Three arrays hold the rows of
+    the upper factor, the inverse of the pivots, and the order of elimination. The right-hand side, if it was carried
+    along, is a column of the upper factor, multiplied by the inverse of the pivots already. Places and the inverse of
+    the pivots are zeros, so that solving without factors, as compilation does, stays inside the arrays.
     """
-    blocks, last = BODIES * grid.steps * BLOCK, BODIES * LAST
-    rows, numbers = blocks + last + ROOT, blocks * WIDTH + last * LAST_WIDTH + ROOT * ROOT_WIDTH
-    factors = np.empty(numbers + 2 * rows + ROOT), np.zeros(rows, np.uint64), allocate_condensed(grid)
-    factors[0][numbers:] = 0.0
-    return factors, multiplier_unknowns(grid).size
-
-
-@njit(error_model="numpy")
-def factor_parts(numbers, places, steps):
-    """The factors of all blocks, of the last nodes and of the shared unknowns, as views.
-
-    Each is the rows of an upper factor, the inverse of the pivots, and the order of elimination; and for the shared
-    unknowns their right-hand side, less what the elimination of the bodies has taken away. That of blocks and last
-    nodes, if it was carried along, is a column of the upper factor, multiplied by the inverse of the pivots already.
-    """
-    # First rows, and where in `numbers` their upper factors begin; then come the inverse of all pivots, and the rest.
-    last, root = BODIES * steps * BLOCK, BODIES * (steps * BLOCK + LAST)
-    last_upper = last * WIDTH
-    root_upper = last_upper + BODIES * LAST * LAST_WIDTH
-    inverse = root_upper + ROOT * ROOT_WIDTH
-    blocks = (
-        numbers[:last_upper].reshape((BODIES, steps, BLOCK, WIDTH)),
-        numbers[inverse : inverse + 2 * last].reshape((BODIES, steps, BLOCK, 2)),
-        places[:last].reshape((BODIES, steps, BLOCK)),
-    )
-    ends = (
-        numbers[last_upper:root_upper].reshape((BODIES, LAST, LAST_WIDTH)),
-        numbers[inverse + 2 * last : inverse + 2 * root].reshape((BODIES, LAST, 2)),
-        places[last:root].reshape((BODIES, LAST)),
-    )
-    shared = (
-        numbers[root_upper:inverse].reshape((ROOT, ROOT_WIDTH)),
-        numbers[inverse + 2 * root : inverse + 2 * (root + ROOT)].reshape((ROOT, 2)),
-        places[root:],
-        numbers[inverse + 2 * (root + ROOT) :],
-    )
-    return blocks, ends, shared
-
-
-def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
-    """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
-
-    Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
-    elimination stops when there are too many. None means that the matrix is singular, or that a block that is
-    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
-    array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
-    part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
-    """
-    factors, equations = system
-    right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
-    regular, excess = factor(
-        unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
-    )
-    return excess if regular else None
-
-
-def is_factored(excess):
-    """Whether what `factor_kkt` gave says that the whole matrix was factored, so that `solve_kkt` may follow."""
-    return excess is not None and excess <= 0
-
-
-@njit(cache=True, error_model="numpy")
-def factor(unknowns, gradient, steps, h, parameters, weight, diagonal, equations, numbers, places, storage):
-    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
-    blocks, ends, (root_upper, root_inverse, root_order, right) = factor_parts(numbers, places, steps)
-    condensed = condensed_parts(storage, steps)
-    factors = blocks, ends, condensed
-    if not prepare_condensed(weight, diagonal, condensed):
-        return False, 0
-    negative = 0
-    root, left = np.zeros((ROOT, ROOT_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
-    for body in range(BODIES):
-        regular, found, excess = eliminate_body(
-            unknowns, gradient, body, steps, h, parameters, weight, diagonal, factors, left
-        )
-        if not regular or excess > 0:
-            return regular, excess
-        negative += found
-    return True, negative - equations
+    rows = grid.steps * BLOCK + LAST
+    upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
+    return upper, inverse, np.zeros((BODIES, rows), np.uint64), *allocate_condensed(grid)
 
 
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def eliminate_body(unknowns, gradient, body, steps, h, parameters, weight, diagonal, factors, left):
-    """Run the front over all intervals of a body; `left` takes what that leaves for the shared unknowns.
+def eliminate_body(
+    unknowns, gradient, diagonal, steps, h, parameters, weight, upper, inverse, order, inverses, couplings, last
+):
+    """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
     the elimination has stopped.
     """
-    (upper, inverse, order), (last_upper, last_inverse, last_order), condensed = factors
-    chain, negative = steps * STRIDE + NODE, 0
-    own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
-    slopes = gradient[body * chain : (body + 1) * chain]
-    element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
-    last, hessian = np.empty((LAST, LAST_WIDTH)), np.empty(HESSIAN_ROWS.size)
+    if not prepare_condensed(weight, diagonal, inverses):
+        return False, 0, 0
+    negative, hessian = 0, zero_vector(HESSIAN_ROWS.size)
+    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
-        interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters[body], hessian)
+        first, behind = k * BLOCK, (k + 1) * BLOCK
+        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
+        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
         if weight != 1.0:
             weigh(weight, hessian)
-        element[:] = 0.0
-        here, slope = added[k * STRIDE : (k + 1) * STRIDE], slopes[k * STRIDE : (k + 1) * STRIDE]
-        if not add_element(hessian, here, slope, condensed, body * steps + k, element):
+        clear(element)
+        if not add_element(hessian, here, slope, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
             element[i, i] += here[i]
-        if CARRIED:
-            add_right_hand_side(slopes, k, steps, element)
+        add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
-            close_element(own, k, steps, h, parameters[body], weight, added, element)
+            close_element(unknowns, k, steps, h, parameters, weight, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue
         move_front(element, rest)
-        found = eliminate_rows(element, INNER, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
+        found = eliminate_rows(element, INNER, COLUMNS, upper[first:behind], inverse[first:behind], order[first:behind])
         if found < 0:
             return False, 0, 0
         negative += found
         # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
         if negative > k * MULTIPLIERS + ENDING + COMMON:
             return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
-        subtract_products(upper[body, k], element, INNER, BLOCK, REST, REST_WIDTH, rest)
-    end_front(rest, last, left)
-    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
+        subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
+    end_front(rest, last)
+    first = steps * BLOCK
+    found = eliminate_rows(last, order.size - first, last.shape[1], upper[first:], inverse[first:], order[first:])
     if found < 0:
         return False, 0, 0
     # No multiplier of another body reaches into this one.
     negative += found
-    return True, negative, max(0, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON))
+    return True, negative, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON)
 
 
 @njit(error_model="numpy", inline="always")
@@ -1240,10 +1160,10 @@ def move_front(element, rest):
 
 
 @njit(error_model="numpy")
-def end_front(rest, last, left):
-    """The rows of the last node and of block 0, both triangles; what is left for the shared unknowns."""
-    last[:] = 0.0
-    for i in range(LAST):
+def end_front(rest, last):
+    """The rows of the last node and of block 0, both triangles; behind them what is left for the shared unknowns."""
+    clear(last)
+    for i in range(REST):
         last[i, i] = rest[i, i]
         for j in range(i + 1, REST + CARRIED):
             last[i, j] = rest[i, j]
@@ -1251,10 +1171,129 @@ def end_front(rest, last, left):
                 last[j, i] = rest[i, j]
 
 
-# Solve with the factors of the KKT matrix: forward over all bodies, the shared unknowns, backward over all bodies.
+# Solve with the factors of a body's part of the KKT matrix: forward and backward over its blocks.
 #
 # A right-hand side that took part in the elimination needs no way forward any more: its column in the factors counts on
 # the way back, as if it belonged to one more unknown, with the value -1.
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def forward(upper, inverse, order, steps, right, last):
+    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`."""
+    front = zero_vector(WIDTH)
+    for i in START_PINNED:
+        right[i] = 0.0
+    for i in END_PINNED:
+        right[steps * BLOCK + i] = 0.0
+    for k in range(1, steps):
+        first, behind = k * BLOCK, (k + 1) * BLOCK
+        for i in range(BLOCK):
+            front[i] = right[first + i]
+        for i in range(NODE):
+            front[BLOCK + i] = right[behind + i]
+        solve_forward(upper[first:behind], order[first:behind], INNER, COLUMNS, front)
+        solve_pivots(inverse[first:behind], order[first:behind], INNER, front)
+        for i in range(BLOCK):
+            right[first + i] = front[i]
+        for i in range(NODE):
+            right[behind + i] = front[BLOCK + i]
+    first = steps * BLOCK
+    for i in range(NODE):
+        last[i] = right[first + i]
+    for i in range(BORDER):
+        last[NODE + i] = right[FIRST[i]] + front[SIZE + i]
+    solve_forward(upper[first:], order[first:], order.size - first, last.size, last)
+    solve_pivots(inverse[first:], order[first:], order.size - first, last)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def backward(upper, order, steps, carried, last, right):
+    """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
+
+    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
+    """
+    front, first = zero_vector(WIDTH), steps * BLOCK
+    front[RIGHT] = -1.0 if carried else 0.0
+    solve_backward(upper[first:], order[first:], order.size - first, last.size, last)
+    for i in range(NODE):
+        right[first + i] = last[i]
+    for i in range(BORDER):
+        right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
+    for k in range(steps - 1, 0, -1):
+        first, behind = k * BLOCK, (k + 1) * BLOCK
+        for i in range(BLOCK):
+            front[i] = right[first + i]
+        for i in range(NODE):
+            front[BLOCK + i] = right[behind + i]
+        solve_backward(upper[first:behind], order[first:behind], INNER, COLUMNS, front)
+        for i in range(BLOCK):
+            right[first + i] = front[i]
+
+
+# Factor the KKT matrix, and solve with its factors, where no unknown is shared: one body after the other.
+
+
+def allocate_system(grid):
+    """Room for the factors and for what is condensed, and the number of equations."""
+    return allocate_factors(grid), multiplier_unknowns(grid).size
+
+
+@njit(cache=True, error_model="numpy")
+def factor(
+    unknowns, gradient, steps, h, parameters, weight, diagonal, equations, upper, inverse, order, inverses, couplings
+):
+    """Eliminate all bodies; whether that was possible, and the excess of negative pivots."""
+    negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST, LAST_WIDTH)
+    for body in range(BODIES):
+        first, behind = body * chain, (body + 1) * chain
+        regular, found, excess = eliminate_body(
+            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
+            upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+        )  # fmt: skip
+        if not regular or excess > 0:
+            return regular, excess
+        negative += found
+    return True, negative - equations
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def substitute(gradient, carried, steps, upper, inverse, order, inverses, couplings, step):
+    """Solve with the factors, forward, unless elimination has done that, and backward."""
+    chain = steps * STRIDE + NODE
+    for body in range(BODIES):
+        slopes, solution = gradient[body * chain : (body + 1) * chain], step[body * chain : (body + 1) * chain]
+        right, last = zero_vector(steps * BLOCK + NODE), zero_vector(LAST_WIDTH)
+        if not carried:
+            condense(slopes, inverses[body], couplings[body], steps, right)
+            forward(upper[body], inverse[body], order[body], steps, right, last)
+        last[LAST] = -1.0 if carried else 0.0
+        backward(upper[body], order[body], steps, carried, last, right)
+        expand(slopes, inverses[body], couplings[body], steps, right, solution)
+
+
+# The linear system of a Newton step: factor the KKT matrix, solve with the factors.
+
+
+def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
+    """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
+
+    Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
+    elimination stops when there are too many. None means that the matrix is singular, or that a block that is
+    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
+    array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
+    part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
+    """
+    factors, equations = system
+    right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
+    regular, excess = factor(
+        unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
+    )
+    return excess if regular else None
+
+
+def is_factored(excess):
+    """Whether what `factor_kkt` gave says that the whole matrix was factored, so that `solve_kkt` may follow."""
+    return excess is not None and excess <= 0
 
 
 def solve_kkt(grid, system, gradient, step, carried=False):
@@ -1262,77 +1301,7 @@ def solve_kkt(grid, system, gradient, step, carried=False):
 
     That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
-    substitute(gradient, carried and CARRIED > 0, grid.steps, *system[0], step)
-
-
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def substitute(gradient, carried, steps, numbers, places, storage, step):
-    """Solve with the factors: forward unless elimination has done that, the shared unknowns, and backward."""
-    blocks, ends, (root_upper, root_inverse, root_order, right) = factor_parts(numbers, places, steps)
-    (upper, inverse, order), (last_upper, last_inverse, last_order) = blocks, ends
-    condensed = condensed_parts(storage, steps)
-    reduced, last = np.zeros((BODIES, steps * BLOCK + NODE)), np.zeros((BODIES, LAST_WIDTH))
-    shared = np.zeros(ROOT_WIDTH)
-    if not carried:
-        condense(gradient, condensed, steps, reduced, right)
-        for body in range(BODIES):
-            forward(upper[body], inverse[body], order[body], reduced[body], last[body])
-            solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
-            solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
-    for body in range(BODIES):
-        if CARRIED:
-            last[body, LAST + SHARED] = -1.0 if carried else 0.0
-        solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
-        backward(upper[body], order[body], last[body], carried, reduced[body])
-    expand(gradient, condensed, steps, reduced, shared, step)
-
-
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def forward(upper, inverse, order, right, last):
-    """Solve with the upper factors of a body's blocks, transposed, and the pivots; `last` takes what borders them."""
-    steps, front = upper.shape[0], np.zeros(WIDTH)
-    for i in START_PINNED:
-        right[i] = 0.0
-    for i in END_PINNED:
-        right[steps * BLOCK + i] = 0.0
-    for k in range(1, steps):
-        for i in range(BLOCK):
-            front[i] = right[k * BLOCK + i]
-        for i in range(NODE):
-            front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_forward(upper[k], order[k], INNER, COLUMNS, front)
-        solve_pivots(inverse[k], order[k], INNER, front)
-        for i in range(BLOCK):
-            right[k * BLOCK + i] = front[i]
-        for i in range(NODE):
-            right[(k + 1) * BLOCK + i] = front[BLOCK + i]
-    for i in range(NODE):
-        last[i] = right[steps * BLOCK + i]
-    for i in range(BORDER):
-        last[NODE + i] = right[FIRST[i]] + front[SIZE + i]
-
-
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def backward(upper, order, last, carried, right):
-    """Solve with the upper factors of a body's blocks, from the last node and block 0, in `last`, to block 1.
-
-    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
-    """
-    steps, front = upper.shape[0], np.zeros(WIDTH)
-    if CARRIED:
-        front[RIGHT] = -1.0 if carried else 0.0
-    for i in range(NODE):
-        right[steps * BLOCK + i] = last[i]
-    for i in range(BORDER):
-        right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
-    for k in range(steps - 1, 0, -1):
-        for i in range(BLOCK):
-            front[i] = right[k * BLOCK + i]
-        for i in range(NODE):
-            front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_backward(upper[k], order[k], INNER, COLUMNS, front)
-        for i in range(BLOCK):
-            right[k * BLOCK + i] = front[i]
+    substitute(gradient, carried, grid.steps, *system[0], step)
 
 
 # How large the terms of the equations are: what a residual has to be compared with.
@@ -1348,8 +1317,8 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     """
-    hessian = np.empty(HESSIAN_ROWS.size)
-    sums = np.zeros(unknowns.size)
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    sums = zero_vector(unknowns.size)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
@@ -1363,9 +1332,10 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if is_multiplier[i]:
-            equations = max(equations, sums[i])
-        else:
-            stationarity = max(stationarity, sums[i])
+            if sums[i] > equations:
+                equations = sums[i]
+        elif sums[i] > stationarity:
+            stationarity = sums[i]
     return equations, stationarity
 
 
@@ -1616,7 +1586,7 @@ def discrete_momenta(grid, unknowns):
 @njit(cache=True, error_model="numpy")
 def interval_momenta(unknowns, steps, h, parameters, momenta):
     """Fill `momenta` from the gradient of every interval's l."""
-    part = np.empty(ELEMENT + SHARED)
+    part = zero_vector(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
@@ -1636,7 +1606,7 @@ def checked_grid(steps, duration, parameters):
         raise ValueError(f"steps is {steps!r}, expected a positive integer")
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
-    table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
+    table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
     if all(isinstance(value, (int, float)) for value in parameters):
         table[:, : len(parameters)] = parameters
     else:  # some differ from body to body
@@ -1697,7 +1667,7 @@ class Layout(NamedTuple):
 def layout(steps):
     """The layout of `steps` intervals, kept for the next solve; its arrays are read-only."""
     chain = steps * STRIDE + NODE
-    is_multiplier, is_free = np.zeros(BODIES * chain + ROOT, dtype=bool), np.ones(BODIES * chain + ROOT, dtype=bool)
+    is_multiplier, is_free = np.zeros(BODIES * chain, dtype=bool), np.ones(BODIES * chain, dtype=bool)
     chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
     chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
     chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
@@ -2032,7 +2002,7 @@ def cost_not_finite(grid, point):
 @njit(cache=True, error_model="numpy")
 def interval_costs(unknowns, steps, h, parameters, costs):
     """Fill in the discrete cost of each interval of each body."""
-    part = np.empty(ELEMENT + SHARED)
+    part = np.empty(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
             here = body * (steps * STRIDE + NODE) + k * STRIDE
@@ -2273,7 +2243,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_four_bar_73820d229a42c20a"
+_IDENTITY = "codegen_four_bar_4424f8f5dab2db22"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -4,6 +4,7 @@
 #
 # Left out, because this problem does not need it:
 # - curvature of the boundary conditions: positions that they depend on are given
+# - a right-hand side that takes part in the elimination: rows of element matrices have no room for it
 # - derivatives of the dynamics by theta: cyclic
 # - time in the kernels: nothing depends on it explicitly
 # - 191 of 253 entries of the interval's Hessian: identically zero
@@ -66,6 +67,7 @@ metadata = {
     "operations": {'interval_gradient': (390, 110), 'interval_hessian': (1460, 130), 'start_gradient': (0, 0), 'end_gradient': (0, 0)},
     "left_out": (
         'curvature of the boundary conditions: positions that they depend on are given',
+        'a right-hand side that takes part in the elimination: rows of element matrices have no room for it',
         'derivatives of the dynamics by theta: cyclic',
         'time in the kernels: nothing depends on it explicitly',
         "191 of 253 entries of the interval's Hessian: identically zero",
@@ -81,6 +83,7 @@ OWN = 0  # shared unknowns of a body: none
 SHARED = 1  # with those of the whole problem: T
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 1  # unknowns that no node owns, with the conditions' multipliers
+CARRIED = 0  # columns of right-hand sides that take part in the elimination
 IS_MULTIPLIER = np.array([False, False, False, False, False, False, True, True, True, True, True, True, False, False, False])  # of node and interval
 START_PINNED = np.array([0, 1, 2, 3, 4, 5], dtype=np.int64)  # unknowns of the first node that are given
 END_PINNED = np.array([0, 1, 2, 3, 4, 5], dtype=np.int64)  # unknowns of the last node that are given
@@ -317,6 +320,31 @@ def end_gradient(unknowns, t, parameters, gradient):
 
 
 # ---- Numerics: the same for every problem of this kind ----
+# Arrays that compiled functions make and clear for themselves.
+#
+# Each is compiled once for all that call it, and inlined, so that numbers of rows and columns stay constants.
+
+
+@njit(error_model="numpy", forceinline=True)
+def zero_vector(size):
+    """A vector of zeros."""
+    return np.zeros(size)
+
+
+@njit(error_model="numpy", forceinline=True)
+def zero_matrix(rows, columns):
+    """A matrix of zeros."""
+    return np.zeros((rows, columns))
+
+
+@njit(error_model="numpy", forceinline=True)
+def clear(matrix):
+    """Make all entries of a matrix zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
 # Unknowns that no node owns: each body's own ones, then those of the whole problem, at the end of all unknowns.
 
 
@@ -363,8 +391,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
-    part = np.empty(ELEMENT + SHARED)
-    at_end = np.empty(NODE + SHARED)
+    part = zero_vector(ELEMENT + SHARED)
+    at_end = zero_vector(NODE + SHARED)
     cost = 0.0
     for body in range(BODIES):
         first, last = body * chain, (body + 1) * chain - NODE
@@ -492,7 +520,6 @@ TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
-CARRIED = int(ROWS % 4 > 0 and (ROWS - BLOCK) % 4 > 0)  # whether the right-hand side takes part: 1 or 0 columns
 RIGHT = ROWS  # the column
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 # The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
@@ -523,8 +550,6 @@ def pin(place, element):
         element[place, i] = 0.0
         element[i, place] = 0.0
     element[place, place] = 1.0
-    if CARRIED:
-        element[place, RIGHT] = 0.0
 
 
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
@@ -727,6 +752,25 @@ def solve_backward(upper, order, count, width, values):
         values[order[c]] = value
 
 
+@njit(error_model="numpy", forceinline=True)
+def invert_positive_definite(block, size):
+    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
+    for k in range(size):
+        pivot = block[k, k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        block[k, k] = 1.0
+        for j in range(size):
+            block[k, j] /= pivot
+        for i in range(size):
+            if i != k:
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(size):
+                    block[i, j] -= factor * block[k, j]
+    return True
+
+
 # An interval's element matrix, with all its unknowns kept: none can be eliminated beforehand.
 
 PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER)
@@ -734,24 +778,18 @@ PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSI
 
 
 def allocate_condensed(grid):
-    """Storage for eliminated unknowns: none."""
-    return np.empty(0)
+    """Room for eliminated unknowns: none."""
+    return np.zeros((BODIES, 0, 0, 0)), np.zeros((BODIES, 0, 0, 0))
 
 
 @njit(error_model="numpy", inline="always")
-def condensed_parts(storage, steps):
-    """Views of the storage: none."""
-    return ()
-
-
-@njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, diagonal, condensed):
+def prepare_condensed(weight, diagonal, inverses):
     """True: there is no block that could be indefinite."""
     return True
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, gradient, condensed, interval, element):
+def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add the Hessian of an interval to the element matrix."""
     for j in range(hessian.size):
         row, column = PLACE_ROWS[j], PLACE_COLUMNS[j]
@@ -762,19 +800,17 @@ def add_element(hessian, diagonal, gradient, condensed, interval, element):
 
 
 @njit(error_model="numpy")
-def condense(gradient, condensed, steps, reduced, root):
-    """Fill the right-hand sides of every body with -gradient; `root` has been set already."""
-    for body in range(BODIES):
-        for i in range(steps * STRIDE + NODE):
-            reduced[body, i] = -gradient[body * (steps * STRIDE + NODE) + i]
+def condense(gradient, inverses, couplings, steps, right):
+    """Fill a body's right-hand side with -gradient."""
+    for i in range(gradient.size):
+        right[i] = -gradient[i]
 
 
 @njit(error_model="numpy")
-def expand(gradient, condensed, steps, reduced, root, step):
-    """Fill `step` with what was solved for, which is all there is."""
-    for body in range(BODIES):
-        for i in range(steps * STRIDE + NODE):
-            step[body * (steps * STRIDE + NODE) + i] = reduced[body, i]
+def expand(gradient, inverses, couplings, steps, solved, step):
+    """Fill a body's step with what was solved for, which is all there is."""
+    for i in range(step.size):
+        step[i] = solved[i]
 
 
 # Frontal factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete, count inertia.
@@ -795,57 +831,271 @@ def expand(gradient, condensed, steps, reduced, root, step):
 REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
 REST_WIDTH = padded(REST)
 LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
-SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
-LAST_WIDTH = padded(LAST + SHARED_WIDTH)
+LAST_WIDTH = padded(LAST + padded(CARRIED + SHARED))
 MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
 ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
 COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
 
 
-def allocate_system(grid):
-    """Room for the factors and for what is condensed, and the number of equations.
+def allocate_factors(grid):
+    """Room for the factors of all bodies, and for what is condensed.
 
-    The factors are an array of numbers and one of places, of which `factor_parts` tells the meaning: few arrays are
-    handed to compiled functions quickly. Places and the inverse of the pivots are zeros, so that solving without
-    factors, as compilation does, stays inside the arrays.
+    A body has BLOCK rows for each block, then LAST rows for its last node and block 0. Three arrays hold the rows of
+    the upper factor, the inverse of the pivots, and the order of elimination. The right-hand side, if it was carried
+    along, is a column of the upper factor, multiplied by the inverse of the pivots already. Places and the inverse of
+    the pivots are zeros, so that solving without factors, as compilation does, stays inside the arrays.
     """
-    blocks, last = BODIES * grid.steps * BLOCK, BODIES * LAST
-    rows, numbers = blocks + last + ROOT, blocks * WIDTH + last * LAST_WIDTH + ROOT * ROOT_WIDTH
-    factors = np.empty(numbers + 2 * rows + ROOT), np.zeros(rows, np.uint64), allocate_condensed(grid)
-    factors[0][numbers:] = 0.0
-    return factors, multiplier_unknowns(grid).size
+    rows = grid.steps * BLOCK + LAST
+    upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
+    return upper, inverse, np.zeros((BODIES, rows), np.uint64), *allocate_condensed(grid)
+
+
+# Sums may be taken in any order, which lets them run in parallel in the processor.
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def eliminate_body(
+    unknowns, gradient, diagonal, steps, h, parameters, weight, upper, inverse, order, inverses, couplings, last
+):
+    """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
+
+    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
+    the elimination has stopped.
+    """
+    if not prepare_condensed(weight, diagonal, inverses):
+        return False, 0, 0
+    negative, hessian = 0, zero_vector(HESSIAN_ROWS.size)
+    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
+    for k in range(steps):
+        first, behind = k * BLOCK, (k + 1) * BLOCK
+        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
+        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
+        if weight != 1.0:
+            weigh(weight, hessian)
+        clear(element)
+        if not add_element(hessian, here, slope, inverses, couplings, k, element):
+            return False, 0, 0
+        for i in range(BLOCK):
+            element[i, i] += here[i]
+        if k == 0 or k == steps - 1:
+            close_element(unknowns, k, steps, h, parameters, weight, diagonal, element)
+        if k == 0:
+            begin_front(element, rest)
+            continue
+        move_front(element, rest)
+        found = eliminate_rows(element, INNER, COLUMNS, upper[first:behind], inverse[first:behind], order[first:behind])
+        if found < 0:
+            return False, 0, 0
+        negative += found
+        # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
+        if negative > k * MULTIPLIERS + ENDING + COMMON:
+            return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
+        subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
+    end_front(rest, last)
+    first = steps * BLOCK
+    found = eliminate_rows(last, order.size - first, last.shape[1], upper[first:], inverse[first:], order[first:])
+    if found < 0:
+        return False, 0, 0
+    # No multiplier of another body reaches into this one.
+    negative += found
+    return True, negative, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON)
 
 
 @njit(error_model="numpy")
-def factor_parts(numbers, places, steps):
-    """The factors of all blocks, of the last nodes and of the shared unknowns, as views.
+def weigh(weight, hessian):
+    """Multiply the second derivatives by primal unknowns."""
+    for j in range(hessian.size):
+        if IS_CURVATURE[j]:
+            hessian[j] *= weight
 
-    Each is the rows of an upper factor, the inverse of the pivots, and the order of elimination; and for the shared
-    unknowns their right-hand side, less what the elimination of the bodies has taken away. That of blocks and last
-    nodes, if it was carried along, is a column of the upper factor, multiplied by the inverse of the pivots already.
+
+@njit(error_model="numpy")
+def begin_front(element, rest):
+    """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
+    for i in range(BORDER):
+        for j in range(ROWS):
+            element[SIZE + i, j] = element[FIRST[i], j]
+        for j in range(ROWS):
+            element[j, SIZE + i] = element[j, FIRST[i]]
+    for i in range(REST):
+        for j in range(REST):
+            rest[i, j] = element[BLOCK + i, BLOCK + j]
+
+
+@njit(error_model="numpy", inline="always")
+def move_front(element, rest):
+    """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
+
+    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k. Of `rest`, only
+    the upper triangle is in use.
     """
-    # First rows, and where in `numbers` their upper factors begin; then come the inverse of all pivots, and the rest.
-    last, root = BODIES * steps * BLOCK, BODIES * (steps * BLOCK + LAST)
-    last_upper = last * WIDTH
-    root_upper = last_upper + BODIES * LAST * LAST_WIDTH
-    inverse = root_upper + ROOT * ROOT_WIDTH
-    blocks = (
-        numbers[:last_upper].reshape((BODIES, steps, BLOCK, WIDTH)),
-        numbers[inverse : inverse + 2 * last].reshape((BODIES, steps, BLOCK, 2)),
-        places[:last].reshape((BODIES, steps, BLOCK)),
-    )
-    ends = (
-        numbers[last_upper:root_upper].reshape((BODIES, LAST, LAST_WIDTH)),
-        numbers[inverse + 2 * last : inverse + 2 * root].reshape((BODIES, LAST, 2)),
-        places[last:root].reshape((BODIES, LAST)),
-    )
-    shared = (
-        numbers[root_upper:inverse].reshape((ROOT, ROOT_WIDTH)),
-        numbers[inverse + 2 * root : inverse + 2 * (root + ROOT)].reshape((ROOT, 2)),
-        places[root:],
-        numbers[inverse + 2 * (root + ROOT) :],
-    )
-    return blocks, ends, shared
+    for i in range(NODE):
+        element[i, i] += rest[i, i]
+        for j in range(i + 1, NODE):
+            element[i, j] += rest[i, j]
+            element[j, i] += rest[i, j]
+        for j in range(NODE, REST):
+            element[i, BLOCK + j] += rest[i, j]
+    for i in range(NODE):
+        for j in range(REST):
+            rest[i, j] = element[BLOCK + i, BLOCK + j]
+    for i in range(SHARED):
+        for j in range(SHARED):
+            rest[LAST + i, LAST + j] += element[TAIL + i, TAIL + j]
+
+
+@njit(error_model="numpy")
+def end_front(rest, last):
+    """The rows of the last node and of block 0, both triangles; behind them what is left for the shared unknowns."""
+    clear(last)
+    for i in range(REST):
+        last[i, i] = rest[i, i]
+        for j in range(i + 1, REST):
+            last[i, j] = rest[i, j]
+            if j < LAST:
+                last[j, i] = rest[i, j]
+
+
+# Solve with the factors of a body's part of the KKT matrix: forward and backward over its blocks.
+#
+# A right-hand side that took part in the elimination needs no way forward any more: its column in the factors counts on
+# the way back, as if it belonged to one more unknown, with the value -1.
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def forward(upper, inverse, order, steps, right, last):
+    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`."""
+    front = zero_vector(WIDTH)
+    for i in START_PINNED:
+        right[i] = 0.0
+    for i in END_PINNED:
+        right[steps * BLOCK + i] = 0.0
+    for k in range(1, steps):
+        first, behind = k * BLOCK, (k + 1) * BLOCK
+        for i in range(BLOCK):
+            front[i] = right[first + i]
+        for i in range(NODE):
+            front[BLOCK + i] = right[behind + i]
+        solve_forward(upper[first:behind], order[first:behind], INNER, COLUMNS, front)
+        solve_pivots(inverse[first:behind], order[first:behind], INNER, front)
+        for i in range(BLOCK):
+            right[first + i] = front[i]
+        for i in range(NODE):
+            right[behind + i] = front[BLOCK + i]
+    first = steps * BLOCK
+    for i in range(NODE):
+        last[i] = right[first + i]
+    for i in range(BORDER):
+        last[NODE + i] = right[FIRST[i]] + front[SIZE + i]
+    for i in range(SHARED):
+        last[LAST + i] = front[TAIL + i]
+    solve_forward(upper[first:], order[first:], order.size - first, last.size, last)
+    solve_pivots(inverse[first:], order[first:], order.size - first, last)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def backward(upper, order, steps, carried, last, right):
+    """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
+
+    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
+    """
+    front, first = zero_vector(WIDTH), steps * BLOCK
+    solve_backward(upper[first:], order[first:], order.size - first, last.size, last)
+    for i in range(NODE):
+        right[first + i] = last[i]
+    for i in range(BORDER):
+        right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
+    for i in range(SHARED):
+        front[TAIL + i] = last[LAST + i]
+    for k in range(steps - 1, 0, -1):
+        first, behind = k * BLOCK, (k + 1) * BLOCK
+        for i in range(BLOCK):
+            front[i] = right[first + i]
+        for i in range(NODE):
+            front[BLOCK + i] = right[behind + i]
+        solve_backward(upper[first:behind], order[first:behind], INNER, COLUMNS, front)
+        for i in range(BLOCK):
+            right[first + i] = front[i]
+
+
+# Factor the KKT matrix, and solve with its factors, where bodies share unknowns, which come last.
+
+SHARED_WIDTH, ROOT_WIDTH = padded(SHARED), padded(ROOT)
+
+
+def allocate_system(grid):
+    """Room for the factors and for what is condensed, and the number of equations.
+
+    The factors of the shared unknowns come last: the rows of the upper factor, the inverse of the pivots, the order of
+    elimination, and the right-hand side, less what the elimination of the bodies has taken away.
+    """
+    root = np.zeros((ROOT, ROOT_WIDTH)), np.zeros((ROOT, 2)), np.zeros(ROOT, np.uint64), np.zeros(ROOT)
+    return (*allocate_factors(grid), *root), multiplier_unknowns(grid).size
+
+
+@njit(cache=True, error_model="numpy")
+def factor(
+    unknowns, gradient, steps, h, parameters, weight, diagonal, equations, upper, inverse, order, inverses, couplings,
+    root_upper, root_inverse, root_order, root_right,
+):  # fmt: skip
+    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
+    negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST + SHARED, LAST_WIDTH)
+    root, left = zero_matrix(ROOT, ROOT_WIDTH), zero_matrix(SHARED, SHARED_WIDTH)
+    for i in range(ROOT):
+        root_right[i] = -gradient[gradient.size - ROOT + i]
+    for body in range(BODIES):
+        first, behind = body * chain, (body + 1) * chain
+        read_shared(unknowns, body, parameters)
+        regular, found, excess = eliminate_body(
+            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
+            upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+        )  # fmt: skip
+        if not regular or excess > 0:
+            return regular, excess
+        negative += found
+        for i in range(SHARED):
+            for j in range(SHARED):
+                left[i, j] = last[LAST + i, LAST + j]
+        subtract_products(upper[body, steps * BLOCK :], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
+        for i in range(SHARED):
+            for j in range(SHARED):
+                root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
+    for i in range(ROOT):
+        root[i, i] += diagonal[diagonal.size - ROOT + i]
+    found = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
+    return found >= 0, negative + found - equations
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def substitute(
+    gradient, carried, steps, upper, inverse, order, inverses, couplings, root_upper, root_inverse, root_order,
+    root_right, step,
+):  # fmt: skip
+    """Solve with the factors: forward unless elimination has done that, the shared unknowns, and backward."""
+    chain = steps * STRIDE + NODE
+    right, last = zero_matrix(BODIES, steps * BLOCK + NODE + SHARED), zero_matrix(BODIES, LAST_WIDTH)
+    shared = zero_vector(ROOT_WIDTH)
+    for i in range(ROOT):
+        shared[i] = root_right[i] if carried else -gradient[gradient.size - ROOT + i]
+    if not carried:
+        for body in range(BODIES):
+            slopes = gradient[body * chain : (body + 1) * chain]
+            condense(slopes, inverses[body], couplings[body], steps, right[body])
+            forward(upper[body], inverse[body], order[body], steps, right[body], last[body])
+            for i in range(SHARED):
+                shared[root_place(body, i)] += right[body, steps * BLOCK + NODE + i] + last[body, LAST + i]
+    solve_forward(root_upper, root_order, *root_upper.shape, shared)
+    solve_pivots(root_inverse, root_order, ROOT, shared)
+    solve_backward(root_upper, root_order, *root_upper.shape, shared)
+    for i in range(ROOT):
+        step[step.size - ROOT + i] = shared[i]
+    for body in range(BODIES):
+        slopes, solution = gradient[body * chain : (body + 1) * chain], step[body * chain : (body + 1) * chain]
+        for i in range(SHARED):
+            last[body, LAST + i] = right[body, steps * BLOCK + NODE + i] = shared[root_place(body, i)]
+        backward(upper[body], order[body], steps, carried, last[body], right[body])
+        expand(slopes, inverses[body], couplings[body], steps, right[body], solution)
+
+
+# The linear system of a Newton step: factor the KKT matrix, solve with the factors.
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
@@ -870,257 +1120,12 @@ def is_factored(excess):
     return excess is not None and excess <= 0
 
 
-@njit(cache=True, error_model="numpy")
-def factor(unknowns, gradient, steps, h, parameters, weight, diagonal, equations, numbers, places, storage):
-    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
-    blocks, ends, (root_upper, root_inverse, root_order, right) = factor_parts(numbers, places, steps)
-    condensed = condensed_parts(storage, steps)
-    factors = blocks, ends, condensed
-    if not prepare_condensed(weight, diagonal, condensed):
-        return False, 0
-    negative = 0
-    root, left = np.zeros((ROOT, ROOT_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
-    for i in range(ROOT):
-        right[i] = -gradient[gradient.size - ROOT + i]
-    for body in range(BODIES):
-        read_shared(unknowns, body, parameters)
-        regular, found, excess = eliminate_body(
-            unknowns, gradient, body, steps, h, parameters, weight, diagonal, factors, left
-        )
-        if not regular or excess > 0:
-            return regular, excess
-        negative += found
-        for i in range(SHARED):
-            for j in range(SHARED):
-                root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
-            if CARRIED:
-                right[root_place(body, i)] += left[i, SHARED]
-    for i in range(ROOT):
-        root[i, i] += diagonal[diagonal.size - ROOT + i]
-    found = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
-    if found < 0:
-        return False, 0
-    negative += found
-    return True, negative - equations
-
-
-# Sums may be taken in any order, which lets them run in parallel in the processor.
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def eliminate_body(unknowns, gradient, body, steps, h, parameters, weight, diagonal, factors, left):
-    """Run the front over all intervals of a body; `left` takes what that leaves for the shared unknowns.
-
-    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
-    the elimination has stopped.
-    """
-    (upper, inverse, order), (last_upper, last_inverse, last_order), condensed = factors
-    chain, negative = steps * STRIDE + NODE, 0
-    own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
-    slopes = gradient[body * chain : (body + 1) * chain]
-    element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
-    last, hessian = np.empty((LAST, LAST_WIDTH)), np.empty(HESSIAN_ROWS.size)
-    for k in range(steps):
-        interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters[body], hessian)
-        if weight != 1.0:
-            weigh(weight, hessian)
-        element[:] = 0.0
-        here, slope = added[k * STRIDE : (k + 1) * STRIDE], slopes[k * STRIDE : (k + 1) * STRIDE]
-        if not add_element(hessian, here, slope, condensed, body * steps + k, element):
-            return False, 0, 0
-        for i in range(BLOCK):
-            element[i, i] += here[i]
-        if CARRIED:
-            add_right_hand_side(slopes, k, steps, element)
-        if k == 0 or k == steps - 1:
-            close_element(own, k, steps, h, parameters[body], weight, added, element)
-        if k == 0:
-            begin_front(element, rest)
-            continue
-        move_front(element, rest)
-        found = eliminate_rows(element, INNER, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
-        if found < 0:
-            return False, 0, 0
-        negative += found
-        # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
-        if negative > k * MULTIPLIERS + ENDING + COMMON:
-            return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
-        subtract_products(upper[body, k], element, INNER, BLOCK, REST, REST_WIDTH, rest)
-    end_front(rest, last, left)
-    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
-    if found < 0:
-        return False, 0, 0
-    subtract_products(last_upper[body], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
-    # No multiplier of another body reaches into this one.
-    negative += found
-    return True, negative, max(0, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON))
-
-
-@njit(error_model="numpy", inline="always")
-def add_right_hand_side(slopes, k, steps, element):
-    """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
-    for i in range(BLOCK):
-        element[i, RIGHT] -= slopes[k * STRIDE + i]
-    if k == steps - 1:
-        for i in range(NODE):
-            element[BLOCK + i, RIGHT] -= slopes[steps * STRIDE + i]
-
-
-@njit(error_model="numpy")
-def weigh(weight, hessian):
-    """Multiply the second derivatives by primal unknowns."""
-    for j in range(hessian.size):
-        if IS_CURVATURE[j]:
-            hessian[j] *= weight
-
-
-@njit(error_model="numpy")
-def begin_front(element, rest):
-    """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
-    for i in range(BORDER):
-        for j in range(ROWS + CARRIED):
-            element[SIZE + i, j] = element[FIRST[i], j]
-        for j in range(ROWS):
-            element[j, SIZE + i] = element[j, FIRST[i]]
-    for i in range(REST):
-        for j in range(REST + CARRIED):
-            rest[i, j] = element[BLOCK + i, BLOCK + j]
-
-
-@njit(error_model="numpy", inline="always")
-def move_front(element, rest):
-    """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
-
-    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k. Of `rest`, only
-    the upper triangle is in use.
-    """
-    for i in range(NODE):
-        element[i, i] += rest[i, i]
-        for j in range(i + 1, NODE):
-            element[i, j] += rest[i, j]
-            element[j, i] += rest[i, j]
-        for j in range(NODE, REST + CARRIED):
-            element[i, BLOCK + j] += rest[i, j]
-    for i in range(NODE):
-        for j in range(REST + CARRIED):
-            rest[i, j] = element[BLOCK + i, BLOCK + j]
-    for i in range(SHARED):
-        for j in range(SHARED + CARRIED):
-            rest[LAST + i, LAST + j] += element[TAIL + i, TAIL + j]
-
-
-@njit(error_model="numpy")
-def end_front(rest, last, left):
-    """The rows of the last node and of block 0, both triangles; what is left for the shared unknowns."""
-    last[:] = 0.0
-    for i in range(LAST):
-        last[i, i] = rest[i, i]
-        for j in range(i + 1, REST + CARRIED):
-            last[i, j] = rest[i, j]
-            if j < LAST:
-                last[j, i] = rest[i, j]
-    for i in range(SHARED):
-        for j in range(SHARED + CARRIED):
-            left[i, j] = rest[LAST + i, LAST + j]
-
-
-# Solve with the factors of the KKT matrix: forward over all bodies, the shared unknowns, backward over all bodies.
-#
-# A right-hand side that took part in the elimination needs no way forward any more: its column in the factors counts on
-# the way back, as if it belonged to one more unknown, with the value -1.
-
-
 def solve_kkt(grid, system, gradient, step, carried=False):
     """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt gave a number.
 
     That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
-    substitute(gradient, carried and CARRIED > 0, grid.steps, *system[0], step)
-
-
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def substitute(gradient, carried, steps, numbers, places, storage, step):
-    """Solve with the factors: forward unless elimination has done that, the shared unknowns, and backward."""
-    blocks, ends, (root_upper, root_inverse, root_order, right) = factor_parts(numbers, places, steps)
-    (upper, inverse, order), (last_upper, last_inverse, last_order) = blocks, ends
-    condensed = condensed_parts(storage, steps)
-    reduced, last = np.zeros((BODIES, steps * BLOCK + NODE)), np.zeros((BODIES, LAST_WIDTH))
-    shared = np.zeros(ROOT_WIDTH)
-    if not carried:
-        for i in range(ROOT):
-            right[i] = -gradient[gradient.size - ROOT + i]
-        condense(gradient, condensed, steps, reduced, right)
-        for body in range(BODIES):
-            forward(upper[body], inverse[body], order[body], reduced[body], last[body])
-            solve_forward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
-            solve_pivots(last_inverse[body], last_order[body], LAST, last[body])
-            for i in range(SHARED):
-                right[root_place(body, i)] += last[body, LAST + i]
-    for i in range(ROOT):
-        shared[i] = right[i]
-    solve_forward(root_upper, root_order, *root_upper.shape, shared)
-    solve_pivots(root_inverse, root_order, ROOT, shared)
-    solve_backward(root_upper, root_order, *root_upper.shape, shared)
-    for i in range(ROOT):
-        step[step.size - ROOT + i] = shared[i]
-    for body in range(BODIES):
-        for i in range(SHARED):
-            last[body, LAST + i] = shared[root_place(body, i)]
-        if CARRIED:
-            last[body, LAST + SHARED] = -1.0 if carried else 0.0
-        solve_backward(last_upper[body], last_order[body], *last_upper.shape[1:], last[body])
-        backward(upper[body], order[body], last[body], carried, reduced[body])
-    expand(gradient, condensed, steps, reduced, shared, step)
-
-
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def forward(upper, inverse, order, right, last):
-    """Solve with the upper factors of a body's blocks, transposed, and the pivots; `last` takes what borders them."""
-    steps, front = upper.shape[0], np.zeros(WIDTH)
-    for i in START_PINNED:
-        right[i] = 0.0
-    for i in END_PINNED:
-        right[steps * BLOCK + i] = 0.0
-    for k in range(1, steps):
-        for i in range(BLOCK):
-            front[i] = right[k * BLOCK + i]
-        for i in range(NODE):
-            front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_forward(upper[k], order[k], INNER, COLUMNS, front)
-        solve_pivots(inverse[k], order[k], INNER, front)
-        for i in range(BLOCK):
-            right[k * BLOCK + i] = front[i]
-        for i in range(NODE):
-            right[(k + 1) * BLOCK + i] = front[BLOCK + i]
-    for i in range(NODE):
-        last[i] = right[steps * BLOCK + i]
-    for i in range(BORDER):
-        last[NODE + i] = right[FIRST[i]] + front[SIZE + i]
-    for i in range(SHARED):
-        last[LAST + i] = front[TAIL + i]
-
-
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def backward(upper, order, last, carried, right):
-    """Solve with the upper factors of a body's blocks, from the last node and block 0, in `last`, to block 1.
-
-    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
-    """
-    steps, front = upper.shape[0], np.zeros(WIDTH)
-    if CARRIED:
-        front[RIGHT] = -1.0 if carried else 0.0
-    for i in range(NODE):
-        right[steps * BLOCK + i] = last[i]
-    for i in range(BORDER):
-        right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
-    for i in range(SHARED):
-        front[TAIL + i] = last[LAST + i]
-    for k in range(steps - 1, 0, -1):
-        for i in range(BLOCK):
-            front[i] = right[k * BLOCK + i]
-        for i in range(NODE):
-            front[BLOCK + i] = right[(k + 1) * BLOCK + i]
-        solve_backward(upper[k], order[k], INNER, COLUMNS, front)
-        for i in range(BLOCK):
-            right[k * BLOCK + i] = front[i]
+    substitute(gradient, False, grid.steps, *system[0], step)
 
 
 # How large the terms of the equations are: what a residual has to be compared with.
@@ -1136,8 +1141,8 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     """
-    hessian = np.empty(HESSIAN_ROWS.size)
-    sums = np.zeros(unknowns.size)
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    sums = zero_vector(unknowns.size)
     for body in range(BODIES):
         read_shared(unknowns, body, parameters)
         for k in range(steps):
@@ -1156,9 +1161,10 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if is_multiplier[i]:
-            equations = max(equations, sums[i])
-        else:
-            stationarity = max(stationarity, sums[i])
+            if sums[i] > equations:
+                equations = sums[i]
+        elif sums[i] > stationarity:
+            stationarity = sums[i]
     return equations, stationarity
 
 
@@ -2444,7 +2450,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_robot_arm_5f89d293f99ef0f2"
+_IDENTITY = "codegen_robot_arm_362e82b9e5efc380"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

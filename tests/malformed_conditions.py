@@ -216,11 +216,15 @@ _BODIES = [
     Malformed("body-start-division", group(start="{x: 1/(1 - body)}"), ExpressionError, "start of x is"),
     Malformed("body-bound-exchanged", group(bounds="{f: (0, 1 - 2*body)}"), BoundaryError, "f has the lower bound 0"),
     Malformed("body-start-outside", group(bounds="{x: (None, 0.5)}"), BoundaryError, "start of x is 1, above"),
-    Malformed("coupling-outside", group(cost="f**2 + x.of(0)**2"), ExpressionError, "use x.of(0) in end_conditions"),
+    Malformed(
+        "coupling-outside",
+        group(cost="f**2 + x.of(0)**2"),
+        ExpressionError,
+        "use x.of(0) in end_conditions and path only",
+    ),
     Malformed("coupling-in-end", group(end="{dy: x.of(0)}"), ExpressionError, "end of dy depends on x_0"),
     Malformed("coupling-in-start", group(start_conditions="[x.of(0) - y]"), ExpressionError, "has y of every body"),
     Malformed("coupling-fixed", group(end="{x: 1, dx: 0, dy: 0}"), BoundaryError, "end fixes x, which x.of(0) couples"),
-    Malformed("coupling-outside", group(cost="f**2 + x.of(0)**2"), ExpressionError, "in end_conditions and path only"),
     Malformed(
         "coupling-inequality", group(end_conditions="[x.of(0) <= 1]", bodies="1"), BoundaryError, "by an inequality"
     ),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from codegen.specialise import specialise
 
-NAMES = ("SHARED", "COUPLINGS", "PHASES")
+NAMES = ("SHARED", "COUPLINGS", "PHASES", "CARRIED")
 RUNTIME = sorted(f.name for f in resources.files("codegen.runtime").iterdir() if f.name.endswith(".py"))
 
 
@@ -39,6 +39,19 @@ def test_empty_loop():
     assert specialise(text, {"SHARED": 1}) == text
 
 
+def test_function_with_its_decorator():
+    text = "if SHARED:\n\n    @njit(cache=True)\n    def f(x):\n        return x\n\n\ng(1)\n"
+    assert specialise(text, {"SHARED": 1}) == "@njit(cache=True)\ndef f(x):\n    return x\n\n\ng(1)\n"
+    assert specialise(text, {"SHARED": 0}) == "\n\ng(1)\n"
+
+
+def test_summand_that_is_zero():
+    text = "a = f(LAST + SHARED + COUPLINGS)  # why\nfor i in range(2 * LAST + SHARED):\n    f(SHARED, SHARED + i)\n"
+    expected = "a = f(LAST + COUPLINGS)  # why\nfor i in range(2 * LAST):\n    f(SHARED, SHARED + i)\n"
+    assert specialise(text, {"SHARED": 0, "COUPLINGS": 1}) == expected
+    assert specialise(text, {"SHARED": 1, "COUPLINGS": 1}) == text
+
+
 def test_nested_branches():
     text = "if SHARED:\n    if COUPLINGS:\n        a = 1\n    else:\n        a = 2\n    b = 3\n"
     assert specialise(text, {"SHARED": 1, "COUPLINGS": 0}) == "a = 2\nb = 3\n"
@@ -58,7 +71,16 @@ def test_everything_else_stays(text):
 
 
 statements = st.deferred(lambda: simple | branches | loops)
-simple = st.sampled_from(["seen.append(1)", "seen.append(\n    2\n)", "x += 1", "seen.append(x)"])
+simple = st.sampled_from(
+    [
+        "seen.append(1)",
+        "seen.append(\n    2\n)",
+        "x += 1",
+        "seen.append(x)",
+        "x += 2 + SHARED",
+        "seen.append(x + SHARED + COUPLINGS)",
+    ]
+)
 blocks = st.lists(statements, min_size=1, max_size=3).map("\n".join)
 conditions = st.sampled_from(["SHARED", "COUPLINGS", "SHARED and x > 1", "COUPLINGS and SHARED", "x > 1"])
 

@@ -19,8 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-from numba import boolean, float64, int64, njit, uint64
+from numba import boolean, float64, int64, uint64
 
 from codegen.drivers.linking import forget_constants
 from codegen.drivers.shortcuts import quick_numba
@@ -36,6 +35,11 @@ FUNCTIONS: tuple[tuple[str, str, tuple[Any, ...], dict[str, Any]], ...] = (
     ("symmetric", "solve_backward", (MATRIX, ORDER, int64, int64, VECTOR), SUMS),
     ("symmetric", "solve_forward", (MATRIX, ORDER, int64, int64, VECTOR), SUMS),
     ("symmetric", "solve_pivots", (MATRIX, ORDER, int64, VECTOR), SUMS),
+    ("arrays", "zero_vector", (int64,), {}),
+    ("arrays", "zero_matrix", (int64, int64), {}),
+    ("arrays", "clear", (MATRIX,), {}),
+    ("symmetric", "subtract_row", (float64, MATRIX, int64, int64, MATRIX, int64), SUMS),
+    ("symmetric", "invert_positive_definite", (MATRIX, int64), SUMS),
     ("norms", "measure", (VECTOR, MASK), {}),
 )
 """Files and functions of the runtime with the types of their arguments, those first that take longest.
@@ -78,17 +82,6 @@ def _functions() -> Iterator[tuple[Any, Any, dict[str, Any]]]:
         if name not in _READY:
             _prepare(runtime)
         yield _READY[name], types, inherited
-        if name == "subtract_products":
-            for options in (SUMS, {}):  # what makes arrays inherits them as well
-                yield njit(error_model="numpy", **PARTS)(_use_arrays), (int64, int64), options
-
-
-def _use_arrays(rows: Any, columns: Any) -> Any:
-    """Make and clear arrays as the runtime does."""
-    matrix, vector = np.empty((rows, columns)), np.empty(rows)
-    cleared, zeros = np.zeros((rows, columns)), np.zeros(rows)
-    matrix[:] = 0.0
-    return max(rows, columns) + min(rows, columns) + vector.size + max(cleared[0, 0], zeros[0])
 
 
 def _prepare(runtime: Any) -> None:

@@ -34,11 +34,12 @@ class Compilers:
     """Processes that have numba ready and compile a module between them when they are told to."""
 
     def __init__(self) -> None:
+        self.failure = ""  # type and message of the error by which a process failed
         self.processes = [
             subprocess.Popen(
                 [sys.executable, "-m", "codegen.drivers.compilation", share],
                 stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, "NUMBA_SLP_VECTORIZE": "1", "OPENBLAS_NUM_THREADS": "1"},
                 process_group=0 if CAN_FORK else None,
@@ -47,13 +48,20 @@ class Compilers:
         ]
 
     def compile(self, path: Path) -> bool:
-        """Whether all that `solve` calls is now on disk, compiled; never so where particles are connected."""
+        """Whether all that `solve` calls is now on disk, compiled; never so where particles are connected.
+
+        If a process has failed, `failure` tells by which error.
+        """
         for process in self.processes:
             assert process.stdin is not None
             with suppress(BrokenPipeError):  # its exit status will tell
                 process.stdin.write(os.fsencode(path.absolute()))
                 process.stdin.close()
+        said = [process.stdout.read() for process in self.processes if process.stdout is not None]
         statuses = [process.wait() for process in self.processes]
+        if any(status not in (0, UNFINISHED) for status in statuses):
+            errors = b"".join(said).decode(errors="replace").splitlines()
+            self.failure = errors[0] if errors else f"a process ended with status {max(statuses, key=abs)}"
         return not any(statuses)
 
     def end(self) -> None:
@@ -67,6 +75,8 @@ class Compilers:
             if process.stdin is not None:
                 with suppress(BrokenPipeError):
                     process.stdin.close()
+            if process.stdout is not None:
+                process.stdout.close()
 
 
 @contextmanager
@@ -264,13 +274,19 @@ def compile_in_two(module: Any) -> int:
     os.write(numbers, bytes(range(len(calls))))
     os.close(numbers)
     other = os.fork()
+    status = 1
     try:
         with quick_numba(), np.errstate(all="ignore"):
             while number := os.read(left, 1):
                 calls[number[0]]()
+        status = 0
+    except Exception as error:
+        status = failed(error)
     finally:
         if not other:
-            os._exit(0 if sys.exc_info()[0] is None else 1)  # errors are not handled twice
+            os._exit(status)
+    if status:
+        return status
     return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]) or status_of(module)
 
 
@@ -285,6 +301,12 @@ def compile_share(module: Any, share: str) -> int:
     return status_of(module)
 
 
+def failed(error: Exception) -> int:
+    """Tell the process that waits, in one line, by which error this one fails; the exit status."""
+    os.write(sys.stdout.fileno(), f"{' '.join(f'{type(error).__name__}: {error}'.split())[:300]}\n".encode())
+    return 1
+
+
 def status_of(module: Any) -> int:
     """The exit status of a process that has compiled its share of a module."""
     return UNFINISHED if module.metadata["task"] == "connect" else 0
@@ -295,6 +317,8 @@ def _nothing(x: Any) -> Any:
 
 
 if __name__ == "__main__":
-    status = main(sys.argv[1])
-    sys.stdout.flush()
+    try:
+        status = main(sys.argv[1])
+    except Exception as error:  # the process that waits says what has become of it
+        status = failed(error)
     os._exit(status)  # at once: to take everything down that numba and LLVM have built takes half a second

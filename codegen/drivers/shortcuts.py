@@ -8,8 +8,10 @@ where a value is of a kind that a shortcut does not know, numba's own method is 
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from types import FunctionType
 from typing import Any
 
 from codegen.drivers.operators import remembered_operators
@@ -18,8 +20,12 @@ from codegen.drivers.operators import remembered_operators
 @contextmanager
 def quick_numba() -> Iterator[None]:
     """Take all shortcuts while the block runs."""
-    from numba.core import ir
+    from numba.core import base, ir
+    from numba.core.codegen import CPUCodegen
+    from numba.core.lowering import Lower
+    from numba.core.postproc import PostProcessor
     from numba.core.runtime.context import NRTContext
+    from numba.core.targetconfig import TargetConfig
 
     with ExitStack() as stack:
         stack.enter_context(remembered_operators())
@@ -29,6 +35,12 @@ def quick_numba() -> Iterator[None]:
             (ir.Stmt, "list_vars", ["self"], _statement_variables),
             (ir.Loc, "__deepcopy__", None, _shared_place),
             (NRTContext, "get_meminfos", ["self", "builder", "ty", "val"], _counted_parts),
+            (PostProcessor, "run", ["self", "emit_dels", "extend_lifetimes"], _lives_when_asked_for),
+            (TargetConfig, "values", ["self"], _options),
+            (Lower, "create_cfunc_wrapper", ["self"], _no_entry_beside_none),
+            (CPUCodegen, "_check_llvm_bugs", ["self"], _once),
+            (base.BaseContext, "refresh", ["self"], _only_if_there_is_more),
+            (base, "_has_loc", ["fn"], _by_code),
         ):
             stack.enter_context(_replaced(owner, name, parameters, make))
         yield
@@ -126,6 +138,95 @@ def _counted_parts(own: Any) -> Callable[..., Any]:
         return found
 
     return get_meminfos
+
+
+def _lives_when_asked_for(own: Callable[..., Any]) -> Callable[..., Any]:
+    """Find out where variables live when it is asked for, mostly once; numba does after each of nine passes."""
+    from numba.core.postproc import VariableLifetime
+    from numba.core.transforms import canonicalize_cfg
+
+    def run(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+        code = self.func_ir
+        if code.is_generator:
+            own(self, emit_dels, extend_lifetimes)
+            return
+        code.blocks = canonicalize_cfg(code.blocks)  # type: ignore[no-untyped-call]
+        code.variable_lifetime = VariableLifetime(code.blocks)  # type: ignore[no-untyped-call]
+        code.generator_info = None
+        if emit_dels:
+            self._insert_var_dels(extend_lifetimes=extend_lifetimes)
+
+    return run
+
+
+def _options(own: Callable[..., Any]) -> Callable[..., Any]:
+    """The values of all options; numba asks for one after the other."""
+    defaults: dict[type, dict[str, Any]] = {}
+
+    def values(self: Any) -> dict[str, Any]:
+        kind = type(self)
+        if kind not in defaults:
+            defaults[kind] = {name: option.default for name, option in self.options.items()}
+        return {**defaults[kind], **self._values}
+
+    return values
+
+
+def _no_entry_beside_none(own: Callable[..., Any]) -> Callable[..., Any]:
+    """No entry by which C calls a function that has none for Python: only compiled functions call that."""
+
+    def create_cfunc_wrapper(self: Any) -> None:
+        if not self.flags.no_cpython_wrapper:
+            own(self)
+
+    return create_cfunc_wrapper
+
+
+def _once(own: Callable[..., Any]) -> Callable[..., Any]:
+    """A check whose result changes with the settings of the country only."""
+    done = False
+
+    def check(self: Any) -> None:
+        nonlocal done
+        if not done:
+            own(self)
+            done = True
+
+    return check
+
+
+def _only_if_there_is_more(own: Callable[..., Any]) -> Callable[..., Any]:
+    """Look for new definitions only after modules have been loaded or definitions been added."""
+    from numba.core import imputils
+    from numba.core.typing import templates
+
+    lists = [
+        *(getattr(imputils.builtin_registry, n) for n in ("functions", "getattrs", "setattrs", "casts", "constants")),
+        *(getattr(templates.builtin_registry, n) for n in ("functions", "attributes", "globals")),
+    ]
+    known: dict[int, tuple[int, ...]] = {}
+
+    def refresh(self: Any) -> None:
+        size = (len(sys.modules), *map(len, lists))
+        if known.get(id(self)) != size:
+            own(self)
+            known[id(self)] = (len(sys.modules), *map(len, lists))
+
+    return refresh
+
+
+def _by_code(own: Callable[..., Any]) -> Callable[..., Any]:
+    """Whether a function takes a place in the source; numba reads its signature anew at each call in each line."""
+    known: dict[Any, bool] = {}
+
+    def has_loc(fn: Any) -> bool:
+        if type(fn) is not FunctionType or hasattr(fn, "__wrapped__"):
+            return bool(own(fn))
+        if fn.__code__ not in known:
+            known[fn.__code__] = own(fn)
+        return known[fn.__code__]
+
+    return has_loc
 
 
 @contextmanager

@@ -45,7 +45,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         ),
         kernels=kernels,
         runtime=_runtime(program, derivatives),
-        sizes=layout.sizes(program),
+        sizes=layout.sizes(program, derivatives),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),
@@ -195,6 +195,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
     elif program.has_inequalities:
         solver = ("descent", "filter", "barrier", "restoration", "interior_point")
     return (
+        "arrays",
         *(("shared",) if program.shared else ()),
         *(("equal_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),
@@ -202,7 +203,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "ends_curved" if layout.is_curved(derivatives) else "ends_flat",
         "symmetric",
         *(condensed if derivatives.condensed else ("element_kept",)),
-        "frontal", "substitution", "rounding",
+        "frontal", "substitution", "bordered" if program.shared else "apart", "system", "rounding",
         *solver,
         *(("momenta",) if program.method == "variational" else ()),
         "frame",

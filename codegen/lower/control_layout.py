@@ -18,8 +18,11 @@ def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
     return (*program.model.parameters, *(value.symbol for value in program.boundary_values), *program.shared_symbols)
 
 
-def sizes(program: ControlProgram) -> tuple[tuple[str, int], ...]:
-    """The numbers of bodies and of shared unknowns, of each body and in all, and of conditions between them."""
+def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
+    """The numbers of bodies and of shared unknowns, of each body and in all, and of conditions between them.
+
+    Then whether there are phases, inequalities, and a right-hand side that takes part in the elimination.
+    """
     own, shared, couplings = program.own, len(program.shared), len(program.couplings)
     return (
         ("BODIES", program.bodies),
@@ -30,7 +33,16 @@ def sizes(program: ControlProgram) -> tuple[tuple[str, int], ...]:
         ("TIED", len(program.start.shared) + len(program.end.shared)),
         ("PHASES", len(program.phases)),
         ("INEQUALITIES", int(program.has_inequalities)),
+        ("CARRIED", int(is_carried(program, derivatives))),
     )
+
+
+def is_carried(program: ControlProgram, derivatives: ControlDerivatives) -> bool:
+    """Whether the rows of an element matrix, which are as long as a multiple of four, have room for one more column."""
+    node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
+    block = node + inside - derivatives.condensed
+    border = node + block - len(_pinned(program.start)) + len(program.shared)  # node k + 1, block 0, shared unknowns
+    return (block + border) % 4 > 0 and border % 4 > 0
 
 
 def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
@@ -43,7 +55,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         Line("CONDENSED", str(condensed), f"eliminated inside their interval: {_names(eliminated)}"),
         Line("STRIDE", str(stride), "unknowns of a node and the interval after it" + _list(program.interval)),
         Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
-        *_size_lines(program),
+        *_size_lines(program, derivatives),
         Line("IS_MULTIPLIER", f"np.array({[u.multiplier for u in (*program.node, *inside)]})", "of node and interval"),
         Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are given"),
         Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are given"),
@@ -55,7 +67,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         n = len(program.model.coordinates)
         lines.append(Line("EQUATIONS", f"np.arange({n}, {2 * n})", "multipliers of the equations of motion in a node"))
     for name, end in (("START", program.start), ("END", program.end)):
-        if dict(sizes(program))["TIED"]:
+        if program.start.shared or program.end.shared:
             lines.append(Line(f"{name}_SHARED_PLACES", integers([i for i, _, _ in end.shared]), "equal to"))
             lines.append(Line(f"{name}_SHARED", integers([j for _, j, _ in end.shared]), "these shared unknowns"))
     if is_curved(derivatives):
@@ -195,14 +207,15 @@ def integers(values: Sequence[int]) -> str:
     return f"np.array({list(values)}, dtype=np.int64)" if values else "np.zeros(0, np.int64)"
 
 
-def _size_lines(program: ControlProgram) -> list[Line]:
-    number = dict(sizes(program))
+def _size_lines(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
+    number = dict(sizes(program, derivatives))
     return [
         Line("BODIES", str(number["BODIES"]), "bodies, each with a chain of nodes and intervals"),
         Line("OWN", str(number["OWN"]), f"shared unknowns of a body: {_names(program.shared[: program.own])}"),
         Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
         Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"),
+        Line("CARRIED", str(number["CARRIED"]), "columns of right-hand sides that take part in the elimination"),
     ]
 
 

@@ -8,7 +8,7 @@ import sympy
 
 from codegen import schemes
 from codegen.derive import ControlDerivatives
-from codegen.lower.control_layout import is_curved
+from codegen.lower.control_layout import is_carried, is_curved
 from codegen.lower.kernels import Kernel
 from codegen.transcribe.program import ControlProgram
 
@@ -30,6 +30,8 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
         out.append("interior point: there are no inequalities")
     if not program.shared:
         out.append("a border of the linear system: no unknown is shared by all intervals")
+    if not is_carried(program, derivatives):
+        out.append("a right-hand side that takes part in the elimination: rows of element matrices have no room for it")
     functions = tuple(f for m in models for f in (m.function, *m.force, *m.dynamics))
     cyclic = [str(q) for q in model.coordinates if not any(f.has(q) for f in functions)]
     if cyclic:

@@ -3,9 +3,10 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.elements import BLOCK, CARRIED, COLUMNS, RIGHT, ROWS, SIZE, TAIL
+from codegen.runtime.arrays import zero_vector
+from codegen.runtime.elements import BLOCK, COLUMNS, RIGHT, ROWS, SIZE, TAIL
 from codegen.runtime.example import (
-    BODIES,
+    CARRIED,
     CONDENSED,
     ELEMENT,
     HESSIAN_COLUMNS,
@@ -14,7 +15,6 @@ from codegen.runtime.example import (
     SHARED,
     STRIDE,
 )
-from codegen.runtime.shared import root_place
 from codegen.runtime.symmetric import subtract_row
 
 
@@ -57,28 +57,6 @@ def scatter(hessian, gradient, element, coupling):
             coupling[a, RIGHT] = -gradient[BLOCK + a]
 
 
-@njit(error_model="numpy", forceinline=True)
-def invert_positive_definite(block, inverse):
-    """Invert a small symmetric matrix by Gauss-Jordan elimination in place; False when it is not positive definite."""
-    for k in range(CONDENSED):
-        pivot = block[k, k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        block[k, k] = 1.0
-        for j in range(CONDENSED):
-            block[k, j] /= pivot
-        for i in range(CONDENSED):
-            if i != k:
-                factor = block[i, k]
-                block[i, k] = 0.0
-                for j in range(CONDENSED):
-                    block[i, j] -= factor * block[k, j]
-    for a in range(CONDENSED):
-        for b in range(CONDENSED):
-            inverse[a, b] = block[a, b]
-    return True
-
-
 @njit(error_model="numpy", inline="always")
 def subtract_condensed(coupling, inverse, element):
     """Subtract B' inverse(C) B from the element matrix; B has a column for each of the matrix's."""
@@ -91,53 +69,42 @@ def subtract_condensed(coupling, inverse, element):
 
 
 @njit(error_model="numpy")
-def condense(gradient, condensed, steps, reduced, root):
-    """Fill the right-hand sides -(g - B' inverse(C) g_u) of the unknowns that stay; `root` holds -g already."""
-    _, inverses, couplings = condensed
-    chain = steps * STRIDE + NODE
-    for body in range(BODIES):
-        here = gradient[body * chain : (body + 1) * chain]
-        right = reduced[body]
-        for i in range(NODE):
-            right[steps * BLOCK + i] = -here[steps * STRIDE + i]
-        for k in range(steps - 1, -1, -1):
-            interval = body * steps + k
-            inverse = inverses[min(interval, inverses.shape[0] - 1)]
-            for i in range(BLOCK):
-                right[k * BLOCK + i] = -here[k * STRIDE + i]
-            for a in range(CONDENSED):
-                weighted = 0.0
-                for b in range(CONDENSED):
-                    weighted += inverse[a, b] * here[k * STRIDE + BLOCK + b]
-                for i in range(SIZE):
-                    right[k * BLOCK + i] += couplings[interval, a, i] * weighted
-                for i in range(SHARED):
-                    root[root_place(body, i)] += couplings[interval, a, TAIL + i] * weighted
+def condense(gradient, inverses, couplings, steps, right):
+    """Fill a body's right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay; shared unknowns come last."""
+    for i in range(NODE):
+        right[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
+    for k in range(steps - 1, -1, -1):
+        inverse = inverses[min(k + 1, inverses.shape[0] - 1)]
+        for i in range(BLOCK):
+            right[k * BLOCK + i] = -gradient[k * STRIDE + i]
+        for a in range(CONDENSED):
+            weighted = 0.0
+            for b in range(CONDENSED):
+                weighted += inverse[a, b] * gradient[k * STRIDE + BLOCK + b]
+            for i in range(SIZE):
+                right[k * BLOCK + i] += couplings[k, a, i] * weighted
+            for i in range(SHARED):
+                right[steps * BLOCK + NODE + i] += couplings[k, a, TAIL + i] * weighted
 
 
 @njit(error_model="numpy")
-def expand(gradient, condensed, steps, reduced, root, step):
-    """Fill `step` with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
-    _, inverses, couplings = condensed
-    chain = steps * STRIDE + NODE
-    forcing = np.empty(CONDENSED)
-    for body in range(BODIES):
-        first, solved = body * chain, reduced[body]
-        for i in range(NODE):
-            step[first + steps * STRIDE + i] = solved[steps * BLOCK + i]
-        for k in range(steps):
-            interval, here = body * steps + k, first + k * STRIDE
-            inverse = inverses[min(interval, inverses.shape[0] - 1)]
-            for i in range(BLOCK):
-                step[here + i] = solved[k * BLOCK + i]
+def expand(gradient, inverses, couplings, steps, solved, step):
+    """Fill a body's step with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
+    forcing = zero_vector(CONDENSED)
+    for i in range(NODE):
+        step[steps * STRIDE + i] = solved[steps * BLOCK + i]
+    for k in range(steps):
+        inverse = inverses[min(k + 1, inverses.shape[0] - 1)]
+        for i in range(BLOCK):
+            step[k * STRIDE + i] = solved[k * BLOCK + i]
+        for b in range(CONDENSED):
+            forcing[b] = gradient[k * STRIDE + BLOCK + b]
+            for i in range(SIZE):
+                forcing[b] += couplings[k, b, i] * solved[k * BLOCK + i]
+            for i in range(SHARED):
+                forcing[b] += couplings[k, b, TAIL + i] * solved[steps * BLOCK + NODE + i]
+        for a in range(CONDENSED):
+            value = 0.0
             for b in range(CONDENSED):
-                forcing[b] = gradient[here + BLOCK + b]
-                for i in range(SIZE):
-                    forcing[b] += couplings[interval, b, i] * solved[k * BLOCK + i]
-                for i in range(SHARED):
-                    forcing[b] += couplings[interval, b, TAIL + i] * root[root_place(body, i)]
-            for a in range(CONDENSED):
-                value = 0.0
-                for b in range(CONDENSED):
-                    value -= inverse[a, b] * forcing[b]
-                step[here + BLOCK + a] = value
+                value -= inverse[a, b] * forcing[b]
+            step[k * STRIDE + BLOCK + a] = value

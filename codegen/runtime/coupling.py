@@ -7,6 +7,7 @@ COUPLING_PLACES[i]. The conditions' share of the Lagrangian is the sum over rows
 import numpy as np
 from numba import njit
 
+from codegen.runtime.arrays import zero_vector
 from codegen.runtime.example import (
     COUPLING_COUNTS,
     COUPLING_KINDS,
@@ -23,7 +24,7 @@ def add_coupling_gradient(unknowns, parameters, gradient):
     """Add the conditions to the gradient by their multipliers, and what they exert to that by shared unknowns."""
     first, multipliers = unknowns.size - ROOT, unknowns.size - COUPLINGS
     width = COUPLING_PLACES.shape[1]
-    values, slopes, curvatures = np.empty(width), np.empty(width), np.empty(width * width)
+    values, slopes, curvatures = zero_vector(width), zero_vector(width), zero_vector(width * width)
     for i in range(COUPLING_KINDS.size):
         for a in range(COUPLING_COUNTS[i]):
             values[a] = unknowns[first + COUPLING_PLACES[i, a]]
@@ -38,7 +39,7 @@ def add_coupling_matrix(unknowns, parameters, weight, matrix):
     """Add the second derivatives of the conditions' share to the matrix of the shared unknowns and multipliers."""
     first, multipliers = unknowns.size - ROOT, unknowns.size - COUPLINGS
     width = COUPLING_PLACES.shape[1]
-    values, slopes, curvatures = np.empty(width), np.empty(width), np.empty(width * width)
+    values, slopes, curvatures = zero_vector(width), zero_vector(width), zero_vector(width * width)
     for i in range(COUPLING_KINDS.size):
         count, row = COUPLING_COUNTS[i], ROOT - COUPLINGS + COUPLING_ROWS[i]
         for a in range(count):

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from codegen.runtime.frontal import allocate_system, factor_kkt
+from codegen.runtime.apart import allocate_system
+from codegen.runtime.system import factor_kkt, solve_kkt
 from codegen.runtime.layout import free_unknowns
-from codegen.runtime.substitution import solve_kkt
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4

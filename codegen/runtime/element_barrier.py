@@ -11,46 +11,37 @@ from codegen.runtime.condensation import (
     INSIDE,
     INSIDE_COLUMNS,
     INSIDE_ROWS,
-    invert_positive_definite,
     scatter,
     subtract_condensed,
 )
 from codegen.runtime.elements import BLOCK, WIDTH
 from codegen.runtime.example import BODIES, CONDENSED
+from codegen.runtime.symmetric import invert_positive_definite
 
 
 def allocate_condensed(grid):
-    """Room for one block C, and for the inverse of C and B of all intervals of all bodies."""
-    return np.zeros(CONDENSED**2 + BODIES * grid.steps * CONDENSED * (CONDENSED + WIDTH))
-
-
-@njit(error_model="numpy", inline="always")
-def condensed_parts(storage, steps):
-    """One block C, the inverse of C, and B of all intervals of all bodies."""
-    size, intervals = CONDENSED * CONDENSED, BODIES * steps
-    inverses, couplings = storage[size : size + intervals * size], storage[size + intervals * size :]
+    """Room for the inverse of C, and for B, of all intervals; the inverse of interval k has place k + 1."""
     return (
-        storage[:size].reshape((CONDENSED, CONDENSED)),
-        inverses.reshape((intervals, CONDENSED, CONDENSED)),
-        couplings.reshape((intervals, CONDENSED, WIDTH)),
+        np.zeros((BODIES, grid.steps + 1, CONDENSED, CONDENSED)),
+        np.zeros((BODIES, grid.steps, CONDENSED, WIDTH)),
     )
 
 
 @njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, diagonal, condensed):
+def prepare_condensed(weight, diagonal, inverses):
     """True: blocks are inverted interval by interval."""
     return True
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, gradient, condensed, interval, element):
-    """Add K - B' inverse(C) B of an interval to the element matrix; False when C is not positive definite.
+def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
+    """Add K - B' inverse(C) B of interval k to the element matrix; False when C is not positive definite.
 
     `diagonal` and `gradient` are those of the interval's node and interval unknowns; inverse(C) and B are kept for the
     recovery.
     """
-    block, inverses, couplings = condensed
-    scatter(hessian, gradient, element, couplings[interval])
+    block = inverses[k + 1]
+    scatter(hessian, gradient, element, couplings[k])
     for a in range(CONDENSED):
         for b in range(CONDENSED):
             block[a, b] = 0.0
@@ -59,7 +50,7 @@ def add_element(hessian, diagonal, gradient, condensed, interval, element):
         block[INSIDE_ROWS[j], INSIDE_COLUMNS[j]] += hessian[INSIDE[j]]
         if INSIDE_ROWS[j] != INSIDE_COLUMNS[j]:
             block[INSIDE_COLUMNS[j], INSIDE_ROWS[j]] += hessian[INSIDE[j]]
-    if not invert_positive_definite(block, inverses[interval]):
+    if not invert_positive_definite(block, CONDENSED):
         return False
-    subtract_condensed(couplings[interval], inverses[interval], element)
+    subtract_condensed(couplings[k], block, element)
     return True

@@ -8,53 +8,39 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.condensation import (
-    invert_positive_definite,
     scatter,
     subtract_condensed,
 )
 from codegen.runtime.elements import BLOCK, WIDTH
 from codegen.runtime.example import BODIES, CONDENSED, control_hessian
+from codegen.runtime.symmetric import invert_positive_definite
 
 
 def allocate_condensed(grid):
-    """Room for the block C, which is filled in, for its inverse, and for B of all intervals of all bodies."""
-    storage = np.zeros(2 * CONDENSED**2 + BODIES * grid.steps * CONDENSED * WIDTH)
-    block = storage[: CONDENSED**2].reshape(CONDENSED, CONDENSED)
+    """For every body the block C, which is filled in, with room for its inverse, and room for B of all intervals."""
+    inverses, block = np.zeros((BODIES, 2, CONDENSED, CONDENSED)), np.zeros((CONDENSED, CONDENSED))
     control_hessian(grid.h, grid.parameters[0], block)
     for a in range(CONDENSED):
         for b in range(a):
             block[b, a] = block[a, b]
-    return storage
+    inverses[:, 0] = block
+    return inverses, np.zeros((BODIES, grid.steps, CONDENSED, WIDTH))
 
 
 @njit(error_model="numpy", inline="always")
-def condensed_parts(storage, steps):
-    """The block C, its inverse, and B of all intervals of all bodies."""
-    size = CONDENSED * CONDENSED
-    block, inverse = storage[:size], storage[size : 2 * size]
-    return (
-        block.reshape((CONDENSED, CONDENSED)),
-        inverse.reshape((1, CONDENSED, CONDENSED)),
-        storage[2 * size :].reshape((BODIES * steps, CONDENSED, WIDTH)),
-    )
-
-
-@njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, diagonal, condensed):
+def prepare_condensed(weight, diagonal, inverses):
     """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
-    block, inverses, _ = condensed
-    shifted = np.empty((CONDENSED, CONDENSED))
+    block, inverse = inverses[0], inverses[1]
     for a in range(CONDENSED):
         for b in range(CONDENSED):
-            shifted[a, b] = weight * block[a, b]
-        shifted[a, a] += diagonal[BLOCK + a]
-    return invert_positive_definite(shifted, inverses[0])
+            inverse[a, b] = weight * block[a, b]
+        inverse[a, a] += diagonal[BLOCK + a]
+    return invert_positive_definite(inverse, CONDENSED)
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, gradient, condensed, interval, element):
-    """Add K - B' inverse(C) B of an interval to the element matrix, and keep B for the recovery of the controls."""
-    _, inverses, couplings = condensed
-    scatter(hessian, gradient, element, couplings[interval])
-    subtract_condensed(couplings[interval], inverses[0], element)
+def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
+    """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
+    scatter(hessian, gradient, element, couplings[k])
+    subtract_condensed(couplings[k], inverses[1], element)
     return True

@@ -4,31 +4,25 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.elements import BORDER, TAIL
-from codegen.runtime.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, STRIDE
+from codegen.runtime.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS
 
 PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER)
 PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER)
 
 
 def allocate_condensed(grid):
-    """Storage for eliminated unknowns: none."""
-    return np.empty(0)
+    """Room for eliminated unknowns: none."""
+    return np.zeros((BODIES, 0, 0, 0)), np.zeros((BODIES, 0, 0, 0))
 
 
 @njit(error_model="numpy", inline="always")
-def condensed_parts(storage, steps):
-    """Views of the storage: none."""
-    return ()
-
-
-@njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, diagonal, condensed):
+def prepare_condensed(weight, diagonal, inverses):
     """True: there is no block that could be indefinite."""
     return True
 
 
 @njit(error_model="numpy", inline="always")
-def add_element(hessian, diagonal, gradient, condensed, interval, element):
+def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add the Hessian of an interval to the element matrix."""
     for j in range(hessian.size):
         row, column = PLACE_ROWS[j], PLACE_COLUMNS[j]
@@ -39,16 +33,14 @@ def add_element(hessian, diagonal, gradient, condensed, interval, element):
 
 
 @njit(error_model="numpy")
-def condense(gradient, condensed, steps, reduced, root):
-    """Fill the right-hand sides of every body with -gradient; `root` has been set already."""
-    for body in range(BODIES):
-        for i in range(steps * STRIDE + NODE):
-            reduced[body, i] = -gradient[body * (steps * STRIDE + NODE) + i]
+def condense(gradient, inverses, couplings, steps, right):
+    """Fill a body's right-hand side with -gradient."""
+    for i in range(gradient.size):
+        right[i] = -gradient[i]
 
 
 @njit(error_model="numpy")
-def expand(gradient, condensed, steps, reduced, root, step):
-    """Fill `step` with what was solved for, which is all there is."""
-    for body in range(BODIES):
-        for i in range(steps * STRIDE + NODE):
-            step[body * (steps * STRIDE + NODE) + i] = reduced[body, i]
+def expand(gradient, inverses, couplings, steps, solved, step):
+    """Fill a body's step with what was solved for, which is all there is."""
+    for i in range(step.size):
+        step[i] = solved[i]

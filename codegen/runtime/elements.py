@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.example import (
+    CARRIED,
     CONDENSED,
     END_PINNED,
     END_SHARED,
@@ -47,7 +48,6 @@ TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
-CARRIED = int(ROWS % 4 > 0 and (ROWS - BLOCK) % 4 > 0)  # whether the right-hand side takes part: 1 or 0 columns
 RIGHT = ROWS  # the column
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 if PHASES:

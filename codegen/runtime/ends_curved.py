@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from codegen.runtime.arrays import zero_vector
 from codegen.runtime.elements import BLOCK, LOCAL_IS_MULTIPLIER, TAIL, pin_ends
 from codegen.runtime.example import (
     BODIES,
@@ -26,11 +27,11 @@ END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPL
 def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
     """Add the Hessians of the boundary conditions to the first or last element matrix, and pin what is given."""
     if k == 0:
-        entries = np.empty(START_HESSIAN_ROWS.size)
+        entries = zero_vector(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[:NODE], 0.0, parameters, entries)
         add_end_hessian(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, 0, weight, element)
     if k == steps - 1:
-        entries = np.empty(END_HESSIAN_ROWS.size)
+        entries = zero_vector(END_HESSIAN_ROWS.size)
         end_hessian(unknowns[steps * STRIDE : steps * STRIDE + NODE], steps * h, parameters, entries)
         add_end_hessian(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, BLOCK, weight, element)
     pin_ends(k, steps, diagonal, element)

@@ -17,12 +17,11 @@ that are still to come it has at most as many (Cauchy's interlacing theorem).
 import numpy as np
 from numba import njit
 
-from codegen.runtime.coupling import add_coupling_matrix
-from codegen.runtime.element_condensed import add_element, allocate_condensed, condensed_parts, prepare_condensed
+from codegen.runtime.arrays import clear, zero_matrix, zero_vector
+from codegen.runtime.element_condensed import add_element, allocate_condensed, prepare_condensed
 from codegen.runtime.elements import (
     BLOCK,
     BORDER,
-    CARRIED,
     COLUMNS,
     FIRST,
     INNER,
@@ -38,195 +37,100 @@ from codegen.runtime.elements import (
 from codegen.runtime.ends_flat import close_element
 from codegen.runtime.example import (
     BODIES,
-    COUPLINGS,
+    CARRIED,
     ELEMENT,
     HESSIAN_ROWS,
     IS_MULTIPLIER,
     NODE,
-    ROOT,
     SHARED,
     STRIDE,
     interval_hessian,
 )
-from codegen.runtime.layout import multiplier_unknowns
-from codegen.runtime.shared import read_shared, root_place
 from codegen.runtime.symmetric import eliminate_rows, subtract_products
 
 REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
 REST_WIDTH = padded(REST)
 LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
-SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
-LAST_WIDTH = padded(LAST + SHARED_WIDTH)
+LAST_WIDTH = padded(LAST + padded(CARRIED + SHARED))
 MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
 ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
 COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
 
 
-def allocate_system(grid):
-    """Room for the factors and for what is condensed, and the number of equations.
+def allocate_factors(grid):
+    """Room for the factors of all bodies, and for what is condensed.
 
-    The factors are an array of numbers and one of places, of which `factor_parts` tells the meaning: few arrays are
-    handed to compiled functions quickly. Places and the inverse of the pivots are zeros, so that solving without
-    factors, as compilation does, stays inside the arrays.
+    A body has BLOCK rows for each block, then LAST rows for its last node and block 0. Three arrays hold the rows of
+    the upper factor, the inverse of the pivots, and the order of elimination. The right-hand side, if it was carried
+    along, is a column of the upper factor, multiplied by the inverse of the pivots already. Places and the inverse of
+    the pivots are zeros, so that solving without factors, as compilation does, stays inside the arrays.
     """
-    blocks, last = BODIES * grid.steps * BLOCK, BODIES * LAST
-    rows, numbers = blocks + last + ROOT, blocks * WIDTH + last * LAST_WIDTH + ROOT * ROOT_WIDTH
-    factors = np.empty(numbers + 2 * rows + ROOT), np.zeros(rows, np.uint64), allocate_condensed(grid)
-    factors[0][numbers:] = 0.0
-    return factors, multiplier_unknowns(grid).size
-
-
-@njit(error_model="numpy")
-def factor_parts(numbers, places, steps):
-    """The factors of all blocks, of the last nodes and of the shared unknowns, as views.
-
-    Each is the rows of an upper factor, the inverse of the pivots, and the order of elimination; and for the shared
-    unknowns their right-hand side, less what the elimination of the bodies has taken away. That of blocks and last
-    nodes, if it was carried along, is a column of the upper factor, multiplied by the inverse of the pivots already.
-    """
-    # First rows, and where in `numbers` their upper factors begin; then come the inverse of all pivots, and the rest.
-    last, root = BODIES * steps * BLOCK, BODIES * (steps * BLOCK + LAST)
-    last_upper = last * WIDTH
-    root_upper = last_upper + BODIES * LAST * LAST_WIDTH
-    inverse = root_upper + ROOT * ROOT_WIDTH
-    blocks = (
-        numbers[:last_upper].reshape((BODIES, steps, BLOCK, WIDTH)),
-        numbers[inverse : inverse + 2 * last].reshape((BODIES, steps, BLOCK, 2)),
-        places[:last].reshape((BODIES, steps, BLOCK)),
-    )
-    ends = (
-        numbers[last_upper:root_upper].reshape((BODIES, LAST, LAST_WIDTH)),
-        numbers[inverse + 2 * last : inverse + 2 * root].reshape((BODIES, LAST, 2)),
-        places[last:root].reshape((BODIES, LAST)),
-    )
-    shared = (
-        numbers[root_upper:inverse].reshape((ROOT, ROOT_WIDTH)),
-        numbers[inverse + 2 * root : inverse + 2 * (root + ROOT)].reshape((ROOT, 2)),
-        places[root:],
-        numbers[inverse + 2 * (root + ROOT) :],
-    )
-    return blocks, ends, shared
-
-
-def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
-    """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
-
-    Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
-    elimination stops when there are too many. None means that the matrix is singular, or that a block that is
-    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
-    array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
-    part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
-    """
-    factors, equations = system
-    right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
-    regular, excess = factor(
-        unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
-    )
-    return excess if regular else None
-
-
-def is_factored(excess):
-    """Whether what `factor_kkt` gave says that the whole matrix was factored, so that `solve_kkt` may follow."""
-    return excess is not None and excess <= 0
-
-
-@njit(cache=True, error_model="numpy")
-def factor(unknowns, gradient, steps, h, parameters, weight, diagonal, equations, numbers, places, storage):
-    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
-    blocks, ends, (root_upper, root_inverse, root_order, right) = factor_parts(numbers, places, steps)
-    condensed = condensed_parts(storage, steps)
-    factors = blocks, ends, condensed
-    if not prepare_condensed(weight, diagonal, condensed):
-        return False, 0
-    negative = 0
-    root, left = np.zeros((ROOT, ROOT_WIDTH)), np.empty((SHARED, SHARED_WIDTH))
-    for i in range(ROOT):
-        right[i] = -gradient[gradient.size - ROOT + i]
-    for body in range(BODIES):
-        if SHARED:
-            read_shared(unknowns, body, parameters)
-        regular, found, excess = eliminate_body(
-            unknowns, gradient, body, steps, h, parameters, weight, diagonal, factors, left
-        )
-        if not regular or excess > 0:
-            return regular, excess
-        negative += found
-        for i in range(SHARED):
-            for j in range(SHARED):
-                root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
-            if CARRIED:
-                right[root_place(body, i)] += left[i, SHARED]
-    if SHARED:
-        for i in range(ROOT):
-            root[i, i] += diagonal[diagonal.size - ROOT + i]
-        if COUPLINGS:
-            add_coupling_matrix(unknowns, parameters[0], weight, root)
-        found = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
-        if found < 0:
-            return False, 0
-        negative += found
-    return True, negative - equations
+    rows = grid.steps * BLOCK + LAST
+    upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
+    return upper, inverse, np.zeros((BODIES, rows), np.uint64), *allocate_condensed(grid)
 
 
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def eliminate_body(unknowns, gradient, body, steps, h, parameters, weight, diagonal, factors, left):
-    """Run the front over all intervals of a body; `left` takes what that leaves for the shared unknowns.
+def eliminate_body(
+    unknowns, gradient, diagonal, steps, h, parameters, weight, upper, inverse, order, inverses, couplings, last
+):
+    """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
     the elimination has stopped.
     """
-    (upper, inverse, order), (last_upper, last_inverse, last_order), condensed = factors
-    chain, negative = steps * STRIDE + NODE, 0
-    own, added = unknowns[body * chain : (body + 1) * chain], diagonal[body * chain : (body + 1) * chain]
-    slopes = gradient[body * chain : (body + 1) * chain]
-    element, rest = np.empty((ROWS, WIDTH)), np.zeros((REST, REST_WIDTH))
-    last, hessian = np.empty((LAST, LAST_WIDTH)), np.empty(HESSIAN_ROWS.size)
+    if not prepare_condensed(weight, diagonal, inverses):
+        return False, 0, 0
+    negative, hessian = 0, zero_vector(HESSIAN_ROWS.size)
+    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
-        interval_hessian(own[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters[body], hessian)
+        first, behind = k * BLOCK, (k + 1) * BLOCK
+        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
+        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
         if weight != 1.0:
             weigh(weight, hessian)
-        element[:] = 0.0
-        here, slope = added[k * STRIDE : (k + 1) * STRIDE], slopes[k * STRIDE : (k + 1) * STRIDE]
-        if not add_element(hessian, here, slope, condensed, body * steps + k, element):
+        clear(element)
+        if not add_element(hessian, here, slope, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
             element[i, i] += here[i]
         if CARRIED:
-            add_right_hand_side(slopes, k, steps, element)
+            add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
-            close_element(own, k, steps, h, parameters[body], weight, added, element)
+            close_element(unknowns, k, steps, h, parameters, weight, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue
         move_front(element, rest)
-        found = eliminate_rows(element, INNER, COLUMNS, upper[body, k], inverse[body, k], order[body, k])
+        found = eliminate_rows(element, INNER, COLUMNS, upper[first:behind], inverse[first:behind], order[first:behind])
         if found < 0:
             return False, 0, 0
         negative += found
         # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
         if negative > k * MULTIPLIERS + ENDING + COMMON:
             return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
-        subtract_products(upper[body, k], element, INNER, BLOCK, REST, REST_WIDTH, rest)
-    end_front(rest, last, left)
-    found = eliminate_rows(last, *last.shape, last_upper[body], last_inverse[body], last_order[body])
+        subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
+    end_front(rest, last)
+    first = steps * BLOCK
+    found = eliminate_rows(last, order.size - first, last.shape[1], upper[first:], inverse[first:], order[first:])
     if found < 0:
         return False, 0, 0
-    if SHARED:
-        subtract_products(last_upper[body], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
     # No multiplier of another body reaches into this one.
     negative += found
-    return True, negative, max(0, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON))
+    return True, negative, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON)
 
 
-@njit(error_model="numpy", inline="always")
-def add_right_hand_side(slopes, k, steps, element):
-    """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
-    for i in range(BLOCK):
-        element[i, RIGHT] -= slopes[k * STRIDE + i]
-    if k == steps - 1:
-        for i in range(NODE):
-            element[BLOCK + i, RIGHT] -= slopes[steps * STRIDE + i]
+if CARRIED:
+
+    @njit(error_model="numpy", inline="always")
+    def add_right_hand_side(slopes, k, steps, element):
+        """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
+        for i in range(BLOCK):
+            element[i, RIGHT] -= slopes[k * STRIDE + i]
+        if k == steps - 1:
+            for i in range(NODE):
+                element[BLOCK + i, RIGHT] -= slopes[steps * STRIDE + i]
 
 
 @njit(error_model="numpy")
@@ -273,15 +177,12 @@ def move_front(element, rest):
 
 
 @njit(error_model="numpy")
-def end_front(rest, last, left):
-    """The rows of the last node and of block 0, both triangles; what is left for the shared unknowns."""
-    last[:] = 0.0
-    for i in range(LAST):
+def end_front(rest, last):
+    """The rows of the last node and of block 0, both triangles; behind them what is left for the shared unknowns."""
+    clear(last)
+    for i in range(REST):
         last[i, i] = rest[i, i]
         for j in range(i + 1, REST + CARRIED):
             last[i, j] = rest[i, j]
             if j < LAST:
                 last[j, i] = rest[i, j]
-    for i in range(SHARED):
-        for j in range(SHARED + CARRIED):
-            left[i, j] = rest[LAST + i, LAST + j]

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from codegen.runtime.apart import allocate_system
+from codegen.runtime.system import factor_kkt, solve_kkt
 from codegen.runtime.barrier import (
     add_barrier,
     finite_bounds,
@@ -22,12 +24,10 @@ from codegen.runtime.barrier import (
 from codegen.runtime.curvature import FLAT
 from codegen.runtime.example import variable_bounds
 from codegen.runtime.filter import accept, acceptable, envelope
-from codegen.runtime.frontal import allocate_system, factor_kkt
 from codegen.runtime.layout import multiplier_unknowns
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_rounding, is_solved
-from codegen.runtime.substitution import solve_kkt
 
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby

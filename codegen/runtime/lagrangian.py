@@ -5,9 +5,9 @@ owns. The gradient by the multipliers is the residual of the discrete equations,
 the stationarity of the optimum.
 """
 
-import numpy as np
 from numba import njit
 
+from codegen.runtime.arrays import zero_vector
 from codegen.runtime.coupling import add_coupling_gradient
 from codegen.runtime.example import (
     BODIES,
@@ -34,8 +34,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
-    part = np.empty(ELEMENT + SHARED)
-    at_end = np.empty(NODE + SHARED)
+    part = zero_vector(ELEMENT + SHARED)
+    at_end = zero_vector(NODE + SHARED)
     cost = 0.0
     for body in range(BODIES):
         first, last = body * chain, (body + 1) * chain - NODE

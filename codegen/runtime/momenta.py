@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from codegen.runtime.arrays import zero_vector
 from codegen.runtime.example import BODIES, ELEMENT, EQUATIONS, NODE, SHARED, STRIDE, interval_gradient
 from codegen.runtime.shared import read_shared
 
@@ -20,7 +21,7 @@ def discrete_momenta(grid, unknowns):
 @njit(cache=True, error_model="numpy")
 def interval_momenta(unknowns, steps, h, parameters, momenta):
     """Fill `momenta` from the gradient of every interval's l."""
-    part = np.empty(ELEMENT + SHARED)
+    part = zero_vector(ELEMENT + SHARED)
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)

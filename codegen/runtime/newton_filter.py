@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from codegen.runtime.apart import allocate_system
+from codegen.runtime.system import factor_kkt, is_factored, solve_kkt
 from codegen.runtime.curvature import FLAT
-from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_rounding, is_solved
-from codegen.runtime.substitution import solve_kkt
 
 SHORTEST_STEP = 1e-10
 SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is

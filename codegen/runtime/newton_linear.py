@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from codegen.runtime.apart import allocate_system
+from codegen.runtime.system import factor_kkt, is_factored, solve_kkt
 from codegen.runtime.curvature import FLAT, least_shift
-from codegen.runtime.frontal import allocate_system, factor_kkt, is_factored
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_solved
-from codegen.runtime.substitution import solve_kkt
 
 CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
 LARGE = 1e6  # steps beyond it lead to infinity

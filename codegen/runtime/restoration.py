@@ -8,10 +8,9 @@ Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), se
 
 import numpy as np
 
+from codegen.runtime.system import factor_kkt, solve_kkt
 from codegen.runtime.barrier import add_barrier, measure_step, move, move_duals
-from codegen.runtime.frontal import factor_kkt
 from codegen.runtime.point import evaluate
-from codegen.runtime.substitution import solve_kkt
 
 RESTORATION_STEPS = 200
 

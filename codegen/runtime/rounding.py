@@ -1,8 +1,8 @@
 """How large the terms of the equations are: what a residual has to be compared with."""
 
-import numpy as np
 from numba import njit
 
+from codegen.runtime.arrays import zero_vector
 from codegen.runtime.example import (
     BODIES,
     ELEMENT,
@@ -27,8 +27,8 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     """
-    hessian = np.empty(HESSIAN_ROWS.size)
-    sums = np.zeros(unknowns.size)
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    sums = zero_vector(unknowns.size)
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
@@ -48,9 +48,10 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if is_multiplier[i]:
-            equations = max(equations, sums[i])
-        else:
-            stationarity = max(stationarity, sums[i])
+            if sums[i] > equations:
+                equations = sums[i]
+        elif sums[i] > stationarity:
+            stationarity = sums[i]
     return equations, stationarity
 
 

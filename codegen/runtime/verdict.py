@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from codegen.runtime.apart import allocate_system
+from codegen.runtime.system import factor_kkt, solve_kkt
 from codegen.runtime.callbacks import hessian, jacobian
 from codegen.runtime.example import INEQUALITIES, PHASES, ROOT, SHARED, duration_of, phase_durations
-from codegen.runtime.frontal import allocate_system, factor_kkt
 from codegen.runtime.limits import at_limits
 from codegen.runtime.point import evaluate
-from codegen.runtime.substitution import solve_kkt
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other

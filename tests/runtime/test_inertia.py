@@ -149,3 +149,12 @@ def test_shortest_step_onto_the_linearised_equations(interpreted, name, text, ch
     rows, columns, slopes = module.jacobian(grid, unknowns)
     change = np.bincount(rows, slopes * step[primal][columns], equations.size)
     np.testing.assert_allclose(change, -gradient[equations], atol=1e-6 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
+def test_rows_have_room_for_what_is_carried_along(interpreted, name, text, choices):
+    """A column for the right-hand side, exactly where rows, in fours from 0 and from BLOCK on, have one to spare."""
+    module = interpreted(name, text, **choices)
+    spare = [size % 4 > 0 for size in (module.ROWS, module.ROWS - module.BLOCK)]
+    assert int(all(spare)) == module.CARRIED
+    assert module.LAST + module.SHARED + module.CARRIED <= module.LAST_WIDTH <= module.WIDTH

@@ -1,0 +1,27 @@
+"""Arrays that compiled functions make and clear for themselves.
+
+Each is compiled once for all that call it, and inlined, so that numbers of rows and columns stay constants.
+"""
+
+import numpy as np
+from numba import njit
+
+
+@njit(error_model="numpy", forceinline=True)
+def zero_vector(size):
+    """A vector of zeros."""
+    return np.zeros(size)
+
+
+@njit(error_model="numpy", forceinline=True)
+def zero_matrix(rows, columns):
+    """A matrix of zeros."""
+    return np.zeros((rows, columns))
+
+
+@njit(error_model="numpy", forceinline=True)
+def clear(matrix):
+    """Make all entries of a matrix zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
