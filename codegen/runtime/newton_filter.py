@@ -14,9 +14,12 @@ from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.point import evaluate
-from codegen.runtime.rounding import is_rounding, is_solved
+from codegen.runtime.rounding import is_rounding, is_solved, term_sizes
 
 SHORTEST_STEP = 1e-10
+RESTORATION_STEPS = 50
+GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
+NEARBY = 1e-2  # part of the guess's violation that is left where a search begins nearby
 SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
 
 
@@ -35,10 +38,32 @@ class Shift(NamedTuple):
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    `warm` has no effect: Newton's method needs no telling. A row (cost, residual, stationarity, Hessian's shift, step
-    length) is appended to `log` at every iterate.
+    Where the guess violates the equations grossly, the search begins at a point near it that nearly obeys them: a full
+    Newton step, which knows of no distance, would leave for another optimum. If half of the iterations do not solve
+    the problem from there, the search begins at the guess itself, and how that ends is reported. `warm` has no
+    effect: Newton's method needs no telling. A row (cost, residual, stationarity, Hessian's shift, step length) is
+    appended to `log` at every iterate; steps of the restoration are not counted.
     """
-    system = allocate_system(grid)
+    system, total = allocate_system(grid), 0
+    point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
+    if point.error < np.inf and is_gross(grid, point):
+        near = restore(grid, point, NEARBY, [], system)
+        if near is not None:
+            status, point, total = descend(grid, near.unknowns, tolerance, max_iterations // 2, log, system)
+            if status == "solved":
+                return status, point, total
+    status, point, iterations = descend(grid, unknowns, tolerance, max_iterations - total, log, system)
+    return status, point, total + iterations
+
+
+def is_gross(grid, point):
+    """Whether the residual is more than a small part of the equations' largest terms."""
+    terms, _ = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return point.residual > GROSS * terms
+
+
+def descend(grid, unknowns, tolerance, max_iterations, log, system):
+    """Follow Newton's steps from a guess; return (status, point, iterations)."""
     point = evaluate(grid, guess_multipliers(grid, unknowns, system))
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
@@ -61,7 +86,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point.violation, point.cost))
-            trial = restore(grid, point, filtered, system)
+            trial = restore(grid, point, 0.9, filtered, system)
             if trial is None:
                 return "infeasible", point, iteration
             trial = evaluate(grid, guess_multipliers(grid, trial.unknowns, system))
@@ -147,23 +172,32 @@ def search(grid, point, step, slope, small_violation, filtered, system):
     return None, length
 
 
-def restore(grid, point, filtered, system):
-    """Reduce the violation by shortest steps until the filter accepts; None when it cannot be reduced by a tenth."""
-    step, first = np.empty_like(point.gradient), point.violation
-    for _ in range(50):
-        gradient = np.where(grid.is_multiplier, point.gradient, 0.0)
-        if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system, gradient)):
-            return None
-        solve_kkt(grid, system, gradient, step, carried=True)
-        step[grid.is_multiplier] = 0.0
-        length = 1.0
-        trial = evaluate(grid, point.unknowns + step)
-        while not trial.violation < (1.0 - 1e-4 * length) * point.violation:
-            length *= 0.5
-            if length < SHORTEST_STEP:
+def restore(grid, point, reduction, filtered, system):
+    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails.
+
+    Levenberg and Marquardt's method: with A the equations' Jacobian and c their residuals, the step d minimises
+    |A d + c|^2 + damping |d|^2, which is the KKT matrix with -damping for the multipliers and a one for the others.
+    Source: Nocedal and Wright (2006), section 10.3.
+    """
+    step, first, damping = np.empty_like(point.gradient), point.violation, 1e-4
+    for _ in range(RESTORATION_STEPS):
+        gradient, trial = np.where(grid.is_multiplier, point.gradient, 0.0), None
+        while trial is None:
+            if damping > 1e12:
                 return None
-            trial = evaluate(grid, point.unknowns + length * step)
+            if is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, damping), system, gradient)):
+                solve_kkt(grid, system, gradient, step, carried=True)
+                trial = evaluate(grid, point.unknowns + np.where(grid.is_multiplier, 0.0, step))
+                lowered = sum_of_squares(grid, trial) < (1.0 - 1e-8) * sum_of_squares(grid, point)
+                trial = trial if lowered and trial.error < np.inf else None
+            damping = damping * 8.0 if trial is None else max(damping / 5.0, 1e-12)
         point = trial
-        if point.violation <= 0.9 * first and acceptable(point.violation, point.cost, filtered):
+        if point.violation <= reduction * first and acceptable(point.violation, point.cost, filtered):
             return point
     return None
+
+
+def sum_of_squares(grid, point):
+    """The sum of the squares of all residuals."""
+    residual = point.gradient[grid.is_multiplier]
+    return residual @ residual

@@ -42,14 +42,15 @@ class GeneratedGallery:
         """The problem's guess with noise on every unknown that is neither given nor a multiplier.
 
         The noise is normal, with the deviation `size` times the sum of the unknown's magnitude and of a tenth of the
-        greatest one.
+        greatest one. Ends that are copies of perturbed unknowns follow them, so that both solvers see the same guess.
         """
         unknowns = self.module.initial_guess(self.grid)
         places = self.module.free_unknowns(self.grid) & ~np.asarray(self.grid.is_multiplier)
         magnitude = np.abs(unknowns[places])
         noise = np.random.default_rng(seed).standard_normal(magnitude.size)
         unknowns[places] += size * noise * (magnitude + 0.1 * magnitude.max(initial=0.0))
-        return unknowns
+        completed: Array = self.module.with_pinned_values(self.grid, unknowns)
+        return completed
 
     def as_casadi(self, unknowns: Array) -> Array:
         """The coordinates, controls and duration of our unknowns in CasADi's order; the rest as CasADi guesses it."""

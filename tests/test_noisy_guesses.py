@@ -1,0 +1,77 @@
+"""Searches that begin at guesses which violate the equations grossly: they find the optimum that is near."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from compiled_modules import compiled
+from conftest import PROBLEMS
+
+from codegen.compiler import build
+
+
+@pytest.fixture(scope="module")
+def hovercraft():
+    return compiled(build(PROBLEMS / "hovercraft.py").path)
+
+
+def noisy(module, grid, seed: int):
+    """The problem's guess with noise of a tenth on everything that is not given."""
+    guess = module.initial_guess(grid)
+    places = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
+    size = np.abs(guess[places])
+    guess[places] += 0.1 * np.random.default_rng(seed).standard_normal(size.size) * (size + 0.1 * size.max())
+    return module.with_pinned_values(grid, guess)
+
+
+def at(module, grid, unknowns):
+    return module.evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_does_not_lead_to_another_optimum(hovercraft, seed):
+    """Newton's steps from these guesses would find the cost 1171.0 for every other one."""
+    grid = hovercraft.make_grid(20)
+    solution = hovercraft.solve(20, guess=noisy(hovercraft, grid, seed))
+    assert solution.status == "solved"
+    assert solution.cost == pytest.approx(1053.518828, rel=1e-8)
+
+
+def test_noise_is_a_gross_violation_and_the_guess_is_not(hovercraft):
+    for steps in (10, 20, 200):  # on coarser grids straight lines are gross, too
+        grid = hovercraft.make_grid(steps)
+        assert not hovercraft.is_gross(grid, at(hovercraft, grid, hovercraft.initial_guess(grid)))
+        assert hovercraft.is_gross(grid, at(hovercraft, grid, noisy(hovercraft, grid, 0)))
+
+
+def test_what_fails_nearby_begins_anew_at_the_guess(hovercraft, monkeypatch):
+    """All iterations together are no more than allowed, and the reported end is that of the second search."""
+    starts = []
+
+    def descend(grid, unknowns, tolerance, max_iterations, log, system):
+        starts.append((unknowns, max_iterations))
+        return "infeasible", at(hovercraft, grid, unknowns), 7
+
+    monkeypatch.setattr(hovercraft, "descend", descend)
+    grid = hovercraft.make_grid(20)
+    guess = noisy(hovercraft, grid, 0)
+    status, point, iterations = hovercraft.minimise(grid, guess, 1e-8, 100, False, [])
+    (near, first), (again, rest) = starts
+    assert (status, iterations, first, rest) == ("infeasible", 14, 50, 93)
+    np.testing.assert_array_equal(again, guess)
+    assert at(hovercraft, grid, near).violation <= 1e-2 * at(hovercraft, grid, guess).violation
+    np.testing.assert_array_equal(point.unknowns, at(hovercraft, grid, guess).unknowns)
+
+
+def test_restoration_gets_past_neighbours_that_almost_meet(hovercraft):
+    """There the slope of their distance all but vanishes, and the shortest step that removes the residual is huge."""
+    grid = hovercraft.make_grid(20)
+    guess = hovercraft.initial_guess(grid)
+    own, _ = hovercraft.shared_views(guess)
+    own[1] = own[0] + 1e-6
+    point = at(hovercraft, grid, hovercraft.with_pinned_values(grid, guess))
+    system = hovercraft.allocate_system(grid)
+    restored = hovercraft.restore(grid, point, 1e-6, [], system)
+    assert restored is not None
+    assert restored.violation <= 1e-6 * point.violation
+    assert np.abs(restored.unknowns - point.unknowns).max() < 100.0
