@@ -46,7 +46,9 @@ MALFORMED_PHASES: tuple[Malformed, ...] = (
     ),
     Malformed("phases-periodic", phased(second={"periodic": "[v]", "end": "{x: 2}"}), BoundaryError, "is periodic"),
     Malformed("phases-periodic-remedy", phased(second={"periodic": "[v]", "end": "{x: 2}"}), BoundaryError, "Eq(v, V)"),
-    Malformed("phases-all-periodic", phased(phases="Phases(first, second, periodic=[v])"), ProblemFileError, "Eq(v, V)"),
+    Malformed(
+        "phases-all-periodic", phased(phases="Phases(first, second, periodic=[v])"), ProblemFileError, "Eq(v, V)"
+    ),
     Malformed("phases-common-steps", phased(phases="Phases(first, second, steps=5)"), ProblemFileError, "each Control"),
     Malformed("phases-bodies", phased(first={"bodies": "2"}), ExpressionError, "phase 1: bodies is 2"),
     Malformed("phases-body", phased("b = body_number()", first={"start": "{x: b, v: 0}"}), SymbolError, "body belongs"),

@@ -32,7 +32,7 @@ def listed(paragraph):
 def test_a_flight_of_free_duration_is_stated_completely():
     goal, limits, _, step, *ends, _ = stated(FOLDER / "goddard_rocket.py")
     assert joined(goal) == (
-        "Find r, v, m at the nodes, thrust on the intervals and T such that -r at the end is least, where"
+        "Find r, v, m at the nodes, thrust on the intervals and T that minimise -r at the end, where"
     )
     assert listed(limits) == ["duration = T", "r >= 1", "v >= 0", "m_f <= m <= 1", "0 <= thrust <= greatest", "T >= 0"]
     assert [line.partition(" = ")[0] for line in listed(step)] == ["0", "0", "0"]  # no cost that vanishes
@@ -41,7 +41,11 @@ def test_a_flight_of_free_duration_is_stated_completely():
 
 def test_ends_of_the_variational_method_have_places_velocities_and_momenta():
     text = stated(FOLDER / "orbital_transfer.py")
-    assert "0 = D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k" in listed(text[5])
+    assert listed(text[5]) == [
+        "0 = D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k",
+        "p at the start = -D1 Ld(q_k, q_{k+1}) - f-_k",
+        "p at the end = D2 Ld(q_{k-1}, q_k) + f+_{k-1}",
+    ]
     assert listed(text[text.index("At the end:") + 1]) == [
         "r = r1, phi = 2*pi*revolutions, dr = 0, dphi = sqrt(GM/r1**3)",
         "p_r = dr*m",
@@ -99,8 +103,8 @@ def mixed(tmp_path):
 def test_costs_add_up_and_conditions_are_said_once_where_they_hold(mixed):
     goal, limits, *others = stated(mixed)
     assert joined(goal) == (
-        "Find x, y at the nodes, u, w on the intervals, dx at an end and T such that the sum of Cd over all intervals "
-        "plus T + dx**2 at the end is least, where"
+        "Find x, y at the nodes, u, w on the intervals, dx at an end and T that minimise the sum of Cd over all "
+        "intervals plus T + dx**2 at the end, where"
     )
     assert listed(limits) == ["duration = T", "T >= 1/2", "u + w <= 3 on the intervals", "y >= -1 at the nodes"]
     step = next(listed(p) for p in others if "    Ld = " in p)

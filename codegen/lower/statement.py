@@ -61,7 +61,7 @@ def _objective(program: ControlProgram) -> str:
     terms += [f"the cost at switch {i}" for i in switches]
     if program.end.cost != 0:
         terms.append(f"{sympy.sstr(program.end.cost.xreplace(_plain(program, program.right_symbols)))} at the end")
-    return f" such that {' plus '.join(terms)} is least" if terms else ""
+    return f" that minimise {' plus '.join(terms)}" if terms else ""
 
 
 def _unknowns(program: ControlProgram) -> str:
@@ -177,27 +177,25 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
     force = left = right = ""
     if program.model.holonomic:
         kappa = ", ".join(u.name for u in program.node if u.name.startswith("kappa_"))
-        lead += f", with G the derivative of the constraints and kappa = ({kappa})"
-        force, left, right = " + h G(q_k)^T kappa_k", " - h/2 G(q_0)^T kappa_0", " + h/2 G(q_N)^T kappa_N"
+        lead += f", with G the derivative of the constraints and kappa of entries {kappa}"
+        force, left, right = (f" {part} G(q_k)^T kappa_k" for part in ("+ h", "- h/2", "+ h/2"))
     lines = [f"0 = D2 Ld(q_{{k-1}}, q_k) + D1 Ld(q_k, q_{{k+1}}){both}{force}"]
     inner = [u.name for u in program.interval if u.meaning.startswith("inner value")]
     acting = {label for label, _ in program.equations}
     lines += [f"0 = dLd/d{name}" + f" + f_{name}" * (f"f_{name}" in acting) for name in inner]
-    if _matches(program.start):
-        lines.append(f"p_0 = -D1 Ld(q_0, q_1){' - f-_0' * forced}{left}")
-    if _matches(program.end):
-        lines.append(f"p_N = D2 Ld(q_{{N-1}}, q_N){' + f+_{N-1}' * forced}{right}")
-    if any(label.startswith("p_") for phase in program.phases for label, _ in phase.switch_equations):
-        lines.append(f"p before a switch = D2 Ld(q_{{k-1}}, q_k){' + f+_{k-1}' * forced}")
-        lines.append(f"p after a switch = -D1 Ld(q_k, q_{{k+1}}){' - f-_k' * forced}")
+    before = f"D2 Ld(q_{{k-1}}, q_k){' + f+_{k-1}' * forced}{right}"
+    after = f"-D1 Ld(q_k, q_{{k+1}}){' - f-_k' * forced}{left}"
+    switches = [pair for phase in program.phases for pair in phase.switch_equations]
+    lines += [f"p at the start = {after}"] * _gives_momenta(program.start.conditions)
+    lines += [f"p at the end = {before}"] * _gives_momenta(program.end.conditions)
+    lines += [f"p before a switch = {before}", f"p after a switch = {after}"] * _gives_momenta(switches)
     if len(lines) > 1 + len(inner):
         lead += ", and momenta where they are given"
     yield _block(f"{lead}:", lines)
 
 
-def _matches(end: EndElement) -> bool:
-    """Whether the discrete momentum of an end is given."""
-    return any(label.startswith("p_") for label, _ in end.conditions)
+def _gives_momenta(conditions: Pairs) -> bool:
+    return any(label.startswith("p_") for label, _ in conditions)
 
 
 def _end(program: ControlProgram, where: str, end: EndElement, symbols: Sequence[Symbol]) -> Iterator[list[str]]:
