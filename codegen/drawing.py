@@ -8,12 +8,15 @@ of the problem. The optional `label` names an item in legends. Nothing here need
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from codegen.errors import ExpressionError
 
 Expression = Any
 """A sympy expression or a number; in a scene an array (bodies, times)."""
@@ -24,8 +27,25 @@ Point: TypeAlias = tuple[Expression, Expression]
 _Item = TypeVar("_Item", bound="Item")
 
 
+class _Kind(type):
+    """Kinds of items: a call with other arguments than those of its kind says which these are."""
+
+    def __call__(cls, *values: Any, **named: Any) -> Any:
+        signature = inspect.signature(vars(cls)["__init__"])
+        try:
+            signature.bind(None, *values, **named)
+        except TypeError as error:
+            own = [p.replace(annotation=p.empty) for p in list(signature.parameters.values())[1:]]
+            points = [part.name for part in fields(cls) if part.type == "Point"]  # type: ignore[arg-type]
+            raise ExpressionError(
+                f"{cls.__name__}(...) in the drawing: {error}",
+                f"write {cls.__name__}{inspect.Signature(own)} with (x, y) as {' and as '.join(points)}",
+            ) from None
+        return super().__call__(*values, **named)
+
+
 @dataclass(frozen=True)
-class Item:
+class Item(metaclass=_Kind):
     """Something to be drawn, once for each body if it depends on the body."""
 
     label: str = field(default="", kw_only=True)

@@ -11,13 +11,19 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar
 
 from codegen.drawing import Item
-from codegen.errors import ExpressionError
+from codegen.errors import ExpressionError, ProblemFileError
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
 """The arguments that may say how a system moves, and the form that each makes of a model."""
 
 Expression = Any
 """A sympy expression or a number."""
+
+SAME_AT_BOTH_ENDS = (
+    'declare V = free_parameter("V", guess) for each quantity v that returns, and write Eq(v, V) into the '
+    "start_conditions of the first phase and into the end_conditions of the last"
+)
+"""How a motion of several phases is made periodic."""
 
 Relation = Any
 """A sympy relation (Eq, <=, >=), or an expression that is to vanish."""
@@ -104,7 +110,13 @@ class Phases:
     phases: tuple[Control, ...]
     jumps: Sequence[Mapping[Any, Expression]]
 
-    def __init__(self, *phases: Control, jumps: Sequence[Mapping[Any, Expression]] = ()) -> None:
+    def __init__(self, *phases: Control, jumps: Sequence[Mapping[Any, Expression]] = (), **others: Any) -> None:
+        """Put the phases in order; ProblemFileError for arguments that phases do not have in common."""
+        for name in others:
+            raise ProblemFileError(
+                f"Phases(...) has no argument {name!r}",
+                SAME_AT_BOTH_ENDS if name == "periodic" else "give phases and jumps; the rest belongs to each Control",
+            )
         object.__setattr__(self, "phases", phases)
         object.__setattr__(self, "jumps", jumps)
 

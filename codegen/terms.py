@@ -44,7 +44,7 @@ def sorted_terms(
         for term in Add.make_args(condition):
             read = sorted(term.free_symbols & places.keys(), key=lambda symbol: places[symbol])
             arguments += [next(fresh) for _ in read[len(arguments) :]]
-            general = term.xreplace(dict(zip(read, arguments, strict=False)))
+            general = _signed(term.xreplace(dict(zip(read, arguments, strict=False))))
             kind = kinds.setdefault(Kind(general, tuple(arguments[: len(read)])), len(kinds))
             instances.append(Instance(kind, row, tuple(places[symbol] for symbol in read)))
     return tuple(kinds), tuple(instances)
@@ -57,5 +57,12 @@ def distinct(conditions: Sequence[Expr], quantities: Sequence[Symbol]) -> tuple[
     first: dict[Expr, int] = {}
     for place, condition in enumerate(conditions):
         read = sorted(condition.free_symbols & places.keys(), key=lambda symbol: places[symbol])
-        first.setdefault(condition.xreplace(dict(zip(read, arguments, strict=False))), place)
+        first.setdefault(_signed(condition.xreplace(dict(zip(read, arguments, strict=False)))), place)
     return tuple(first.values())
+
+
+def _signed(expression: Expr) -> Expr:
+    """An equal expression in which (b - a)^2 is (a - b)^2, so that both are seen to be the same."""
+    return expression.replace(
+        lambda e: e.is_Pow and e.exp.is_even and e.base.could_extract_minus_sign(), lambda e: (-e.base) ** e.exp
+    )

@@ -45,6 +45,11 @@ MALFORMED_PHASES: tuple[Malformed, ...] = (
         "phases-later-start-condition", phased(second={"start_conditions": "[x - v]"}), BoundaryError, "jumps[0]"
     ),
     Malformed("phases-periodic", phased(second={"periodic": "[v]", "end": "{x: 2}"}), BoundaryError, "is periodic"),
+    Malformed("phases-periodic-remedy", phased(second={"periodic": "[v]", "end": "{x: 2}"}), BoundaryError, "Eq(v, V)"),
+    Malformed(
+        "phases-all-periodic", phased(phases="Phases(first, second, periodic=[v])"), ProblemFileError, "Eq(v, V)"
+    ),
+    Malformed("phases-common-steps", phased(phases="Phases(first, second, steps=5)"), ProblemFileError, "each Control"),
     Malformed("phases-bodies", phased(first={"bodies": "2"}), ExpressionError, "phase 1: bodies is 2"),
     Malformed("phases-body", phased("b = body_number()", first={"start": "{x: b, v: 0}"}), SymbolError, "body belongs"),
     Malformed("phases-of-body", phased(second={"end_conditions": "[x.of(0)]", "end": "{v: 0}"}), SymbolError, "x.of"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import pickle
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +27,7 @@ from codegen import (
     time,
 )
 from codegen.compiler import Choices, generate_from_model
-from codegen.drawing import ITEMS, Arrow, Box, Circle, Item, Mass, Rod, Trail
+from codegen.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
 from codegen.errors import ExpressionError, SymbolError
 from codegen.lower.module import Origin
 from codegen.model import Model, normalise
@@ -70,6 +72,30 @@ class TestItems:
         rod = Rod((0, 1), (2, 3), label="boom")
         assert [name for name, _ in rod.expressions()] == ["start", "start", "end", "end"]
         assert rod.mapped(float).label == "boom"
+
+    @pytest.mark.parametrize(
+        ("make", "finding", "remedy"),
+        [
+            (lambda: Ground(-2.5), "Ground.*'end'", r"Ground(start, end, *, label='') with (x, y) as start and as end"),
+            (lambda: Mass((0, 0)), "'radius'", "Mass(centre, radius, *, label='') with (x, y) as centre"),
+            (lambda: Box((0, 0), 1, 1, 0, "x"), "too many", "Box(centre, width, height, angle=0, *, label='')"),
+            (lambda: Rod((0, 0), (1, 1), colour="red"), "'colour'", "Rod(start, end, *, label='')"),
+        ],
+    )
+    def test_arguments_that_do_not_fit_are_answered_by_those_that_do(self, make, finding, remedy):
+        with pytest.raises(ExpressionError, match=finding) as caught:
+            make()
+        assert remedy in caught.value.remedy
+
+    @pytest.mark.parametrize("kind", ITEMS)
+    def test_the_readme_lists_the_arguments_of_every_kind(self, kind):
+        arguments = list(inspect.signature(kind.__init__).parameters.values())[1:-1]
+        written = ", ".join(a.name if a.default is a.empty else f"{a.name}={a.default}" for a in arguments)
+        assert f"| `{kind.__name__}({written})` |" in (PROBLEMS.parent / "README.md").read_text()
+
+    def test_copies_are_equal(self):
+        box = Box((0, 1), 2, 3, label="cart")
+        assert pickle.loads(pickle.dumps(box)) == replace(box) == box
 
 
 class TestModel:

@@ -100,6 +100,35 @@ def test_names_that_generated_functions_use_are_reserved(name):
         assert names <= RESERVED | own | {"body"} | set(dir(builtins)), function.name  # the number of a body
 
 
+@pytest.mark.parametrize("name", sorted(committed()))
+def test_docstrings_of_generated_functions_fit_a_page(name):
+    """That of the module itself holds formulas of the problem, which may be long."""
+    text = committed()[name]
+    for node in [node for node in ast.parse(text).body if isinstance(node, (ast.FunctionDef, ast.ClassDef))]:
+        first = node.body[0]
+        if ast.get_docstring(node) and not node.name.startswith("coupling_"):
+            lines = text.splitlines()[first.lineno - 1 : first.end_lineno]
+            assert max(map(len, lines)) <= 120, node.name
+
+
+@pytest.mark.parametrize("name", sorted(committed()))
+def test_headers_say_where_the_command_works(name):
+    """It names the file without a folder, so that any machine makes the same text."""
+    first, second = committed()[name].splitlines()[:2]
+    source = first.split(" from ")[1].removesuffix("; do not edit.")
+    assert second.startswith(f"# Made again, in the folder of {source}, by: codegen build {source}")
+
+
+def test_the_stride_counts_everything_that_an_interval_has():
+    text = committed()["goddard_rocket.py"]
+    assert "STRIDE = 7  # unknowns of a node and of the interval after it, which has mu_r, mu_v, mu_m, thrust\n" in text
+
+
+def test_a_duration_that_overrides_parameters_is_documented():
+    assert "`duration`, if given, overrides" in committed()["cart_pole.py"]
+    assert "overrides" not in committed()["goddard_rocket.py"]  # its duration is an unknown
+
+
 def test_gallery_covers_every_problem_file():
     assert {name for name, _, _ in GALLERY} == {path.stem for path in (ROOT / "problems").glob("*.py")}
 

@@ -11,11 +11,12 @@ from codegen.derive import ControlDerivatives, ElementDerivatives
 from codegen.discretise import STEP
 from codegen.lower import control_guesses, phases
 from codegen.lower import control_layout as layout
-from codegen.lower.control_text import description, left_out, metadata
+from codegen.lower.control_text import left_out, metadata
 from codegen.lower.coupling import Couplings, lower_couplings
 from codegen.lower.kernels import INNER, PLAIN, Kernel, Line, Output, kernel
 from codegen.lower.module import Argument, ControlModule
 from codegen.lower.printer import array_code, scalar_code
+from codegen.lower.statement import description
 from codegen.transcribe.program import ControlProgram, EndElement
 
 
@@ -120,7 +121,7 @@ def _interval_kernels(
     return (
         kernel(
             f"{stem}_gradient",
-            f"Gradient of {share} optimisation problem's Lagrangian{where}; returns the discrete cost.",
+            f"Gradient of {share} optimisation problem's Lagrangian{where}; returns Cd.",
             arguments, places, gradient, element.cost, decorators=INNER, straight_line=element.gradient_assignments,
         ),
         kernel(

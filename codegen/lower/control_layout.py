@@ -53,7 +53,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
     lines = [
         Line("NODE", str(len(program.node)), f"unknowns of a node: {_names(program.node)}"),
         Line("CONDENSED", str(condensed), f"eliminated inside their interval: {_names(eliminated)}"),
-        Line("STRIDE", str(stride), "unknowns of a node and the interval after it" + _list(program.interval)),
+        Line("STRIDE", str(stride), f"unknowns of a node and of the interval after it, which has {_names(inside)}"),
         Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
         *_size_lines(program, derivatives),
         Line("IS_MULTIPLIER", f"np.array({[u.multiplier for u in (*program.node, *inside)]})", "of node and interval"),
@@ -243,7 +243,3 @@ def shared_views(program: ControlProgram, target: str, vector: str) -> tuple[Lin
 
 def _names(unknowns: Sequence[Unknown]) -> str:
     return ", ".join(u.name for u in unknowns) or "none"
-
-
-def _list(unknowns: Sequence[Unknown]) -> str:
-    return f": {_names(unknowns)}" if unknowns else ""

@@ -1,4 +1,4 @@
-"""What a control module says about itself: description of the discrete equations, what was left out, metadata."""
+"""What a control module says about itself beside the problem that it solves: what was left out, metadata."""
 
 from __future__ import annotations
 
@@ -49,62 +49,6 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
     if zeros:
         out.append(f"{zeros} of {size * (size + 1) // 2} entries of the interval's Hessian: identically zero")
     return out
-
-
-def description(program: ControlProgram, kernels: Sequence[Kernel]) -> list[str]:
-    """The docstring: discrete equations, conditions at the ends and between bodies, operation counts."""
-    lines = ["Discrete equations on the interval from t_k to t_k1 = t_k + h (suffixes _k and _k1 mark its nodes)", ""]
-    if program.phases:
-        lines += [
-            "where t runs from the number of each phase, less one, to its number. An unknown x that an interval lacks",
-            "vanishes by x^2/2 in its share of the Lagrangian.",
-            "",
-        ]
-    elif program.scaled_time:
-        lines += ["where t and h are fractions of the duration:", ""]
-    lines += _phase_equations(program) if program.phases else _listed(program.equations)
-    lines.append("")
-    if program.method == "variational":
-        lines += [
-            "Minimise the sum of Cd over all intervals such that at every inner node the forced discrete",
-            "Euler-Lagrange equations hold,",
-            "",
-            "    D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k = 0,",
-            "",
-            "and at the ends the discrete momenta match those of the prescribed velocities.",
-        ]
-    else:
-        lines += ["Minimise the sum of Cd over all intervals such that every expression above named 0 vanishes on it."]
-    for where, end in (("start", program.start), ("end", program.end)):
-        if end.cost != 0:
-            lines += ["", f"Cost at the {where}: {sympy.sstr(end.cost)}"]
-        if end.conditions:
-            lines += ["", f"At the {where}:", ""]
-            lines += [f"    {name} = {sympy.sstr(value)}" for name, value in end.conditions]
-    if program.couplings:
-        lines += ["", "At the end, between bodies (0 is the first):", ""]
-        lines += [f"    0 = {sympy.sstr(coupling.expression)}" for coupling in program.couplings]
-    lines += ["", "Operations per interval, before and after common subexpressions are shared:", ""]
-    lines += [f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
-    return lines
-
-
-def _listed(equations: Sequence[tuple[str, sympy.Expr]]) -> list[str]:
-    return [f"    {name} = {sympy.sstr(value)}" for name, value in equations]
-
-
-def _phase_equations(program: ControlProgram) -> list[str]:
-    lines = []
-    for number, phase in enumerate(program.phases, start=1):
-        if phase.switch_equations:
-            lines += [f"At switch {number - 1}, where the left node has the values before it:", ""]
-            lines += [*_listed(phase.switch_equations), ""]
-        lacking = {phase.inside[i].name for i in phase.regular.lacking}
-        idle = [u.name for u in program.controls if u.name in lacking]
-        without = f", without {', '.join(idle)}" if idle else ""
-        heading = f"Phase {number}, of duration {sympy.sstr(phase.duration)}{without}:"
-        lines += [heading, "", *_listed(phase.equations), ""]
-    return lines[:-1]
 
 
 def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[str, str]]:

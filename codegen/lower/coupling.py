@@ -51,7 +51,8 @@ def _kernel(program: ControlProgram, number: int, kind: Kind) -> Kernel:
         for i, a in enumerate(read)
         for j, b in enumerate(read)
     ]
-    summary = f"{sympy.sstr(term)}, with its first and second derivatives."
+    told = "with its first and second derivatives" if read else "which depends on no unknown"
+    summary = f"{sympy.sstr(term)}, {told}."
     arguments = ("values", "parameters", "slopes", "curvatures")
     return kernel(f"coupling_{number}", summary, arguments, places, [*slopes, *curvatures], term, decorators=INNER)
 

@@ -88,7 +88,7 @@ def momentum_matrix(writer: Writer) -> PairLoop:
     return writer.loop(
         "momentum_matrix",
         "Fill `matrix` with the second derivatives of H by momenta"
-        + (", which act on every component of space alike: shape (n, n)." if isotropic else ", shape (nd, nd)."),
+        + (", alike for every component of space: shape (n, n)." if isotropic else ", shape (nd, nd)."),
         (*STATE, "matrix"), kernels[0], kernels[1],
         head=[Line("matrix[:]", "0.0")],
         tail=[Line("", "mirror_lower_triangle(matrix)", operator="")],

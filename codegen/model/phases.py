@@ -18,7 +18,7 @@ from codegen.model import drawings, normal_form, values
 from codegen.model.definitions import FreeParameter, Model
 from codegen.model.scope import Kinds, kinds_of
 from codegen.model.written import Entry, jump_entries, used_quantities, written_entries
-from codegen.problem import Control, Phases, form_of
+from codegen.problem import SAME_AT_BOTH_ENDS, Control, Phases, form_of
 from codegen.symbols import Quantity
 
 Jump = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
@@ -98,7 +98,7 @@ def _require_supported(place: int, phase: Control) -> None:
             f"write a value in jumps[{place - 1}], or a condition in the end or end_conditions of phase {place}",
         )
     if phase.periodic:
-        raise BoundaryError("it is periodic", "give conditions at the start of the first and the end of the last phase")
+        raise BoundaryError("it is periodic", SAME_AT_BOTH_ENDS)
     if phase.constraint:
         raise ExpressionError("it has a holonomic constraint", "use generalised coordinates in problems of phases")
     if phase.bodies != 1:

@@ -13,8 +13,8 @@ from dataclasses import replace
 import sympy
 from sympy import Add, Expr, S, Symbol
 
-from codegen.model import Boundary, Model
-from codegen.transcribe.guesses import at_guess
+from codegen.model import Model
+from codegen.transcribe.guesses import at_guess, known_values
 
 Values = dict[Symbol, Expr]
 
@@ -25,7 +25,7 @@ def with_guesses(model: Model) -> Model:
     Momenta of a Hamiltonian get one as well.
     """
     times, phases = _switch_times(model), list(model.phases)
-    values = _given(model, model.start)
+    values = known_values(model, model.start, model.start_conditions)
     for i, phase in enumerate(phases):
         guess = dict(phase.guess)
         for q in _quantities(model):
@@ -46,16 +46,10 @@ def _quantities(model: Model) -> Sequence[Symbol]:
     return model.coordinates if model.form != "hamiltonian" else (*model.coordinates, *model.rates)
 
 
-def _given(model: Model, boundary: Boundary | None) -> Values:
-    assert boundary is not None, "a control problem has an end"
-    pairs = zip((*model.coordinates, *model.rates), (*boundary.positions, *boundary.rates), strict=True)
-    return {symbol: value for symbol, value in pairs if value is not None}
-
-
 def _line(model: Model, quantity: Symbol, place: int, left: Expr | None, times: Sequence[Expr]) -> Expr:
     """From the value at the beginning of a phase to the next one that is known."""
     for last, phase in enumerate(model.phases[place:], start=place):
-        right = _given(model, phase.end).get(quantity)
+        right = known_values(model, phase.end, phase.end_conditions).get(quantity)
         if right is not None:
             if left is None:
                 return right
@@ -71,7 +65,7 @@ def _after(model: Model, place: int, guess: Values, time: Expr) -> Values:
     if model.form == "lagrangian":
         pairs = zip(model.coordinates, model.rates, strict=True)
         before |= {v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs}
-    given = _given(model, model.phases[place].end)
+    given = known_values(model, model.phases[place].end, model.phases[place].end_conditions)
     jump = {q: at_guess(model, value).xreplace(before | given) for q, value in model.jumps[place]}
     known = given | jump
     return {q: value for q, value in (before | known).items() if value != 0 or q in known}

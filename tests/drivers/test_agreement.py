@@ -46,7 +46,7 @@ BOUNDED = (
 ELSEWHERE = {
     ("hovercraft", "fsolve"),  # stalls
     ("hovercraft", "slsqp"),  # another local optimum
-    ("n_link_pendulum", "fsolve"),  # another stationary point
+    *(("n_link_pendulum", driver) for driver in ("fsolve", "slsqp", "trust-constr")),  # another optimum
     ("four_bar", "trust-constr"),  # another local optimum
     ("cart_pendulum", "slsqp"),  # another local optimum
     ("cart_pendulum", "trust-constr"),  # another local optimum

@@ -208,3 +208,32 @@ def test_guesses_are_lines_between_known_values_carried_over_jumps():
     assert [sympy.expand(guess[x]) for guess in guesses] == [1 + t, 1 + t, 6 + 2 * (t - 5)]
     assert (guesses[0][v], guesses[2][v]) == (3, 7)
     assert [guesses[1][v].subs(t, instant) for instant in (2, 6)] == [-3, 0]
+
+
+def test_guesses_take_free_parameters_at_their_guesses():
+    """An end that depends on them becomes a condition, and is where the line leads nevertheless."""
+
+    x, v = states("x v")
+    u, S, T = control("u"), free_parameter("S", 2), free_parameter("T", 3)
+    motion = {"dynamics": {x: v, v: u}, "cost": u**2}
+    model = normalise(
+        Phases(
+            Control(**motion, duration=S, start={x: 1, v: 0}),
+            Control(**motion, duration=T, end={x: 4 * (S + T)}, end_conditions=[2 * v - S - 2]),
+        )
+    )
+    x, v = model.coordinates
+    t = model.time
+    guesses = [dict(phase.guess) for phase in with_guesses(model).phases]
+    assert [sympy.expand(guess[x] - 1 - 19 * t / 5) for guess in guesses] == [0, 0]
+    assert [sympy.expand(guess[v] - 2 * t / 5) for guess in guesses] == [0, 0]
+
+
+def test_a_single_phase_starts_on_the_line_to_an_end_that_is_free():
+    x, v = states("x v")
+    u, T = control("u"), free_parameter("T", 3)
+    problem = Control(
+        dynamics={x: v, v: u}, cost=u**2, duration=T, start={x: 1}, start_conditions=[v + T], end={x: 2 * T, v: 0}
+    )
+    program = transcribe(normalise(problem))
+    assert str(program.node_guess) == "(start_x + t*(6 - start_x)/duration, -3 + t*(end_v + 3)/duration)"

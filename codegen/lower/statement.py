@@ -1,0 +1,246 @@
+"""The problem that a control module solves, in words and formulas: the docstring with which the module begins.
+
+What is minimised and over what, bounds and conditions, the discrete equations, both ends; nothing that a problem lacks.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.lower.kernels import Kernel
+from codegen.model import Model
+from codegen.transcribe.path_conditions import nodal_conditions
+from codegen.transcribe.program import ControlProgram, EndElement, Phase, Unknown
+
+_WIDTH = 110
+
+Pairs = Sequence[tuple[str, Expr]]
+
+
+def description(program: ControlProgram, kernels: Sequence[Kernel]) -> list[str]:
+    """The lines of the docstring below the title: the problem, then operation counts."""
+    operations = [f"{k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
+    blocks = [
+        *_problem(program),
+        *(_phases(program) if program.phases else _intervals(program)),
+        *_balance(program),
+        *_end(program, "start", program.start, program.left_symbols),
+        *_end(program, "end", program.end, program.right_symbols),
+        *_couplings(program),
+        _block("Operations per interval, before and after common subexpressions are shared:", operations),
+    ]
+    return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
+
+
+def _problem(program: ControlProgram) -> Iterator[list[str]]:
+    """What is least, over which unknowns, and what holds at every time."""
+    model = program.model
+    time = [f"duration = {sympy.sstr(model.duration)}"]
+    bounds = _bounds(program.shared[program.own :])
+    if not program.phases:
+        bounds = [*_bounds((*program.node, *program.controls)), *bounds, *_lasting(model)]
+    bounds += [f"{q} at the end = {q} at the start{_added(shift)}" for q, shift in model.periodic]
+    yield _block(f"Find {_unknowns(program)}{_objective(program)}, where", [*time, *bounds])
+
+
+def _added(shift: Expr) -> str:
+    text = sympy.sstr(shift)
+    return "" if shift == 0 else f" - {text[1:]}" if text.startswith("-") and not shift.is_Add else f" + {text}"
+
+
+def _objective(program: ControlProgram) -> str:
+    """The goal: the sum of the discrete cost and the costs at ends and switches, as far as there are any."""
+    terms = []
+    if any(cost != 0 for cost in [phase.regular.cost for phase in program.phases] or [program.cost]):
+        terms.append("the sum of Cd over all intervals" + (" of all bodies" if program.bodies > 1 else ""))
+    switches = [i for i, phase in enumerate(program.phases) if dict(phase.switch_equations).get("cost")]
+    terms += [f"the cost at switch {i}" for i in switches]
+    if program.end.cost != 0:
+        terms.append(f"{sympy.sstr(program.end.cost.xreplace(_plain(program, program.right_symbols)))} at the end")
+    return f" that minimise {' plus '.join(terms)}" if terms else ""
+
+
+def _unknowns(program: ControlProgram) -> str:
+    """All unknowns that are no multipliers and no slacks, by where they live."""
+    slacks = {program.node[i].name for end in (program.start, program.end) for i, _ in end.slacks}
+    ends = [program.node[i] for i in program.only_at_ends if program.node[i].name not in slacks]
+    inside = (*program.interval, *program.controls)
+    regular = [phase.regular.lacking for phase in program.phases]
+    at_switches = [u for i, u in enumerate(inside) if regular and all(i in lacking for lacking in regular)]
+    shared = [u for u, symbol in zip(program.shared, program.shared_symbols, strict=True) if _is_told(program, symbol)]
+    groups = (
+        ([u for i, u in enumerate(program.node) if i not in program.only_at_ends], " at the nodes"),
+        ([u for u in inside if u not in at_switches], " on the intervals"),
+        (at_switches, " at a switch"),
+        (ends, " at an end"),
+        (shared, ""),
+    )
+    named = [(list(dict.fromkeys(_quantity(u) for u in group if not u.multiplier)), where) for group, where in groups]
+    parts = [", ".join(names) + where for names, where in named if names]
+    text = " and ".join([", ".join(parts[:-1]), parts[-1]] if parts[1:] else parts)
+    return f"for {program.bodies} bodies (body = 0, ..., {program.bodies - 1}) {text}" if program.bodies > 1 else text
+
+
+def _is_told(program: ControlProgram, symbol: Symbol) -> bool:
+    """Whether a shared unknown is the author's, or occurs in what is written of the ends."""
+    values = [value for end in (program.start, program.end) for _, value in end.conditions]
+    free = [parameter.symbol for parameter in program.model.free_parameters]
+    return symbol in free or any(value.has(symbol) for value in values)
+
+
+def _quantity(unknown: Unknown) -> str:
+    """What an unknown is called in mathematics; the velocity at one end may have another name in the module."""
+    return unknown.meaning.split()[1] if unknown.meaning.endswith(" at an end") else unknown.name
+
+
+def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
+    lines = []
+    for u in unknowns:
+        lower, upper = (None if value is None else sympy.sstr(value) for value in (u.lower, u.upper))
+        if lower is not None and upper is not None:
+            lines.append(f"{lower} <= {u.name} <= {upper}")
+        elif lower is not None:
+            lines.append(f"{u.name} >= {lower}")
+        elif upper is not None:
+            lines.append(f"{u.name} <= {upper}")
+    return lines
+
+
+def _lasting(model: Model) -> list[str]:
+    """The conditions that hold at every time, as their author wrote them."""
+    at_nodes = {condition.name for equality in (False, True) for condition in nodal_conditions(model, equality)}
+    return [f"{c.name} {'at the nodes' if c.name in at_nodes else 'on the intervals'}" for c in model.path] + [
+        f"{sympy.sstr(constraint)} = 0 at the nodes" for constraint in model.holonomic
+    ]
+
+
+def _intervals(program: ControlProgram) -> Iterator[list[str]]:
+    """The equations of one interval."""
+    length = "h = 1/N, in parts of the duration" if program.scaled_time else "h = duration/N"
+    yield _block(
+        f"On each of N intervals, from t_k to t_k1 = t_k + h, {length} (suffixes _k and _k1 mark its nodes):",
+        _equations(program.equations, program.model),
+    )
+
+
+def _phases(program: ControlProgram) -> Iterator[list[str]]:
+    """The equations of an interval of every phase, and what happens at the switches."""
+    lead = (
+        "On each of N intervals of a phase, from t_k to t_k1 = t_k + h, h = 1/N (suffixes _k and _k1 mark its nodes), "
+        "where t runs from the number of the phase, less one, to that number."
+    )
+    if any(element.lacking for phase in program.phases for element in phase.elements):
+        lead += " An unknown x that an interval lacks vanishes by x^2/2 in its share of the Lagrangian."
+    yield textwrap.wrap(lead, _WIDTH)
+    for number, (phase, model) in enumerate(zip(program.phases, program.model.phases, strict=True), start=1):
+        if phase.switch_equations:
+            relations = [_relation(label, value) for label, value in phase.switch_equations]
+            yield _block(f"At switch {number - 1}, where the left node has the values before it:", relations)
+        yield _block(_heading(program, number, phase), _phase_lines(phase, model))
+
+
+def _heading(program: ControlProgram, number: int, phase: Phase) -> str:
+    lacking = {phase.inside[i].name for i in phase.regular.lacking}
+    idle = [u.name for u in program.controls if u.name in lacking]
+    without = f", without {', '.join(idle)}" if idle else ""
+    return f"Phase {number}, of duration {sympy.sstr(phase.duration)}{without}:"
+
+
+def _phase_lines(phase: Phase, model: Model) -> list[str]:
+    lacking = {phase.inside[i].name for i in phase.regular.lacking}
+    present = [u for u in (*phase.node, *phase.inside) if u.name not in lacking and not u.meaning.startswith("slack")]
+    return [*_bounds(present), *_lasting(model), *_equations(phase.equations, model)]
+
+
+def _equations(equations: Pairs, model: Model) -> list[str]:
+    """Discrete equations; those of conditions at nodes have been written, and so has a cost that vanishes."""
+    said = {f"0 at every node ({c.name})" for c in nodal_conditions(model, equality=True)}
+    said |= {f"0 at every node (the constraint {c})" for c in model.holonomic}
+    return [
+        f"0 >= {sympy.sstr(value)}" if label.startswith("-") else f"{label.partition(' (')[0]} = {sympy.sstr(value)}"
+        for label, value in equations
+        if label not in said and (label != "Cd" or value != 0)
+    ]
+
+
+def _balance(program: ControlProgram) -> Iterator[list[str]]:
+    """What the variational method asks of the nodes."""
+    if program.method != "variational":
+        return
+    forced = any(force != 0 for m in program.model.phases or (program.model,) for force in m.force)
+    both = " + f+_{k-1} + f-_k" if forced else ""
+    lead = f"{'Forced discrete' if forced else 'Discrete'} Euler-Lagrange equations at inner nodes"
+    force = left = right = ""
+    if program.model.holonomic:
+        kappa = ", ".join(u.name for u in program.node if u.name.startswith("kappa_"))
+        lead += f", with G the derivative of the constraints and kappa of entries {kappa}"
+        force, left, right = (f" {part} G(q_k)^T kappa_k" for part in ("+ h", "- h/2", "+ h/2"))
+    lines = [f"0 = D2 Ld(q_{{k-1}}, q_k) + D1 Ld(q_k, q_{{k+1}}){both}{force}"]
+    inner = [u.name for u in program.interval if u.meaning.startswith("inner value")]
+    acting = {label for equations in _all_equations(program) for label, _ in equations}
+    lines += [f"0 = dLd/d{name}" + f" + f_{name}" * (f"f_{name}" in acting) for name in inner]
+    before = f"D2 Ld(q_{{k-1}}, q_k){' + f+_{k-1}' * forced}{right}"
+    after = f"-D1 Ld(q_k, q_{{k+1}}){' - f-_k' * forced}{left}"
+    switches = [pair for phase in program.phases for pair in phase.switch_equations]
+    lines += [f"p at the start = {after}"] * _gives_momenta(program.start.conditions)
+    lines += [f"p at the end = {before}"] * _gives_momenta(program.end.conditions)
+    lines += [f"p before a switch = {before}", f"p after a switch = {after}"] * _gives_momenta(switches)
+    if len(lines) > 1 + len(inner):
+        lead += ", and momenta where they are given"
+    yield _block(f"{lead}:", lines)
+
+
+def _all_equations(program: ControlProgram) -> list[Pairs]:
+    return [program.equations, *(phase.equations for phase in program.phases)]
+
+
+def _gives_momenta(conditions: Pairs) -> bool:
+    return any(label.startswith("p_") for label, _ in conditions)
+
+
+def _end(program: ControlProgram, where: str, end: EndElement, symbols: Sequence[Symbol]) -> Iterator[list[str]]:
+    """Given values, momenta and conditions at one end, in the quantities there."""
+    plain = _plain(program, symbols)
+    given = [f"{v.quantity} = {sympy.sstr(v.value)}" for v in program.boundary_values if v.where == where]
+    lasting = {c.name for c in program.model.path} | {f"{q} is periodic" for q, _ in program.model.periodic}
+    relations = [
+        _relation(label, value.xreplace(plain))
+        for label, value in end.conditions
+        if label.partition(" (")[2].removesuffix(")") not in lasting
+    ]
+    if given or relations:
+        yield _block(f"At the {where}:", [*_side_by_side(given), *relations])
+
+
+def _side_by_side(items: Sequence[str]) -> list[str]:
+    """Short items on one line, long ones on a line each."""
+    line = ", ".join(items)
+    return [line] if items and len(line) < _WIDTH else list(items)
+
+
+def _relation(label: str, value: Expr) -> str:
+    """A condition as its author wrote it, or what a quantity is."""
+    left, _, said = label.partition(" (")
+    if said and any(sign in said for sign in (" = ", " <= ", " >= ")):
+        return said.removesuffix(")")
+    return f"{left} = {sympy.sstr(value)}" + (f" ({said}" if said else "")
+
+
+def _plain(program: ControlProgram, symbols: Sequence[Symbol]) -> Mapping[Symbol, Symbol]:
+    """Quantities of an end, and the symbols of values that are given there, by their names alone."""
+    names = {value.symbol: Symbol(value.quantity, real=True) for value in program.boundary_values}
+    return names | {symbol: Symbol(_quantity(u), real=True) for symbol, u in zip(symbols, program.node, strict=True)}
+
+
+def _couplings(program: ControlProgram) -> Iterator[list[str]]:
+    if program.couplings:
+        lines = [f"0 = {sympy.sstr(coupling.expression)}" for coupling in program.couplings]
+        yield _block("At the end, between bodies (_0 marks the first):", lines)
+
+
+def _block(lead: str, lines: Sequence[str]) -> list[str]:
+    return [*textwrap.wrap(lead, _WIDTH, break_on_hyphens=False), "", *(f"    {line}" for line in lines)]
