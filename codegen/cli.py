@@ -52,7 +52,10 @@ class Controls(StrEnum):
 Problem = Annotated[Path, typer.Argument(metavar="PROBLEM.py", help="The problem file.", show_default=False)]
 Set = Annotated[list[str], typer.Option("--set", metavar="NAME=VALUE", help="An argument of problem(); repeatable.")]
 Scheme = Annotated[str | None, typer.Option(help="Discretisation, such as midpoint or stormer-verlet.")]
-Method = Annotated[str | None, typer.Option(help="Formulation: variational or hamiltonian.")]
+Method = Annotated[
+    str | None,
+    typer.Option(help="Formulation: variational, hamiltonian or one-step; of particles stepping, full or action."),
+]
 Place = Annotated[Controls, typer.Option(help="Where controls live; nodal reproduces the thesis.")]
 Steps = Annotated[
     int | None, typer.Option(parser=_positive, metavar="N", help="Number of intervals. [default: the problem's own]")
@@ -122,7 +125,9 @@ def solve(
     scheme: Scheme = None,
     method: Method = None,
     controls: Place = Controls.INTERVAL,
-    driver: Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr, fsolve or fmin.")] = "newton",
+    driver: Annotated[
+        str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve or fmin.")
+    ] = "newton",
     steps: Steps = None,
     every: Every = 1,
     repeat: Repeat = 1,
@@ -130,7 +135,10 @@ def solve(
     log: Log = False,
     tolerance: Annotated[
         float | None,
-        typer.Option(metavar="E", help="Largest error of an equation, or of an adaptive step (particles)."),
+        typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
+    ] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option(parser=_positive, metavar="N", help="Most iterations of an optimiser.")
     ] = None,
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[
@@ -162,7 +170,7 @@ def solve(
         _require_fitting(module.metadata["task"], driver, every, log)
         result = drivers.solve(
             module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings, guesses=guesses,
-            points=points(module.metadata), tolerance=_checked_tolerance(tolerance, module.metadata["task"]),
+            points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
         )  # fmt: skip
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
     record = output.as_record(result, made.seconds + compile_seconds, load_seconds + read_seconds)
@@ -363,16 +371,6 @@ def _points_of(problem: Path, set_: list[str]) -> Callable[[Mapping[str, Any]], 
         return read_points(file, len(metadata["coordinates"]))
 
     return read
-
-
-def _checked_tolerance(tolerance: float | None, task: str) -> float | None:
-    if tolerance is None:
-        return None
-    if task != "connect":
-        raise ArgumentError("--tolerance is for problems that connect points", "leave it out")
-    if not 0.0 < tolerance < 1.0:
-        raise ArgumentError(f"--tolerance {tolerance:g}", "give a number between 0 and 1")
-    return tolerance
 
 
 def _require_fitting(task: str, driver: str, every: int, log: bool) -> None:

@@ -53,6 +53,25 @@ def test_word_exit_status_and_message(tmp_path, uncompiled, case: Failing):
     assert result.stderr.count("\n") == 1
 
 
+def test_remedies_can_be_followed_on_the_command_line(tmp_path, uncompiled):
+    """More iterations than a hundred, and a looser tolerance than that of the generated solver."""
+    (case,) = (case for case in FAILING if case.status == "iteration limit")
+    path = tmp_path / "steep.py"
+    path.write_text(case.text)
+
+    def solved(*words):
+        record = json.loads(CliRunner().invoke(main, ["solve", str(path), "--json", *words]).stdout)
+        return record["status"], record["iterations"]
+
+    assert solved("--max-iterations", "3") == ("iteration limit", 3)
+    status, iterations = solved("--max-iterations", "1000")
+    assert status == "solved"
+    assert 100 < iterations < 1000
+    status, loose = solved("--max-iterations", "1000", "--tolerance", "1e-2")
+    assert status == "solved"
+    assert loose < iterations
+
+
 def test_there_are_enough_of_every_kind():
     assert len(FAILING) == len({case.id for case in FAILING}) >= 14
     assert {case.status for case in FAILING} == set(STATUSES) - {

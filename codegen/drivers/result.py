@@ -33,7 +33,8 @@ class Request:
     """What is asked of a driver.
 
     The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
-    unknowns to start from, and whether that is `near` the solution; for a connect problem the points, and a tolerance.
+    unknowns to start from, and whether that is `near` the solution; for a connect problem the points. None as a
+    tolerance, or as the most iterations of an optimiser, stands for the driver's own.
     """
 
     steps: int
@@ -42,6 +43,7 @@ class Request:
     points: PointSet | None = None
     tolerance: float | None = None
     near: bool = True
+    max_iterations: int | None = None
 
 
 @dataclass(frozen=True)
