@@ -126,7 +126,7 @@ def solve(
     method: Method = None,
     controls: Place = Controls.INTERVAL,
     driver: Annotated[
-        str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve or fmin.")
+        str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")
     ] = "newton",
     steps: Steps = None,
     every: Every = 1,
@@ -153,7 +153,7 @@ def solve(
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
-    from codegen import drivers, output, pictures
+    from codegen import drivers, notes, output, pictures
 
     _require_sensible(driver, log, save, out)
     wanted = pictures.requested(problem, set_, plot, animate)
@@ -181,6 +181,8 @@ def solve(
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
+    for note in notes.notes(module.metadata):
+        typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))
     else:
