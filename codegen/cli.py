@@ -20,6 +20,7 @@ from codegen.warp_command import warp
 
 if TYPE_CHECKING:
     from codegen.compiler import Build
+    from codegen.load import GeneratedModule, Vector
     from codegen.points import PointSet
 
 # Everything that is slow to import is imported by the command that needs it: `codegen --help` must be instant.
@@ -158,7 +159,7 @@ def solve(
     _require_sensible(driver, log, save, out)
     wanted = pictures.requested(problem, set_, plot, animate)
     points = _points_of(problem, set_)
-    start = output.saved_unknowns(warm) if warm is not None else None
+    start_of = _start_of(warm)
     with working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
     with working("Solving"):
@@ -169,7 +170,7 @@ def solve(
         load_seconds = time.perf_counter() - begin
         _require_fitting(module.metadata["task"], driver, every, log)
         result = drivers.solve(
-            module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings, guesses=guesses,
+            module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings, guesses=guesses,
             points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
         )  # fmt: skip
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
@@ -373,6 +374,16 @@ def _points_of(problem: Path, set_: list[str]) -> Callable[[Mapping[str, Any]], 
         return read_points(file, len(metadata["coordinates"]))
 
     return read
+
+
+def _start_of(warm: Path | None) -> Callable[[GeneratedModule], Vector | None]:
+    """What gives the unknowns of a saved result, already read, once there is a module that they must fit."""
+    if warm is None:
+        return lambda module: None
+    from codegen.drivers import warm_start
+
+    saved = warm_start.read_start(warm)
+    return lambda module: warm_start.fitting(saved, module)
 
 
 def _require_fitting(task: str, driver: str, every: int, log: bool) -> None:

@@ -199,15 +199,3 @@ def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
     labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays, **labels, result=np.array(as_json(record)))
-
-
-def saved_unknowns(path: Path) -> Any:
-    """The unknowns of a saved optimisation; OutputError when the file holds none."""
-    import numpy as np
-
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return np.asarray(archive["unknowns"], dtype=float)
-    except (OSError, ValueError, KeyError) as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ArgumentError(f"--warm {path} holds no solution ({reason})", "give a file that --save wrote") from None
