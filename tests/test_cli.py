@@ -131,6 +131,9 @@ COMMAND_LINES = {
     "iterations-zero": ("solve O --max-iterations 0", "'0'"),
     "iterations-of-other-driver": ("solve O --driver fsolve --max-iterations 9", "newton, slsqp, trust-constr, ipopt"),
     "iterations-of-other-driver-2": ("solve P --driver fsolve --max-iterations 9", "for a simulate problem"),
+    "warm-missing": ("solve O --warm nothing.npz", "--warm nothing.npz: no such file"),
+    "warm-directory": ("solve O --warm folder.png", "directory"),
+    "warm-no-archive": ("solve O --warm notes.txt", "--warm notes.txt is no .npz file"),
     "controls-unknown": ("solve O --controls both", "both"),
     "controls-of-simulation": ("solve P --controls nodal", "controls"),
     "plot-unknown-kind": ("solve P --plot picture.bmp", ".png or .pdf or .svg"),
@@ -342,6 +345,7 @@ class TestCheckAndShow:
 
 
 # A process started in the background of a shell ignores the signal, so it is made deadly again first.
+INTERRUPTION = "codegen: interrupted; no file was left half written\n"
 INTERRUPTED = '''"""Interrupted."""
 import os, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -391,8 +395,18 @@ class TestProcess:
     def test_interrupt(self, folder):
         (folder / "slow.py").write_text(INTERRUPTED)
         done = subprocess.run([sys.executable, "-m", "codegen", "solve", "slow.py"], capture_output=True, text=True)
-        assert done.returncode == 130
-        assert "Traceback" not in done.stderr
+        assert (done.returncode, done.stderr) == (130, INTERRUPTION)
+
+    def test_interrupt_while_importing(self, folder):
+        done = self.python(
+            "import runpy, sys",
+            "class Interrupting:",
+            "    def find_spec(self, name, *_):",
+            "        if name == 'typer': raise KeyboardInterrupt",
+            "sys.meta_path.insert(0, Interrupting())",
+            "runpy.run_module('codegen', run_name='__main__')",
+        )
+        assert (done.returncode, done.stdout, done.stderr) == (130, "", INTERRUPTION)
 
 
 class TestDefects:
