@@ -170,8 +170,8 @@ def solve(
         load_seconds = time.perf_counter() - begin
         _require_fitting(module.metadata["task"], driver, every, log)
         result = drivers.solve(
-            module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings, guesses=guesses,
-            points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
+            module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings,
+            guesses=guesses, points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
         )  # fmt: skip
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
     record = output.as_record(result, made.seconds + compile_seconds, load_seconds + read_seconds)
@@ -213,7 +213,7 @@ def check(
 
     if out is not None:
         output.require_folder(out, "--out")
-    arguments = parse_arguments(set_)
+    arguments = parse_arguments(set_, problem)
     with working("Checking"):
         from codegen import checks, compiler
 
@@ -244,7 +244,7 @@ def show(
     from codegen.problem_file import parse_arguments
     from codegen.show import equations
 
-    arguments = parse_arguments(set_)
+    arguments = parse_arguments(set_, problem)
     with working("Deriving"):
         text = equations(problem, arguments, scheme=scheme, method=method, controls=controls.value, latex=latex)
     typer.echo(text)
@@ -263,7 +263,7 @@ def analyse(
     from codegen.analysis.modified_text import analysis
     from codegen.problem_file import parse_arguments
 
-    arguments = parse_arguments(set_)
+    arguments = parse_arguments(set_, problem)
     with working("Expanding"):
         text = analysis(problem, arguments, scheme=scheme, method=method, order=order, latex=latex)
     typer.echo(text)
@@ -318,7 +318,7 @@ def stress(
         from codegen.problem_file import parse_arguments
 
         with working("Deriving"):
-            cases = generic.cases_of(problem, parse_arguments(set_))
+            cases = generic.cases_of(problem, parse_arguments(set_, problem))
     else:
         cases = families.quick_cases() if quick else families.all_cases()
     with progress("Stressing", len(cases)) as moved:
@@ -342,7 +342,7 @@ def _build(
     from codegen import compiler
     from codegen.problem_file import parse_arguments
 
-    arguments = parse_arguments(set_)
+    arguments = parse_arguments(set_, problem)
     return compiler.build(problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out)
 
 
@@ -363,7 +363,7 @@ def _points_of(problem: Path, set_: list[str]) -> Callable[[Mapping[str, Any]], 
     """What reads the points of a problem about particles, once its module says how many coordinates they have."""
     from codegen.problem_file import parse_arguments, split_points
 
-    given = split_points(problem, parse_arguments(set_))[1]
+    given = split_points(problem, parse_arguments(set_, problem))[1]
 
     def read(metadata: Mapping[str, Any]) -> PointSet | None:
         if metadata["task"] != "connect":

@@ -103,7 +103,10 @@ COMMAND_LINES = {
     "driver-of-control-2": ("solve P --driver trust-constr", "newton, fsolve"),
     "driver-on-explicit": ("solve P --scheme stormer-verlet --driver fsolve", "explicit"),
     "driver-dense": ("solve O --driver slsqp --steps 5000", "dense"),
-    "set-without-value": ("solve O --set revolutions", "name=value"),
+    "set-without-value": ("solve O --set revolutions", "name=value; write for example --set revolutions=1"),
+    "set-without-value-2": ("show P --set 3", "name=value; write for example --set form=hamiltonian"),
+    "set-without-value-of-no-file": ("solve nothing.py --set revolutions", "nothing.py: no such file"),
+    "method-of-other-system": ("show V --method variational", "gives a first-order system; use one-step"),
     "set-without-name": ("solve O --set =2", "name=value"),
     "set-unknown": ("solve O --set revolution=2", "did you mean revolutions"),
     "set-twice": ("solve O --set revolutions=1 --set revolutions=2", "twice"),
@@ -160,7 +163,8 @@ def test_malformed_command_lines(folder, words, fragment):
     (folder / "notes.txt").write_text("keep me")
     (folder / "folder.png").mkdir()
     before = contents(folder)
-    result = run(*[{"P": PENDULUM, "O": ORBIT}.get(word, word) for word in words.split()])
+    files = {"P": PENDULUM, "O": ORBIT, "V": PROBLEMS / "van_der_pol.py"}
+    result = run(*[files.get(word, word) for word in words.split()])
     assert_refused(result)
     assert any(part in result.stderr for part in fragment.split("|")), result.stderr
     assert contents(folder) == before
