@@ -188,7 +188,7 @@ def solve(
         typer.echo(output.as_json(record))
     else:
         console().print(result.title, style="bold", markup=False)
-        console().print(output.as_table(record))
+        console().print(output.as_table(record, result.intervals))
     if not result.solved:
         may_help = (
             guesses == 1 and result.task == "control" and result.status in ("infeasible", "saddle point", "stalled")

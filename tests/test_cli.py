@@ -14,10 +14,11 @@ from conftest import PROBLEMS
 from malformed import MALFORMED
 from typer.testing import CliRunner
 
-from codegen import checks, cli, drivers, output
+from codegen import checks, cli, drivers, output, schemes
 from codegen.checks.base import does_not_apply
 from codegen.cli import main
 from codegen.drivers.result import STATUSES
+from codegen.transcribe.connect import CONNECT_METHODS
 
 ORBIT, PENDULUM = str(PROBLEMS / "orbital_transfer.py"), str(PROBLEMS / "pendulum.py")
 
@@ -355,6 +356,13 @@ import os, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
 os.kill(os.getpid(), signal.SIGINT)
 '''
+
+
+def test_help_names_every_driver_and_method():
+    text = "".join(run("solve", "--help").stdout.split())  # names are broken at their hyphens
+    names = [*drivers.DRIVERS, *schemes.METHODS, schemes.FIRST_ORDER, *CONNECT_METHODS]
+    assert len(names) == 12
+    assert [name for name in names if name not in text] == []
 
 
 class TestProcess:

@@ -129,6 +129,12 @@ class Result:
         """Whether the numerics succeeded."""
         return self.status == "solved"
 
+    @property
+    def intervals(self) -> str:
+        """How many steps were made, for people: `20 steps`, or `2 x 20 steps` in two phases."""
+        phases = (self.t.size - 1) // self.steps if self.task == "control" else 1
+        return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
+
 
 def max_norm(values: Vector) -> float:
     """Max-norm; infinite when an entry is not finite."""
