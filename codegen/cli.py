@@ -6,10 +6,9 @@ Exit status 0: it worked; 1: the numerics or a check failed; 2: the input was wr
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,8 +19,6 @@ from codegen.warp_command import warp
 
 if TYPE_CHECKING:
     from codegen.compiler import Build
-    from codegen.load import GeneratedModule, Vector
-    from codegen.points import PointSet
 
 # Everything that is slow to import is imported by the command that needs it: `codegen --help` must be instant.
 
@@ -154,12 +151,12 @@ def solve(
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
-    from codegen import drivers, notes, output, pictures
+    from codegen import drivers, notes, output, pictures, solve_options
 
-    _require_sensible(driver, log, save, out)
+    solve_options.require_sensible(driver, log, save, out)
     wanted = pictures.requested(problem, set_, plot, animate)
-    points = _points_of(problem, set_)
-    start_of = _start_of(warm)
+    points = solve_options.points_of(problem, set_)
+    start_of = solve_options.start_of(warm)
     with working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
     with working("Solving"):
@@ -168,7 +165,7 @@ def solve(
         begin = time.perf_counter()
         module = load(made.path)
         load_seconds = time.perf_counter() - begin
-        _require_fitting(module.metadata["task"], driver, every, log)
+        solve_options.require_fitting(module.metadata["task"], driver, every, log)
         result = drivers.solve(
             module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings,
             guesses=guesses, points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
@@ -344,54 +341,3 @@ def _build(
 
     arguments = parse_arguments(set_, problem)
     return compiler.build(problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out)
-
-
-def _require_sensible(driver: str, log: bool, save: Path | None, out: Path | None) -> None:
-    """Refuse, before anything is derived, what could only fail after everything is solved."""
-    from codegen import drivers, output
-
-    drivers.find(driver)
-    if log and driver != "newton":
-        raise ArgumentError(f"driver {driver} keeps no log of its iterates", "use --log with --driver newton")
-    if save is not None:
-        output.require_writable(save, output.ARCHIVES, "--save")
-    if out is not None:
-        output.require_folder(out, "--out", may_be_made=True)
-
-
-def _points_of(problem: Path, set_: list[str]) -> Callable[[Mapping[str, Any]], PointSet | None]:
-    """What reads the points of a problem about particles, once its module says how many coordinates they have."""
-    from codegen.problem_file import parse_arguments, split_points
-
-    given = split_points(problem, parse_arguments(set_, problem))[1]
-
-    def read(metadata: Mapping[str, Any]) -> PointSet | None:
-        if metadata["task"] != "connect":
-            return None
-        from codegen.points import read_points
-
-        file = Path(given) if given is not None else problem.parent / metadata["points"]
-        return read_points(file, len(metadata["coordinates"]))
-
-    return read
-
-
-def _start_of(warm: Path | None) -> Callable[[GeneratedModule], Vector | None]:
-    """What gives the unknowns of a saved result, already read, once there is a module that they must fit."""
-    if warm is None:
-        return lambda module: None
-    from codegen.drivers import warm_start
-
-    saved = warm_start.read_start(warm)
-    return lambda module: warm_start.fitting(saved, module)
-
-
-def _require_fitting(task: str, driver: str, every: int, log: bool) -> None:
-    """Refuse options that mean nothing for the task."""
-    from codegen import drivers
-
-    drivers.find(driver, task)
-    if every > 1 and task != "simulate":
-        raise ArgumentError(f"--every {every} thins simulations, and this is a {task} problem", "leave it out")
-    if log and task != "control":
-        raise ArgumentError(f"--log shows iterates of an optimisation, and this is a {task} problem", "leave it out")

@@ -210,7 +210,7 @@ def _choice_texts(choices: Choices) -> tuple[str, ...]:
 
 _USERS = (
     "drivers", "plots", "registration", "report", "stress", "__main__.py", "app_command.py", "cli.py", "notes.py",
-    "output.py", "terminal.py",
+    "output.py", "solve_options.py", "terminal.py",
 )  # fmt: skip
 """Parts of this package on which no generated text depends."""
 
