@@ -92,7 +92,8 @@ def _couplings(context: Context) -> Iterator[Finding]:
         passed = solution.status != "solved" or missed <= _HOLDS
         if not passed:
             detail = f"left out as redundant, but the solution violates it by {missed:.2g}; start from a better guess"
-        subject = f"condition {place + 1} between bodies, {shortened(names[place])}"
+        name = shortened(names[place])
+        subject = name if name == names[place] else f"number {place + 1}, {name}"  # the beginning may be that of others
         yield Finding("boundary rank", subject, passed, detail)
 
 
