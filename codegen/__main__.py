@@ -1,5 +1,20 @@
-"""`python -m codegen` is the command `codegen`."""
+"""The command `codegen`, as `python -m codegen` and as a script, which an interrupt ends at any time in one line."""
 
-from codegen.cli import main
+import sys
 
-main(prog_name="codegen")
+from codegen.errors import INTERRUPTED
+
+
+def run() -> None:
+    """Run the command line and exit; importing it takes a while, in which it may be interrupted already."""
+    try:
+        from codegen.cli import main
+
+        main(prog_name="codegen")
+    except KeyboardInterrupt:
+        print(INTERRUPTED, file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    run()

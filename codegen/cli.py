@@ -6,10 +6,9 @@ Exit status 0: it worked; 1: the numerics or a check failed; 2: the input was wr
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,7 +19,6 @@ from codegen.warp_command import warp
 
 if TYPE_CHECKING:
     from codegen.compiler import Build
-    from codegen.points import PointSet
 
 # Everything that is slow to import is imported by the command that needs it: `codegen --help` must be instant.
 
@@ -52,7 +50,10 @@ class Controls(StrEnum):
 Problem = Annotated[Path, typer.Argument(metavar="PROBLEM.py", help="The problem file.", show_default=False)]
 Set = Annotated[list[str], typer.Option("--set", metavar="NAME=VALUE", help="An argument of problem(); repeatable.")]
 Scheme = Annotated[str | None, typer.Option(help="Discretisation, such as midpoint or stormer-verlet.")]
-Method = Annotated[str | None, typer.Option(help="Formulation: variational or hamiltonian.")]
+Method = Annotated[
+    str | None,
+    typer.Option(help="Formulation: variational, hamiltonian or one-step; of particles stepping, full or action."),
+]
 Place = Annotated[Controls, typer.Option(help="Where controls live; nodal reproduces the thesis.")]
 Steps = Annotated[
     int | None, typer.Option(parser=_positive, metavar="N", help="Number of intervals. [default: the problem's own]")
@@ -125,7 +126,9 @@ def solve(
     scheme: Scheme = None,
     method: Method = None,
     controls: Place = Controls.INTERVAL,
-    driver: Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr, fsolve or fmin.")] = "newton",
+    driver: Annotated[
+        str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")
+    ] = "newton",
     steps: Steps = None,
     every: Every = 1,
     repeat: Repeat = 1,
@@ -133,7 +136,10 @@ def solve(
     log: Log = False,
     tolerance: Annotated[
         float | None,
-        typer.Option(metavar="E", help="Largest error of an equation, or of an adaptive step (particles)."),
+        typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
+    ] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option(parser=_positive, metavar="N", help="Most iterations of an optimiser.")
     ] = None,
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[
@@ -148,12 +154,12 @@ def solve(
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
-    from codegen import drivers, output, pictures
+    from codegen import drivers, notes, output, pictures, solve_options
 
-    _require_sensible(driver, log, save, out)
+    solve_options.require_sensible(driver, log, save, out)
     wanted = pictures.requested(problem, set_, plot, animate)
-    points = _points_of(problem, set_)
-    start = output.saved_unknowns(warm) if warm is not None else None
+    points = solve_options.points_of(problem, set_)
+    start_of = solve_options.start_of(warm)
     with working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
     with working("Solving"):
@@ -162,10 +168,10 @@ def solve(
         begin = time.perf_counter()
         module = load(made.path)
         load_seconds = time.perf_counter() - begin
-        _require_fitting(module.metadata["task"], driver, every, log)
+        solve_options.require_fitting(module.metadata["task"], driver, every, log)
         result = drivers.solve(
-            module, driver, steps=steps, every=every, repeat=repeat, warm=start, doublings=doublings, guesses=guesses,
-            points=points(module.metadata), tolerance=_checked_tolerance(tolerance, module.metadata["task"]),
+            module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings,
+            guesses=guesses, points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
         )  # fmt: skip
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
     record = output.as_record(result, made.seconds + compile_seconds, load_seconds + read_seconds)
@@ -176,11 +182,13 @@ def solve(
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
+    for note in notes.notes(module.metadata):
+        typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))
     else:
         console().print(result.title, style="bold", markup=False)
-        console().print(output.as_table(record))
+        console().print(output.as_table(record, result.intervals))
     if not result.solved:
         may_help = (
             guesses == 1 and result.task == "control" and result.status in ("infeasible", "saddle point", "stalled")
@@ -205,7 +213,7 @@ def check(
 
     if out is not None:
         output.require_folder(out, "--out")
-    arguments = parse_arguments(set_)
+    arguments = parse_arguments(set_, problem)
     with working("Checking"):
         from codegen import checks, compiler
 
@@ -236,7 +244,7 @@ def show(
     from codegen.problem_file import parse_arguments
     from codegen.show import equations
 
-    arguments = parse_arguments(set_)
+    arguments = parse_arguments(set_, problem)
     with working("Deriving"):
         text = equations(problem, arguments, scheme=scheme, method=method, controls=controls.value, latex=latex)
     typer.echo(text)
@@ -255,7 +263,7 @@ def analyse(
     from codegen.analysis.modified_text import analysis
     from codegen.problem_file import parse_arguments
 
-    arguments = parse_arguments(set_)
+    arguments = parse_arguments(set_, problem)
     with working("Expanding"):
         text = analysis(problem, arguments, scheme=scheme, method=method, order=order, latex=latex)
     typer.echo(text)
@@ -310,7 +318,7 @@ def stress(
         from codegen.problem_file import parse_arguments
 
         with working("Deriving"):
-            cases = generic.cases_of(problem, parse_arguments(set_))
+            cases = generic.cases_of(problem, parse_arguments(set_, problem))
     else:
         cases = families.quick_cases() if quick else families.all_cases()
     with progress("Stressing", len(cases)) as moved:
@@ -334,56 +342,5 @@ def _build(
     from codegen import compiler
     from codegen.problem_file import parse_arguments
 
-    arguments = parse_arguments(set_)
+    arguments = parse_arguments(set_, problem)
     return compiler.build(problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out)
-
-
-def _require_sensible(driver: str, log: bool, save: Path | None, out: Path | None) -> None:
-    """Refuse, before anything is derived, what could only fail after everything is solved."""
-    from codegen import drivers, output
-
-    drivers.find(driver)
-    if log and driver != "newton":
-        raise ArgumentError(f"driver {driver} keeps no log of its iterates", "use --log with --driver newton")
-    if save is not None:
-        output.require_writable(save, output.ARCHIVES, "--save")
-    if out is not None:
-        output.require_folder(out, "--out", may_be_made=True)
-
-
-def _points_of(problem: Path, set_: list[str]) -> Callable[[Mapping[str, Any]], PointSet | None]:
-    """What reads the points of a problem about particles, once its module says how many coordinates they have."""
-    from codegen.problem_file import parse_arguments, split_points
-
-    given = split_points(problem, parse_arguments(set_))[1]
-
-    def read(metadata: Mapping[str, Any]) -> PointSet | None:
-        if metadata["task"] != "connect":
-            return None
-        from codegen.points import read_points
-
-        file = Path(given) if given is not None else problem.parent / metadata["points"]
-        return read_points(file, len(metadata["coordinates"]))
-
-    return read
-
-
-def _checked_tolerance(tolerance: float | None, task: str) -> float | None:
-    if tolerance is None:
-        return None
-    if task != "connect":
-        raise ArgumentError("--tolerance is for problems that connect points", "leave it out")
-    if not 0.0 < tolerance < 1.0:
-        raise ArgumentError(f"--tolerance {tolerance:g}", "give a number between 0 and 1")
-    return tolerance
-
-
-def _require_fitting(task: str, driver: str, every: int, log: bool) -> None:
-    """Refuse options that mean nothing for the task."""
-    from codegen import drivers
-
-    drivers.find(driver, task)
-    if every > 1 and task != "simulate":
-        raise ArgumentError(f"--every {every} thins simulations, and this is a {task} problem", "leave it out")
-    if log and task != "control":
-        raise ArgumentError(f"--log shows iterates of an optimisation, and this is a {task} problem", "leave it out")

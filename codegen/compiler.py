@@ -209,7 +209,8 @@ def _choice_texts(choices: Choices) -> tuple[str, ...]:
 
 
 _USERS = (
-    "drivers", "plots", "registration", "report", "stress", "app_command.py", "cli.py", "output.py", "terminal.py",
+    "drivers", "plots", "registration", "report", "stress", "__main__.py", "app_command.py", "cli.py", "notes.py",
+    "output.py", "solve_options.py", "terminal.py",
 )  # fmt: skip
 """Parts of this package on which no generated text depends."""
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+INTERRUPTED = "codegen: interrupted; no file was left half written"
+"""What a command says when it is interrupted; files are written as a whole or not at all."""
+
 
 class CodegenError(Exception):
     """Base of all errors that are reported as one line with exit status 2, never as a traceback.

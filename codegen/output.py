@@ -102,8 +102,8 @@ def _finite(number: float | None) -> float | None:
     return float(number) if number is not None and math.isfinite(number) else None
 
 
-def as_table(record: Mapping[str, Any]) -> Table:
-    """The same record for people to read."""
+def as_table(record: Mapping[str, Any], intervals: str) -> Table:
+    """The same record for people to read, with the number of steps in words."""
     from rich import box
     from rich.table import Table
 
@@ -111,7 +111,7 @@ def as_table(record: Mapping[str, Any]) -> Table:
     table.add_column(style="cyan", no_wrap=True)
     table.add_column()
     table.add_row("problem", f"{record['problem']} ({record['task']})")
-    table.add_row("discretisation", f"{record['method']}, {record['scheme']}, {record['steps']} steps")
+    table.add_row("discretisation", f"{record['method']}, {record['scheme']}, {intervals}")
     style = "green" if record["status"] == "solved" else "bold red"
     table.add_row("status", f"[{style}]{record['status']}[/]")
     table.add_row("", _escaped(record["message"]))
@@ -199,15 +199,3 @@ def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
     labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays, **labels, result=np.array(as_json(record)))
-
-
-def saved_unknowns(path: Path) -> Any:
-    """The unknowns of a saved optimisation; OutputError when the file holds none."""
-    import numpy as np
-
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return np.asarray(archive["unknowns"], dtype=float)
-    except (OSError, ValueError, KeyError) as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ArgumentError(f"--warm {path} holds no solution ({reason})", "give a file that --save wrote") from None

@@ -84,7 +84,7 @@ def requested(problem: Path, settings: Sequence[str], plot: Path | None, animati
         return Pictures()
     from codegen.problem_file import load_problem, parse_arguments
 
-    model = load_problem(problem, parse_arguments(settings))
+    model = load_problem(problem, parse_arguments(settings, problem))
     if animation is not None and not model.drawing:
         finding = f"--animate {animation}: {problem} says nothing about how to draw it"
         raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")

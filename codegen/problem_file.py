@@ -30,21 +30,32 @@ if TYPE_CHECKING:
     from codegen.model.pairwise import PairwiseModel
 
 
-def parse_arguments(items: Sequence[str]) -> dict[str, str]:
+def parse_arguments(items: Sequence[str], path: Path | None = None) -> dict[str, str]:
     """Split the `name=value` strings of `--set`; a value may hold further equality signs, or be empty.
 
-    Raises ArgumentError for an item without an equality sign or without a name, and for a name given twice.
+    Raises ArgumentError for an item without an equality sign or without a name, whose remedy quotes an argument of the
+    problem file at `path`, and for a name given twice.
     """
     arguments: dict[str, str] = {}
     for item in items:
         name, equals, value = item.partition("=")
         name = name.strip()
         if not equals or not name:
-            raise ArgumentError(f"--set {item!r} is not of the form name=value", "write for example --set steps=100")
+            raise ArgumentError(f"--set {item!r} is not of the form name=value", _example(path, item.strip()))
         if name in arguments:
             raise ArgumentError(f"--set gives {_one_line(name)} twice", "give it once")
         arguments[name] = value
     return arguments
+
+
+def _example(path: Path | None, name: str) -> str:
+    """How to set the argument of that name, or else the first one, of the problem in a file, to its own value."""
+    arguments = [] if path is None else _arguments(path)
+    if not arguments:
+        return "write --set name=value with an argument of problem()"
+    chosen, default = next((pair for pair in arguments if pair[0].arg == name), arguments[0])
+    value = "value" if default is None else ast.unparse(default).strip("'")
+    return f"write for example --set {chosen.arg}={value}"
 
 
 def input_digest(path: Path, arguments: Mapping[str, str], *extra: str) -> str:
@@ -78,17 +89,25 @@ def split_points(path: Path | str, arguments: Mapping[str, str]) -> tuple[dict[s
 
 
 def _point_arguments(path: Path) -> set[str]:
+    return {
+        argument.arg
+        for argument, _ in _arguments(path)
+        if isinstance(argument.annotation, ast.Name) and argument.annotation.id == "Points"
+    }
+
+
+def _arguments(path: Path) -> list[tuple[ast.arg, ast.expr | None]]:
+    """The arguments of problem() with their defaults, from the text of the file alone."""
     try:
         tree = ast.parse(_source(path))
     except (SyntaxError, ValueError, RecursionError, MemoryError):  # what is wrong is said where the file is run
-        return set()
-    return {
-        argument.arg
-        for node in tree.body
-        if isinstance(node, ast.FunctionDef) and node.name == "problem"
-        for argument in (*node.args.args, *node.args.kwonlyargs)
-        if isinstance(argument.annotation, ast.Name) and argument.annotation.id == "Points"
-    }
+        return []
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and node.name == "problem":
+            plain, named = node.args.args, node.args.kwonlyargs
+            before = [None] * (len(plain) - len(node.args.defaults))
+            return [*zip(plain, [*before, *node.args.defaults]), *zip(named, node.args.kw_defaults)]
+    return []
 
 
 def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
@@ -151,6 +170,8 @@ def _blaming(path: Path) -> Iterator[None]:
             remedy = "install what is missing, or correct the import"
         elif isinstance(error, SystemExit):
             remedy = "let problem() return instead of exiting"
+        elif isinstance(error, TypeError) and "truth value of Relational" in str(error):
+            remedy = "write two inequalities, such as x >= 0 and x <= 2, for 0 <= x <= 2, or use bounds"
         raise _unusable(_place(path, error), f"{type(error).__name__}: {error}".rstrip(": "), remedy) from error
 
 

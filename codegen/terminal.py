@@ -13,7 +13,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from codegen.errors import CodegenError
+from codegen.errors import INTERRUPTED, CodegenError
 
 FILE_WIDTH = 120
 """Characters of a line where the output is no terminal."""
@@ -30,6 +30,8 @@ class OneLineErrors(TyperGroup):
                     # No warning answers what was asked; what matters shows in the status and the residuals.
                     warnings.simplefilter("ignore")
                 status = super().main(*positional, **{**options, "standalone_mode": False})
+            if status == 130:  # which is what typer makes of an interrupt
+                typer.echo(INTERRUPTED, err=True)
         except Exception as error:
             status, text = _described(error)
             typer.echo(f"codegen: error: {text}", err=True)

@@ -1350,6 +1350,7 @@ def falling_direction(grid, unknowns):
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
+VIOLATED = 1e-6  # residuals above it are no rounding
 HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
 
 
@@ -1357,7 +1358,8 @@ def final_status(grid, guess, point, status):
     """The status that a solver gave, or a better one.
 
     Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
-    hold, a solver that cannot go on has not found them infeasible, but dependent on each other.
+    hold, a solver that cannot go on has not found them infeasible, but dependent on each other. Where they do not hold
+    and are more than the unknowns, no better guess would help it.
     """
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
@@ -1367,6 +1369,8 @@ def final_status(grid, guess, point, status):
         return "unbounded"
     if status in ("infeasible", "stalled") and point.residual <= HOLDS:
         return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
+    if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
+        return "infeasible"
     return status
 
 
@@ -1379,6 +1383,11 @@ def least_duration(grid, unknowns):
 def is_finite_matrix(grid, unknowns):
     """Whether all second derivatives are finite."""
     return all(np.isfinite(entries(grid, unknowns)[2]).all() for entries in (hessian, jacobian))
+
+
+def is_overdetermined(grid):
+    """Whether there are more equations than unknowns; they may still agree with each other."""
+    return multiplier_unknowns(grid).size > primal_unknowns(grid).size
 
 
 def largest_multiplier(grid, point):
@@ -1751,7 +1760,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_5b565ad60d5541d6"
+_IDENTITY = "codegen_linear_pendulum_4452e377acd9eb61"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

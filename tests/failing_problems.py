@@ -134,6 +134,14 @@ INFEASIBLE = [
         "infeasible",
         ("the step of x on interval 0", "2 equations for 1 unknown", "the steps"),
     ),
+    Failing(
+        "nothing-that-moves-it",
+        'x, v = states("x v")\nT = free_parameter("T", 1.5, lower=0.1)\n'
+        "return Control(dynamics={x: v, v: -x}, terminal_cost=T, duration=T, start={x: 0, v: 0}, end={x: 1, v: 0},"
+        " steps=20)",
+        "infeasible",
+        ("the step of x on interval", "40 equations for 39 unknowns", _RELAX),
+    ),
 ]
 
 RANK_DEFICIENT = [

@@ -97,6 +97,8 @@ _BOUNDS = [
     Malformed("bounds-of-time", optimal(_TIME, bounds="{f: (0, t)}"), ExpressionError, "upper bound of f depends on t"),
     Malformed("bounds-exchanged", optimal(bounds="{f: (1, -1)}"), BoundaryError, "f has the lower bound 1"),
     Malformed("bounds-equal", optimal(bounds="{f: (2, 2)}"), BoundaryError, "f has the lower bound 2"),
+    Malformed("bounds-equal-of-control", optimal(bounds="{f: (2, 2)}"), BoundaryError, "make it a parameter of that"),
+    Malformed("bounds-equal-of-state", optimal(bounds="{q: (0, 0)}"), BoundaryError, "hold it by a path equality"),
     Malformed("bounds-parameter", optimal(_K, bounds="{f: (k, -k)}"), BoundaryError, "f has the lower bound 1"),
     Malformed("bounds-velocity", optimal(bounds="{dq: (1, -1)}"), BoundaryError, "dq has the lower bound 1"),
     Malformed("bounds-divide", optimal(_K, bounds="{f: (0, 1/(k - 1))}"), ExpressionError, "upper bound of f"),
@@ -115,6 +117,7 @@ _PATHS = [
     Malformed("path-true", optimal(path="[q**2 >= 0]"), ExpressionError, "path[0] always holds"),
     Malformed("path-python-true", optimal(path="[1 <= 2]"), ExpressionError, "path[0] always holds"),
     Malformed("path-false", optimal(path="[q <= 1, q**2 < 0]"), ExpressionError, "path[1] never holds"),
+    Malformed("path-chain", optimal(path="[0 <= q <= 2]"), ProblemFileError, "two inequalities, such as x >= 0 and x"),
     Malformed("path-zero", optimal(path="[q - q]"), ExpressionError, "always holds"),
     Malformed("path-number", optimal(path="[3]"), ExpressionError, "3 = 0, never holds"),
     Malformed(
@@ -224,7 +227,9 @@ _BODIES = [
     ),
     Malformed("coupling-in-end", group(end="{dy: x.of(0)}"), ExpressionError, "end of dy depends on x_0"),
     Malformed("coupling-in-start", group(start_conditions="[x.of(0) - y]"), ExpressionError, "has y of every body"),
-    Malformed("coupling-fixed", group(end="{x: 1, dx: 0, dy: 0}"), BoundaryError, "end fixes x, which x.of(0) couples"),
+    Malformed(
+        "coupling-fixed", group(end="{x: 1, dx: 0, dy: 0}"), BoundaryError, "x.of(0) is x of body 0 at the end, and end"
+    ),
     Malformed(
         "coupling-inequality", group(end_conditions="[x.of(0) <= 1]", bodies="1"), BoundaryError, "by an inequality"
     ),

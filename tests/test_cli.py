@@ -14,10 +14,11 @@ from conftest import PROBLEMS
 from malformed import MALFORMED
 from typer.testing import CliRunner
 
-from codegen import checks, cli, drivers, output
+from codegen import checks, cli, drivers, output, schemes
 from codegen.checks.base import does_not_apply
 from codegen.cli import main
 from codegen.drivers.result import STATUSES
+from codegen.transcribe.connect import CONNECT_METHODS
 
 ORBIT, PENDULUM = str(PROBLEMS / "orbital_transfer.py"), str(PROBLEMS / "pendulum.py")
 
@@ -103,7 +104,10 @@ COMMAND_LINES = {
     "driver-of-control-2": ("solve P --driver trust-constr", "newton, fsolve"),
     "driver-on-explicit": ("solve P --scheme stormer-verlet --driver fsolve", "explicit"),
     "driver-dense": ("solve O --driver slsqp --steps 5000", "dense"),
-    "set-without-value": ("solve O --set revolutions", "name=value"),
+    "set-without-value": ("solve O --set revolutions", "name=value; write for example --set revolutions=1"),
+    "set-without-value-2": ("show P --set 3", "name=value; write for example --set form=hamiltonian"),
+    "set-without-value-of-no-file": ("solve nothing.py --set revolutions", "nothing.py: no such file"),
+    "method-of-other-system": ("show V --method variational", "gives a first-order system; use one-step"),
     "set-without-name": ("solve O --set =2", "name=value"),
     "set-unknown": ("solve O --set revolution=2", "did you mean revolutions"),
     "set-twice": ("solve O --set revolutions=1 --set revolutions=2", "twice"),
@@ -125,6 +129,15 @@ COMMAND_LINES = {
     "every-of-control": ("solve O --every 2", "--every"),
     "log-of-simulation": ("solve P --log", "--log"),
     "log-of-other-driver": ("solve O --driver slsqp --log", "--log"),
+    "tolerance-zero": ("solve O --tolerance 0", "between 0 and 1"),
+    "tolerance-of-simulation": ("solve P --tolerance 1e-3", "--tolerance does not apply to a simulate problem"),
+    "tolerance-of-other-driver": ("solve O --driver slsqp --tolerance 1e-3", "slsqp takes no --tolerance"),
+    "iterations-zero": ("solve O --max-iterations 0", "'0'"),
+    "iterations-of-other-driver": ("solve O --driver fsolve --max-iterations 9", "newton, slsqp, trust-constr, ipopt"),
+    "iterations-of-other-driver-2": ("solve P --driver fsolve --max-iterations 9", "for a simulate problem"),
+    "warm-missing": ("solve O --warm nothing.npz", "--warm nothing.npz: no such file"),
+    "warm-directory": ("solve O --warm folder.png", "directory"),
+    "warm-no-archive": ("solve O --warm notes.txt", "--warm notes.txt is no .npz file"),
     "controls-unknown": ("solve O --controls both", "both"),
     "controls-of-simulation": ("solve P --controls nodal", "controls"),
     "plot-unknown-kind": ("solve P --plot picture.bmp", ".png or .pdf or .svg"),
@@ -151,7 +164,8 @@ def test_malformed_command_lines(folder, words, fragment):
     (folder / "notes.txt").write_text("keep me")
     (folder / "folder.png").mkdir()
     before = contents(folder)
-    result = run(*[{"P": PENDULUM, "O": ORBIT}.get(word, word) for word in words.split()])
+    files = {"P": PENDULUM, "O": ORBIT, "V": PROBLEMS / "van_der_pol.py"}
+    result = run(*[files.get(word, word) for word in words.split()])
     assert_refused(result)
     assert any(part in result.stderr for part in fragment.split("|")), result.stderr
     assert contents(folder) == before
@@ -336,11 +350,19 @@ class TestCheckAndShow:
 
 
 # A process started in the background of a shell ignores the signal, so it is made deadly again first.
+INTERRUPTION = "codegen: interrupted; no file was left half written\n"
 INTERRUPTED = '''"""Interrupted."""
 import os, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
 os.kill(os.getpid(), signal.SIGINT)
 '''
+
+
+def test_help_names_every_driver_and_method():
+    text = "".join(run("solve", "--help").stdout.split())  # names are broken at their hyphens
+    names = [*drivers.DRIVERS, *schemes.METHODS, schemes.FIRST_ORDER, *CONNECT_METHODS]
+    assert len(names) == 12
+    assert [name for name in names if name not in text] == []
 
 
 class TestProcess:
@@ -385,8 +407,18 @@ class TestProcess:
     def test_interrupt(self, folder):
         (folder / "slow.py").write_text(INTERRUPTED)
         done = subprocess.run([sys.executable, "-m", "codegen", "solve", "slow.py"], capture_output=True, text=True)
-        assert done.returncode == 130
-        assert "Traceback" not in done.stderr
+        assert (done.returncode, done.stderr) == (130, INTERRUPTION)
+
+    def test_interrupt_while_importing(self, folder):
+        done = self.python(
+            "import runpy, sys",
+            "class Interrupting:",
+            "    def find_spec(self, name, *_):",
+            "        if name == 'typer': raise KeyboardInterrupt",
+            "sys.meta_path.insert(0, Interrupting())",
+            "runpy.run_module('codegen', run_name='__main__')",
+        )
+        assert (done.returncode, done.stdout, done.stderr) == (130, "", INTERRUPTION)
 
 
 class TestDefects:

@@ -19,6 +19,7 @@ from codegen.cli import main
 from codegen.compiler import Choices, generate
 from codegen.drivers.result import STATUSES
 from codegen.errors import BoundaryError
+from codegen.notes import notes
 
 
 def module_of(folder: Path, text: str):
@@ -51,6 +52,62 @@ def test_word_exit_status_and_message(tmp_path, uncompiled, case: Failing):
         assert fragment in record["message"]
     assert result.stderr.startswith(f"codegen: {case.status}: ")
     assert result.stderr.count("\n") == 1
+
+
+def test_remedies_can_be_followed_on_the_command_line(tmp_path, uncompiled):
+    """More iterations than a hundred, and a looser tolerance than that of the generated solver."""
+    (case,) = (case for case in FAILING if case.status == "iteration limit")
+    path = tmp_path / "steep.py"
+    path.write_text(case.text)
+
+    def solved(*words):
+        record = json.loads(CliRunner().invoke(main, ["solve", str(path), "--json", *words]).stdout)
+        return record["status"], record["iterations"]
+
+    assert solved("--max-iterations", "3") == ("iteration limit", 3)
+    status, iterations = solved("--max-iterations", "1000")
+    assert status == "solved"
+    assert 100 < iterations < 1000
+    status, loose = solved("--max-iterations", "1000", "--tolerance", "1e-2")
+    assert status == "solved"
+    assert loose < iterations
+
+
+def notes_of(path: Path, *words: str) -> list[str]:
+    """What `codegen solve` says on stderr of a problem that it solves."""
+    result = CliRunner().invoke(main, ["solve", str(path), "--json", *words])
+    assert json.loads(result.stdout)["status"] == "solved"
+    return result.stderr.splitlines()
+
+
+def test_conditions_that_are_left_out_are_told(tmp_path, uncompiled):
+    """Distances of three bodies on a line, of which two give the third."""
+    path = tmp_path / "three.py"
+    distances = ["x.of(1) - x.of(0) - 1", "x.of(2) - x.of(1) - 1", "x.of(2) - x.of(0) - 2"]
+    path.write_text(Failing("", row(f"[{', '.join(distances)}]"), "", ()).text)
+    (note,) = notes_of(path)
+    assert note.startswith("codegen: note: 1 of 3 conditions between bodies follows from the others and was left out")
+    assert "number 3 (-x_0 + x_2 - 2 = 0)" in note
+    path.write_text(Failing("", row(f"[{', '.join(distances[:2])}]"), "", ()).text)
+    assert notes_of(path) == []
+
+
+def test_long_conditions_are_shortened():
+    name = "acos((x_0 - x_1)*(x_1 - x_2)/sqrt((x_0 - x_1)**2*(x_1 - x_2)**2)) - pi/2 = 0"
+    metadata = {"coupling_conditions": 4, "redundant_conditions": ((3, name), (4, "x_0 = 0"))}
+    (note,) = notes(metadata)
+    assert note.startswith("2 of 4 conditions between bodies follow from the others and were left out")
+    assert note.endswith("number 3 (acos((x_0 - x_1)*(x_1 - x_2)/sqrt((x_0 - ...), number 4 (x_0 = 0)")
+
+
+@pytest.mark.parametrize(("scheme", "is_averaged"), [("midpoint", True), ("rectangle", False)])
+def test_nodal_controls_that_cost_nothing_are_told(tmp_path, uncompiled, scheme, is_averaged):
+    path = tmp_path / "plane.py"
+    path.write_text(Failing("", plane(cost="f**2 + 2*g**2 + x**2"), "", ()).text)
+    assert notes_of(path, "--scheme", scheme) == []
+    found = notes_of(path, "--scheme", scheme, "--controls", "nodal")
+    assert len(found) == is_averaged
+    assert all("their alternation costs nothing (f, g)" in note and "codegen check" in note for note in found)
 
 
 def test_there_are_enough_of_every_kind():

@@ -9,6 +9,7 @@ from typing import Any
 import mpmath
 
 from codegen.checks.base import Finding
+from codegen.checks.evaluation import NOTHING
 
 TOLERANCE = 1e-10
 _ROUNDING = 1e-13
@@ -24,13 +25,17 @@ class Agreement:
     entries: int = 0
 
     def compare(self, names: Sequence[str], emitted: Any, exact: Sequence[Any]) -> None:
-        """Errors count relative to the entry, above the rounding of the largest entry beside it."""
+        """Errors count relative to the entry, above the rounding of the largest entry beside it.
+
+        An entry that vanishes beside the others has no digits to agree with: its error counts relative to the largest.
+        """
         assert len(names) == len(emitted) == len(exact)
         largest = max((abs(value) for value in exact), default=0)
         self.entries += len(names)
         for name, value, wanted in zip(names, emitted, exact, strict=True):
             excess = abs(mpmath.mpf(float(value)) - wanted) - _ROUNDING * largest
-            error = float(excess / abs(wanted)) if wanted else 0.0 if excess <= 0 else float("inf")
+            size = abs(wanted) if abs(wanted) > NOTHING * largest else largest
+            error = float(excess / size) if size else 0.0 if excess <= 0 else float("inf")
             if not error <= self.error:
                 self.error, self.name = error if error == error else float("inf"), name
 

@@ -17,6 +17,7 @@ from codegen import expressions
 from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.flat_vector import FlatVector
 from codegen.checks.solutions import free_values
+from codegen.notes import shortened
 from codegen.redundancy import independent_couplings
 from codegen.transcribe.program import ControlProgram, EndElement
 
@@ -78,20 +79,22 @@ def _couplings(context: Context) -> Iterator[Finding]:
     names = [condition.name for condition in model.couplings]
     subject = "conditions between bodies"
     if not found.consistent:
-        detail = f"they contradict each other: no configuration was found where {found.violated} holds as well"
+        violated = shortened(found.violated)
+        detail = f"they contradict each other: no configuration was found where {violated} holds as well"
         yield Finding("boundary rank", subject, False, detail)
         return
     kept = f"{len(found.kept)} of {len(names)} are independent" + ("" if found.dropped else ", none is redundant")
     yield Finding("boundary rank", subject, True, kept)
     for place, others in found.dropped:
-        detail = (
-            f"redundant, and left out: it follows from {'; '.join(others)}" if others else "redundant: it says nothing"
-        )
+        sources = "; ".join(map(shortened, others))
+        detail = f"redundant, and left out: it follows from {sources}" if others else "redundant: it says nothing"
         missed = _missed(context, place)
         passed = solution.status != "solved" or missed <= _HOLDS
         if not passed:
             detail = f"left out as redundant, but the solution violates it by {missed:.2g}; start from a better guess"
-        yield Finding("boundary rank", f"{names[place]}", passed, detail)
+        name = shortened(names[place])
+        subject = name if name == names[place] else f"number {place + 1}, {name}"  # the beginning may be that of others
+        yield Finding("boundary rank", subject, passed, detail)
 
 
 def _missed(context: Context, place: int) -> float:

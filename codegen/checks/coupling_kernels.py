@@ -15,7 +15,7 @@ from sympy import Expr
 
 from codegen.checks.agreement import Agreement
 from codegen.checks.base import Context, Finding
-from codegen.checks.evaluation import DIGITS, function_of, gradient, random_points, second_differences
+from codegen.checks.evaluation import DIGITS, NOTHING, function_of, gradient, random_points, second_differences
 from codegen.checks.kernel_arguments import all_shared_symbols, parameter_vector
 from codegen.model import Model
 from codegen.transcribe.program import ControlProgram
@@ -40,12 +40,16 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
             pairs = [(i, j) for i in read for j in read]
             with mpmath.workdps(DIGITS):
                 values.compare([name], [parts[0][r]], function(*map(mpmath.mpf, numbers)))
-                slopes.compare(
-                    [f"{name} by {symbols[i]}" for i in read], parts[1][r][read], gradient(function, numbers, read)
-                )
-                second = second_differences(function, numbers, pairs)
+                first = gradient(function, numbers, read)
+                slopes.compare([f"{name} by {symbols[i]}" for i in read], parts[1][r][read], first)
+                # Where a condition is not curved at all, second differences are the rounding of its values.
+                least = NOTHING * max(map(abs, first), default=0)
+                second = [
+                    value if abs(value) > least else mpmath.mpf(0)
+                    for value in second_differences(function, numbers, pairs).values()
+                ]
                 called = [f"{name} by {symbols[i]} and {symbols[j]}" for i, j in pairs]
-                curvatures.compare(called, [parts[2][r][pair] for pair in pairs], list(second.values()))
+                curvatures.compare(called, [parts[2][r][pair] for pair in pairs], second)
     yield values.finding("coupling_term", "the author's conditions")
     yield slopes.finding("slopes of coupling_term", "120-digit differences of the author's conditions")
     yield curvatures.finding("curvatures of coupling_term", "120-digit second differences of the author's conditions")

@@ -103,7 +103,7 @@ def _tables(program: ControlProgram) -> dict[str, list[Any]]:
     }
     for name, end in (("START", program.start), ("END", program.end)):
         tables[f"{name}_PINNED"] = sorted([*(place for place, _ in end.pins), *(place for place, _, _ in end.shared)])
-        if program.shared:
+        if program.start.shared or program.end.shared:
             tables[f"{name}_SHARED_PLACES"] = [place for place, _, _ in end.shared]
             tables[f"{name}_SHARED"] = [j for _, j, _ in end.shared]
     if program.method == "variational":

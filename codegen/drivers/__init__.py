@@ -31,22 +31,35 @@ class Driver:
     file: str
     tasks: tuple[str, ...]
     summary: str
+    stops: tuple[tuple[str, str], ...] = ()
+    """Where its tolerance or the most iterations may be chosen: pairs of a task and the argument's name."""
 
     def function(self, task: str) -> Callable[..., Any]:
         """The function (module, request) -> attempt for a task, imported when it is asked for."""
         return getattr(import_module(f"codegen.drivers.{self.file}"), task)  # type: ignore[no-any-return]
 
 
+_OF_CONTROL = (("control", "tolerance"), ("control", "max_iterations"))
 _ROWS = (
-    Driver("newton", "newton", ("control", "simulate", "connect"), "the generated solver"),
-    Driver("slsqp", "slsqp", ("control", "connect"), "scipy's sequential least-squares programming, dense"),
     Driver(
-        "trust-constr", "trust_constr", ("control", "connect"), "scipy's trust-region SQP, sparse with exact Hessians"
+        "newton", "newton", ("control", "simulate", "connect"), "the generated solver",
+        (*_OF_CONTROL, ("simulate", "max_iterations"), ("connect", "tolerance")),
     ),
-    Driver("ipopt", "ipopt", ("control",), "IPOPT, an interior point method; needs cyipopt (extra: ipopt)"),
+    Driver(
+        "slsqp", "slsqp", ("control", "connect"), "scipy's sequential least-squares programming, dense",
+        _OF_CONTROL[1:],
+    ),
+    Driver(
+        "trust-constr", "trust_constr", ("control", "connect"), "scipy's trust-region SQP, sparse with exact Hessians",
+        _OF_CONTROL[1:],
+    ),
+    Driver(
+        "ipopt", "ipopt", ("control",), "IPOPT, an interior point method; needs cyipopt (extra: ipopt)",
+        _OF_CONTROL,
+    ),
     Driver("fsolve", "fsolve", ("control", "simulate", "connect"), "MINPACK's hybrid Powell method, dense"),
     Driver("fmin", "fmin", ("connect",), "Nelder and Mead's simplex method, for a few particles"),
-)
+)  # fmt: skip
 
 DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
 """Every driver by name; tests run over this table."""
@@ -65,6 +78,20 @@ def find(name: str, task: str | None = None) -> Driver:
     return driver
 
 
+def _require_stops(driver: Driver, task: str, tolerance: float | None, max_iterations: int | None) -> None:
+    """Refuse a tolerance or a number of iterations that is unusable, or that the driver does not take for the task."""
+    if tolerance is not None and not 0.0 < tolerance < 1.0:
+        raise ArgumentError(f"--tolerance {tolerance:g}", "give a number between 0 and 1")
+    for name, value in (("tolerance", tolerance), ("max_iterations", max_iterations)):
+        if value is None or (task, name) in driver.stops:
+            continue
+        option, takers = f"--{name.replace('_', '-')}", [d.name for d in DRIVERS.values() if (task, name) in d.stops]
+        if not takers:
+            raise ArgumentError(f"{option} does not apply to a {task} problem", "leave it out")
+        finding = f"driver {driver.name} takes no {option} for a {task} problem"
+        raise ArgumentError(finding, f"leave it out, or use {', '.join(takers)}")
+
+
 def solve(
     module: GeneratedModule,
     driver: str = "newton",
@@ -77,6 +104,7 @@ def solve(
     guesses: int = 1,
     points: PointSet | None = None,
     tolerance: float | None = None,
+    max_iterations: int | None = None,
 ) -> Result:
     """Solve with a driver on `steps` intervals (default: the problem's own number) and re-evaluate the residuals.
 
@@ -84,21 +112,23 @@ def solve(
     optimisation may start from the `unknowns` of an earlier result on any number of intervals (`warm`), and may be
     repeated on twice, four times, ... as many (`doublings`), each time from the solution before. With several
     `guesses` it starts from the problem's own and from variations of it, and the best solution counts. A connect
-    problem needs `points`; its `tolerance` is that of the equations, or of an adaptive integrator's steps. Raises
-    ArgumentError when the driver does not apply, NumericsError when a number is unusable; numerical failure is a
-    status of the result.
+    problem needs `points`. `tolerance` is that of the equations, or of an adaptive integrator's steps, and
+    `max_iterations` the most that an optimiser makes; None stands for the driver's own. Raises ArgumentError when the
+    driver or one of its options does not apply, NumericsError when a number is unusable; numerical failure is a status
+    of the result.
     """
     from codegen.drivers.result import Request
     from codegen.drivers.run import run
 
     found, task = find(driver, module.metadata["task"]), module.metadata["task"]
     steps = module.metadata["steps"] if steps is None else steps
+    _require_stops(found, task, tolerance, max_iterations)
     if task != "control" and (warm is not None or doublings or guesses > 1):
         raise ArgumentError("warm starts, guesses and refinement are for optimisation", f"leave them out to {task}")
     if warm is not None and guesses > 1:
         raise ArgumentError("several guesses beside a warm start", "leave one of them out")
     if task == "simulate":
-        return run(module, found, Request(steps, every), repeat)
+        return run(module, found, Request(steps, every, max_iterations=max_iterations), repeat)
 
     if task == "connect":
         return run(module, found, Request(steps, every, None, points, tolerance), repeat)
@@ -114,7 +144,7 @@ def solve(
         return solve_from(number, start, True)
 
     def solve_from(number: int, start: Vector | None, near: bool) -> Result:
-        return run(module, found, Request(number, every, start, near=near), repeat)
+        return run(module, found, Request(number, every, start, None, tolerance, near, max_iterations), repeat)
 
     if doublings:
         return refine(solve_on, control, steps, doublings, warm)

@@ -33,10 +33,16 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     problem = ScaledProblem.on_grid(module, request)
     lower, upper = problem.bounds
     zero = np.zeros(problem.dual.size)
+    tolerance = TOLERANCE if request.tolerance is None else request.tolerance
     with quiet_single_thread():
         callbacks = _Callbacks(problem)
         program = cyipopt.Problem(problem.primal.size, problem.dual.size, callbacks, lower, upper, zero, zero)
-        options = {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": MAX_ITERATIONS}
+        options = {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": tolerance,
+            "max_iter": request.max_iterations or MAX_ITERATIONS,
+        }
         options |= {"bound_relax_factor": 0.0, "nlp_scaling_method": "none"}
         for name, value in options.items():
             program.add_option(name, value)
@@ -47,7 +53,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
         if status == "solved"
         else f"{status}: IPOPT gave up after {callbacks.iterations} iterations; try --driver newton"
     )
-    return ControlAttempt(status, message, callbacks.iterations, problem.unknowns(x, details["mult_g"]), 10 * TOLERANCE)
+    return ControlAttempt(status, message, callbacks.iterations, problem.unknowns(x, details["mult_g"]), 10 * tolerance)
 
 
 class _Callbacks:

@@ -14,20 +14,23 @@ TOLERANCE = 1e-10
 def control(module: ControlModule, request: Request) -> ControlAttempt:
     """Call the module's `solve`."""
     warm = request.guess is not None and request.near
-    solution = module.solve(steps=request.steps, guess=request.guess, warm=warm, tolerance=TOLERANCE)
+    tolerance = TOLERANCE if request.tolerance is None else request.tolerance
+    solution = module.solve(
+        steps=request.steps, guess=request.guess, warm=warm, tolerance=tolerance, **_most_iterations(request)
+    )
     return ControlAttempt(
         status=solution.status,
         message=solution.message,
         iterations=solution.iterations,
         unknowns=solution.unknowns,
-        tolerance=TOLERANCE,
+        tolerance=tolerance,
         log=solution.log,
     )
 
 
 def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
     """Call the module's `solve`."""
-    solution = module.solve(steps=request.steps, every=request.every)
+    solution = module.solve(steps=request.steps, every=request.every, **_most_iterations(request))
     return SimulateAttempt(
         status=solution.status,
         message=solution.message,
@@ -40,3 +43,8 @@ def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
         residual=solution.residual,
         tolerance=TOLERANCE,
     )
+
+
+def _most_iterations(request: Request) -> dict[str, int]:
+    """The argument of a module's `solve`, unless its own default is to hold."""
+    return {} if request.max_iterations is None else {"max_iterations": request.max_iterations}

@@ -33,7 +33,8 @@ class Request:
     """What is asked of a driver.
 
     The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
-    unknowns to start from, and whether that is `near` the solution; for a connect problem the points, and a tolerance.
+    unknowns to start from, and whether that is `near` the solution; for a connect problem the points. None as a
+    tolerance, or as the most iterations of an optimiser, stands for the driver's own.
     """
 
     steps: int
@@ -42,6 +43,7 @@ class Request:
     points: PointSet | None = None
     tolerance: float | None = None
     near: bool = True
+    max_iterations: int | None = None
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,12 @@ class Result:
     def solved(self) -> bool:
         """Whether the numerics succeeded."""
         return self.status == "solved"
+
+    @property
+    def intervals(self) -> str:
+        """How many steps were made, for people: `20 steps`, or `2 x 20 steps` in two phases."""
+        phases = (self.t.size - 1) // self.steps if self.task == "control" else 1
+        return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
 
 
 def max_norm(values: Vector) -> float:

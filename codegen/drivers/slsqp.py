@@ -35,7 +35,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             constraints=[equations],
             bounds=problem.scipy_bounds,
             method="SLSQP",
-            options={"maxiter": MAX_ITERATIONS, "ftol": ftol},
+            options={"maxiter": request.max_iterations or MAX_ITERATIONS, "ftol": ftol},
         )
         unknowns = problem.unknowns(found.x, problem.multipliers(found.x))
     status = "solved" if found.success else _FAILURES.get(int(found.status), "stalled")

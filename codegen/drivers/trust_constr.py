@@ -42,7 +42,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             bounds=problem.scipy_bounds,
             method="trust-constr",
             options={
-                "maxiter": MAX_ITERATIONS,
+                "maxiter": request.max_iterations or MAX_ITERATIONS,
                 "gtol": 1e-9 if problem.scipy_bounds is None else 1e-11,
                 "xtol": 1e-14,
                 "barrier_tol": 1e-12,

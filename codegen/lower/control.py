@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from sympy import Symbol
+from sympy import Dummy, Symbol, expand
 
 from codegen.derive import ControlDerivatives, ElementDerivatives
-from codegen.discretise import STEP
+from codegen.discretise import STEP, at_nodes
 from codegen.lower import control_guesses, phases
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
@@ -38,7 +38,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         title=model.title,
         description=tuple(description(program, kernels)),
         left_out=tuple(left_out(program, derivatives)),
-        metadata=tuple(metadata(program, kernels)),
+        metadata=(*metadata(program, kernels), *_warnings(program)),
         constants=(
             *layout.constants(program, derivatives),
             *couplings.constants,
@@ -61,6 +61,30 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         **layout.views(program),
         **(_of_phases(program) if program.phases else _of_one_phase(program)),
     )
+
+
+def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
+    """Entries of the metadata that are there only where a user should know of them."""
+    redundant, unseen = program.redundant_couplings, _unseen_controls(program)
+    entries = [("unseen_controls", repr(unseen))] if unseen else []
+    if redundant:
+        entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
+        entries.append(("redundant_conditions", repr(redundant)))
+    return entries
+
+
+def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
+    """Nodal controls whose alternation the discrete cost does not see, because only sums of neighbours occur in it.
+
+    `codegen check` decides with numbers what this finds by expanding.
+    """
+    if not program.nodal_controls or program.model.cost is None:
+        return ()
+    controls = [u for u in program.model.controls if program.model.cost.has(u)]
+    left, right = at_nodes(controls, "_k"), at_nodes(controls, "_k1")
+    total = Dummy("sum", real=True)
+    alone = (expand(program.cost.xreplace({b: total - a})).has(a) for a, b in zip(left, right, strict=True))
+    return tuple(u.name for u, is_seen in zip(controls, alone, strict=True) if not is_seen)
 
 
 def _of_one_phase(program: ControlProgram) -> dict[str, Any]:

@@ -127,7 +127,8 @@ def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entr
         if value.body >= problem.bodies:
             raise BoundaryError(f"{where} is no body", f"number them 0 to {problem.bodies - 1}, or raise bodies")
         if coordinate in problem.end:
-            raise BoundaryError(f"end fixes {coordinate}, which {where} couples", "leave it out of end")
+            finding = f"{where} is {coordinate} of body {value.body} at the end, and end fixes {coordinate}"
+            raise BoundaryError(finding, "leave out one of the two")
 
 
 def _built(

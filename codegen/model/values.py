@@ -100,9 +100,16 @@ def _require_order(model: Model, bound: Bounds) -> None:
             continue
         where = f"{bound.symbol} has the lower bound {lower:g} and the upper bound {upper:g}"
         if lower == upper:
-            raise BoundaryError(where, "fix it by start and end, by a path equality, or make it a parameter")
+            raise BoundaryError(where, _instead_of_equal_bounds(model, bound.symbol))
         if lower > upper:
             raise BoundaryError(where, "exchange them")
+
+
+def _instead_of_equal_bounds(model: Model, symbol: sympy.Symbol) -> str:
+    """How to hold a quantity at one value."""
+    if symbol in model.controls or symbol in [free.symbol for free in model.free_parameters]:
+        return "make it a parameter of that value"
+    return "give it by start or end where it is fixed, or hold it by a path equality, Eq(..., ...)"
 
 
 def _require_within(model: Model, bounds: Sequence[Bounds]) -> None:

@@ -90,7 +90,7 @@ def relation(text: str, longest: int = 46) -> str:
 
 def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
     """What was solved, how, and with what outcome; `notes` come last."""
-    outcome = [f"{result.method}, {result.scheme}, {result.steps} steps"]
+    outcome = [f"{result.method}, {result.scheme}, {result.intervals}"]
     outcome += [f"cost {result.cost:.6g}"] if result.cost is not None else []
     outcome += [] if result.solved else [f"NOT SOLVED: {result.status}"]
     letters = int(10.0 * figure.get_figwidth())

@@ -6,11 +6,13 @@ from codegen.runtime.apart import allocate_system
 from codegen.runtime.system import factor_kkt, solve_kkt
 from codegen.runtime.callbacks import hessian, jacobian
 from codegen.runtime.example import INEQUALITIES, PHASES, ROOT, SHARED, duration_of, phase_durations
+from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.limits import at_limits
 from codegen.runtime.point import evaluate
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
+VIOLATED = 1e-6  # residuals above it are no rounding
 HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
 
 
@@ -18,7 +20,8 @@ def final_status(grid, guess, point, status):
     """The status that a solver gave, or a better one.
 
     Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
-    hold, a solver that cannot go on has not found them infeasible, but dependent on each other.
+    hold, a solver that cannot go on has not found them infeasible, but dependent on each other. Where they do not hold
+    and are more than the unknowns, no better guess would help it.
     """
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
@@ -30,6 +33,8 @@ def final_status(grid, guess, point, status):
         return "unbounded"
     if status in ("infeasible", "stalled") and point.residual <= HOLDS:
         return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
+    if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
+        return "infeasible"
     return status
 
 
@@ -44,6 +49,11 @@ def least_duration(grid, unknowns):
 def is_finite_matrix(grid, unknowns):
     """Whether all second derivatives are finite."""
     return all(np.isfinite(entries(grid, unknowns)[2]).all() for entries in (hessian, jacobian))
+
+
+def is_overdetermined(grid):
+    """Whether there are more equations than unknowns; they may still agree with each other."""
+    return multiplier_unknowns(grid).size > primal_unknowns(grid).size
 
 
 def largest_multiplier(grid, point):

@@ -15,6 +15,7 @@ from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 DEFAULT_SCHEME = "midpoint"
+_SYSTEMS = {"lagrangian": "a Lagrangian", "hamiltonian": "a Hamiltonian", "first-order": "a first-order system"}
 MOST_PARTS = 6
 """Steps of a composition that a control problem has on an interval at most."""
 
@@ -88,10 +89,9 @@ def _require_method(model: Model, method: str) -> None:
     if method in usable:
         return
     if method in (schemes.FIRST_ORDER, *schemes.METHODS):
-        needs = "a first-order system" if method == schemes.FIRST_ORDER else "a Lagrangian or a Hamiltonian"
-        raise ArgumentError(
-            f"method {method!r} needs {needs}, and the problem gives a {model.form}", f"use {' or '.join(usable)}"
-        )
+        needs = _SYSTEMS[schemes.FIRST_ORDER] if method == schemes.FIRST_ORDER else "a Lagrangian or a Hamiltonian"
+        finding = f"method {method!r} needs {needs}, and the problem gives {_SYSTEMS[model.form]}"
+        raise ArgumentError(finding, f"use {' or '.join(usable)}")
     raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
 
 

@@ -121,6 +121,7 @@ def _with_shared(program: ControlProgram, shared: Shared) -> ControlProgram:
         bodies=program.model.bodies,
         body=program.model.body,
         couplings=shared.couplings,
+        redundant_couplings=shared.redundant,
         coupling_symbols=shared.coupling_symbols,
     )
 

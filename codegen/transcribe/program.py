@@ -115,7 +115,8 @@ class ControlProgram:
     are coupled, or at both ends of a periodic motion), named in `shared_symbols` once for any body, then those of the
     whole problem (static parameters). All `bodies` have the same elements; `body` is the symbol for a body's number,
     and it may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
-    `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns.
+    `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns; the redundant ones
+    (number from 1, name) follow from them and are left out.
 
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
     unknowns that is already inside `element`.
@@ -158,6 +159,7 @@ class ControlProgram:
     bodies: int = 1
     body: Symbol | None = None
     couplings: tuple[Coupling, ...] = ()
+    redundant_couplings: tuple[tuple[int, str], ...] = ()
     coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
     scaled_time: bool = False
     phases: tuple[Phase, ...] = ()

@@ -18,13 +18,17 @@ from codegen.transcribe.program import Coupling, Unknown
 
 @dataclass(frozen=True)
 class Shared:
-    """Shared unknowns, first each body's own ones, then the common ones; and what couples bodies."""
+    """Shared unknowns, first each body's own ones, then the common ones; and what couples bodies.
+
+    `redundant` are the couplings that follow from the others: numbers, from 1, among all of them, and names.
+    """
 
     own: tuple[Own, ...]
     common: tuple[Own, ...]
     end_aliases: tuple[Alias, ...]
     couplings: tuple[Coupling, ...]
     coupling_symbols: tuple[tuple[Symbol, int, int], ...]
+    redundant: tuple[tuple[int, str], ...]
 
     @property
     def all(self) -> tuple[Own, ...]:
@@ -60,16 +64,17 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
         aliases.append((q.name, name, S.Zero))
     values = model.end_values
     shifted = {v.symbol: v.symbol + offset[v.coordinate] for v in values if offset[v.coordinate] != 0}
+    kept = _independent(model)
     tied_nodes = (*periodic.start_aliases, *periodic.end_aliases, *aliases)
     return Shared(
         own=tuple(replace(o, unknown=_bounded(model, o.unknown, tied_nodes)) for o in own),
         common=common,
         end_aliases=tuple(aliases),
         couplings=tuple(
-            Coupling(Unknown(names.numbered("nu"), c.name, True), c.expression.xreplace(shifted))
-            for c in _independent(model)
+            Coupling(Unknown(names.numbered("nu"), c.name, True), c.expression.xreplace(shifted)) for c in kept
         ),
         coupling_symbols=tuple((v.symbol, v.body, index[v.coordinate]) for v in values),
+        redundant=tuple((i, c.name) for i, c in enumerate(model.couplings, start=1) if c not in kept),
     )
 
 

@@ -89,8 +89,8 @@ def test_gradient_by_shared_unknowns_that_is_lost(prepared, damaged):
     """The equations of motion of the last interval act on where a craft ends."""
     context = prepared("hovercraft")
     loop = re.search(
-        r"( +)for i in range\(END_SHARED\.size\):\n +gradient\[first \+ root_place\(body, END_SHARED\[i\]\)\] \+=.*",
-        text_from(context, "release_shared"),
+        r"( +)for i in range\(END_SHARED\.size\):\n +root\[root_place\(body, END_SHARED\[i\]\)\] \+=.*",
+        text_from(context, "release_tied"),
     )
     found = failures("assembly", damaged(context, loop[0], loop[0].replace("+=", "-=")))
     assert found[0].subject == "gradient of the Lagrangian"

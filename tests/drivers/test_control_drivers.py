@@ -169,3 +169,10 @@ def test_unknown_driver_is_refused(orbital_transfer):
 def test_counts_are_checked(orbital_transfer, option, value):
     with pytest.raises(NumericsError, match=option):
         drivers.solve(orbital_transfer, **{option: value})
+
+
+@pytest.mark.parametrize("driver", ["newton", "slsqp", "trust-constr"])
+def test_iterations_can_be_limited(interpreted, driver):
+    module = interpreted("brachistochrone")
+    result = drivers.solve(module, driver, steps=6, max_iterations=2)
+    assert (result.status, result.iterations) == ("iteration limit", 2)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import PROBLEMS
 
-from codegen import drivers
+from codegen import drivers, output
 from codegen.drivers.refinement import order_of_optima, source_steps, transferred
+from codegen.drivers.warm_start import fitting, read_start
 from codegen.errors import ArgumentError, NumericsError
 
 
@@ -55,3 +57,59 @@ def test_costs_are_extrapolated_by_the_order_of_optima(interpreted):
     assert order_of_optima(module) == 2
     assert result.summary["observed_order"] == pytest.approx(2.0, abs=0.1)
     assert abs(result.summary["cost_extrapolated"] - 12.0) < 0.02 * abs(result.cost - 12.0)
+
+
+class TestSavedStarts:
+    """What --warm reads: the file of another problem is refused by its names, or by its size."""
+
+    @pytest.fixture
+    def saved(self, interpreted, tmp_path):
+        def save(name, **choices):
+            result = drivers.solve(interpreted(name, **choices), steps=4)
+            output.save(result, output.as_record(result, 0.0, 0.0), tmp_path / "saved.npz")
+            return read_start(tmp_path / "saved.npz")
+
+        return save
+
+    def test_of_the_same_problem(self, interpreted, saved):
+        start = saved("double_integrator_effort")
+        assert (start.names, start.nodes) == ({"q": ("x",), "u": ("f",)}, 5)
+        np.testing.assert_array_equal(fitting(start, interpreted("double_integrator_effort")), start.unknowns)
+
+    def test_of_other_names(self, interpreted, saved):
+        text = (PROBLEMS / "double_integrator_effort.py").read_text()
+        other = interpreted("renamed", text.replace('control("f")', 'control("push")'))
+        with pytest.raises(ArgumentError, match=r"saved.npz: its controls are f, those of the problem push"):
+            fitting(saved("double_integrator_effort"), other)
+
+    @pytest.mark.parametrize("scheme", ["gauss-4", "gauss-6", "lobatto-4"])
+    def test_of_another_layout(self, interpreted, saved, scheme):
+        start = saved("double_integrator_effort", scheme=scheme)
+        with pytest.raises(ArgumentError, match=r"--warm .*saved.npz: its \d+ unknowns .*same method and scheme"):
+            fitting(start, interpreted("double_integrator_effort"))
+
+    def test_of_no_names_but_the_right_size(self, interpreted, saved, tmp_path):
+        unknowns = saved("double_integrator_effort").unknowns
+        np.savez(tmp_path / "own.npz", unknowns=unknowns)
+        assert fitting(read_start(tmp_path / "own.npz"), interpreted("double_integrator_effort")).size == unknowns.size
+
+    @pytest.mark.parametrize(
+        ("arrays", "fragment"),
+        [
+            ({"q": np.zeros(3)}, "holds no unknowns"),
+            ({"unknowns": np.array([0.0, np.nan])}, "no vector of finite numbers"),
+            ({"unknowns": np.array(["text"])}, "cannot be read"),
+        ],
+    )
+    def test_files_without_a_solution(self, tmp_path, arrays, fragment):
+        np.savez(tmp_path / "own.npz", **arrays)
+        with pytest.raises(ArgumentError, match=fragment):
+            read_start(tmp_path / "own.npz")
+
+    def test_a_damaged_file(self, saved, tmp_path):
+        saved("double_integrator_effort")
+        data = bytearray((tmp_path / "saved.npz").read_bytes())
+        data[40:400] = bytes(360)
+        (tmp_path / "broken.npz").write_bytes(data)
+        with pytest.raises(ArgumentError, match=r"broken.npz"):
+            read_start(tmp_path / "broken.npz")

@@ -1,0 +1,30 @@
+"""What a user should know of a module although it solves its problem: one line for each, from its metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+NAME = 40
+"""Characters of a condition that people are shown; interior angles of a polygon fill six lines."""
+
+
+def notes(metadata: Mapping[str, Any]) -> list[str]:
+    """What was left out of a control problem, and controls that the discrete cost does not see; none as a rule."""
+    found = []
+    if redundant := metadata.get("redundant_conditions", ()):
+        named = ", ".join(f"number {number} ({shortened(name)})" for number, name in redundant)
+        verb = "follows from the others and was" if len(redundant) == 1 else "follow from the others and were"
+        count = f"{len(redundant)} of {metadata['coupling_conditions']}"
+        found.append(f"{count} conditions between bodies {verb} left out: {named}")
+    if unseen := metadata.get("unseen_controls", ()):
+        found.append(
+            f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "
+            "found may be no optimum; codegen check explains, and --controls interval has no such mode"
+        )
+    return found
+
+
+def shortened(name: str, limit: int = NAME) -> str:
+    """The beginning of a long name."""
+    return name if len(name) <= limit else name[:limit].rstrip() + " ..."
