@@ -89,7 +89,7 @@ def _require_method(model: Model, method: str) -> None:
     if method in usable:
         return
     if method in (schemes.FIRST_ORDER, *schemes.METHODS):
-        needs = _SYSTEMS[schemes.FIRST_ORDER] if method == schemes.FIRST_ORDER else "a Lagrangian or a Hamiltonian"
+        needs = _SYSTEMS["first-order"] if method == schemes.FIRST_ORDER else "a Lagrangian or a Hamiltonian"
         finding = f"method {method!r} needs {needs}, and the problem gives {_SYSTEMS[model.form]}"
         raise ArgumentError(finding, f"use {' or '.join(usable)}")
     raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
