@@ -1237,14 +1237,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     appended to `log` at every iterate; steps of the restoration are not counted.
     """
     system, total = allocate_system(grid), 0
-    point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
-    if point.error < np.inf and is_gross(grid, point):
-        near = restore(grid, point, NEARBY, [], system)
+    guess = without_multipliers(grid, unknowns)
+    if guess.error < np.inf and is_gross(grid, guess):
+        near = restore(grid, guess, NEARBY, [], system)
         if near is not None:
-            status, point, total = descend(grid, near.unknowns, tolerance, max_iterations // 2, log, system)
+            status, point, total = descend(grid, near, tolerance, max_iterations // 2, log, system)
             if status == "solved":
                 return status, point, total
-    status, point, iterations = descend(grid, unknowns, tolerance, max_iterations - total, log, system)
+    status, point, iterations = descend(grid, guess, tolerance, max_iterations - total, log, system)
     return status, point, total + iterations
 
 
@@ -1254,9 +1254,9 @@ def is_gross(grid, point):
     return point.residual > GROSS * terms
 
 
-def descend(grid, unknowns, tolerance, max_iterations, log, system):
-    """Follow Newton's steps from a guess; return (status, point, iterations)."""
-    point = evaluate(grid, guess_multipliers(grid, unknowns, system))
+def descend(grid, guess, tolerance, max_iterations, log, system):
+    """Follow Newton's steps from a point whose multipliers are zero; return (status, point, iterations)."""
+    point = with_multipliers(grid, guess, system)
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
     shift, length = Shift(), 0.0
@@ -1281,7 +1281,7 @@ def descend(grid, unknowns, tolerance, max_iterations, log, system):
             trial = restore(grid, point, 0.9, filtered, system)
             if trial is None:
                 return "infeasible", point, iteration
-            trial = evaluate(grid, guess_multipliers(grid, trial.unknowns, system))
+            trial = with_multipliers(grid, without_multipliers(grid, trial.unknowns), system)
         point = trial
     return "iteration limit", point, max_iterations
 
@@ -1291,17 +1291,24 @@ def is_minimum(grid, point, system):
     return factor_kkt(grid, point.unknowns, 1.0, shifts(grid, FLAT, FLAT), system) == 0
 
 
-def guess_multipliers(grid, unknowns, system):
-    """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    point = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
+def without_multipliers(grid, unknowns):
+    """The point at the same primal unknowns with all multipliers zero."""
+    return evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
+
+
+def with_multipliers(grid, point, system):
+    """The point with multipliers that solve stationarity by least squares (36), as it is where they are huge or none.
+
+    All multipliers of `point` are zero.
+    """
     if point.stationarity == 0.0:
-        return point.unknowns
-    gradient, step = np.where(grid.is_multiplier, 0.0, point.gradient), np.empty_like(unknowns)
+        return point
+    gradient, step = np.where(grid.is_multiplier, 0.0, point.gradient), np.empty_like(point.unknowns)
     if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system, gradient)):
-        return point.unknowns
+        return point
     solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
-    return point.unknowns + multipliers if np.abs(multipliers).max() <= 1e3 else point.unknowns
+    return evaluate(grid, point.unknowns + multipliers) if np.abs(multipliers).max() <= 1e3 else point
 
 
 def regularised_step(grid, point, before, system):
@@ -2059,7 +2066,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_1c68452c59d835a4"
+_IDENTITY = "codegen_spherical_pendulum_9f97cb42eb330585"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -48,9 +48,9 @@ def test_what_fails_nearby_begins_anew_at_the_guess(hovercraft, monkeypatch):
     """All iterations together are no more than allowed, and the reported end is that of the second search."""
     starts = []
 
-    def descend(grid, unknowns, tolerance, max_iterations, log, system):
-        starts.append((unknowns, max_iterations))
-        return "infeasible", at(hovercraft, grid, unknowns), 7
+    def descend(grid, start, tolerance, max_iterations, log, system):
+        starts.append((start.unknowns, max_iterations))
+        return "infeasible", start, 7
 
     monkeypatch.setattr(hovercraft, "descend", descend)
     grid = hovercraft.make_grid(20)
