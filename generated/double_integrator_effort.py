@@ -99,7 +99,6 @@ CONDENSED = 1  # eliminated inside their interval: f
 STRIDE = 3  # unknowns of a node and of the interval after it, which has f
 ELEMENT = 5  # unknowns of an interval with both its nodes
 BODIES = 1  # bodies, each with a chain of nodes and intervals
-OWN = 0  # shared unknowns of a body: none
 SHARED = 0  # with those of the whole problem: none
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 0  # unknowns that no node owns, with the conditions' multipliers
@@ -340,7 +339,7 @@ TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
-RIGHT = ROWS  # the column
+RIGHT = ROWS  # the column of the right-hand side
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 # The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
@@ -573,6 +572,9 @@ def solve_backward(upper, order, count, width, values):
         values[order[c]] = value
 
 
+# The inverse of the small block of what is eliminated inside an interval.
+
+
 @njit(error_model="numpy", forceinline=True)
 def invert_positive_definite(block, size):
     """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
@@ -610,9 +612,8 @@ def sort_entries():
     return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
 
 
-(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS), (INSIDE, INSIDE_ROWS, INSIDE_COLUMNS) = (
-    sort_entries()
-)
+ENTRIES = sort_entries()
+(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS) = ENTRIES[:2]
 TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination changes
 
 
@@ -1052,12 +1053,6 @@ def is_small(value, size, tolerance):
     return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
 
 
-def is_rounding(grid, point):
-    """Whether residual and stationarity are no larger than a thousand rounding errors."""
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
-    return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]
-
-
 # Solve a linear-quadratic problem: one Newton step, and at most two more that remove rounding errors.
 
 CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
@@ -1370,12 +1365,6 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
-
-
-def least_duration(grid, unknowns):
-    """The length of the time interval, or of the shortest phase."""
-    least = duration_of(grid, unknowns)
-    return least
 
 
 def is_finite_matrix(grid, unknowns):
@@ -1766,7 +1755,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_double_integrator_effort_0c46889cdf632529"
+_IDENTITY = "codegen_double_integrator_effort_6c8e054a66ba04b2"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

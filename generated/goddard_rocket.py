@@ -327,6 +327,12 @@ def shared_views(unknowns):
     return own, unknowns[first + BODIES * OWN : unknowns.size - COUPLINGS]
 
 
+def least_duration(grid, unknowns):
+    """The length of the time interval, or of the shortest phase."""
+    least = duration_of(grid, unknowns)
+    return least
+
+
 # Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 #
 # Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
@@ -469,7 +475,6 @@ TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
-RIGHT = ROWS  # the column
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 # The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
@@ -699,25 +704,6 @@ def solve_backward(upper, order, count, width, values):
         for k in range(c + 1, count):
             value -= upper[order[c], order[k]] * values[order[k]]
         values[order[c]] = value
-
-
-@njit(error_model="numpy", forceinline=True)
-def invert_positive_definite(block, size):
-    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
-    for k in range(size):
-        pivot = block[k, k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        block[k, k] = 1.0
-        for j in range(size):
-            block[k, j] /= pivot
-        for i in range(size):
-            if i != k:
-                factor = block[i, k]
-                block[i, k] = 0.0
-                for j in range(size):
-                    block[i, j] -= factor * block[k, j]
-    return True
 
 
 # An interval's element matrix, with all its unknowns kept: none can be eliminated beforehand.
@@ -1132,6 +1118,9 @@ def is_solved(grid, point, tolerance):
 def is_small(value, size, tolerance):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
     return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
+
+
+# Whether nothing but rounding is left, so that no step makes progress.
 
 
 def is_rounding(grid, point):
@@ -1942,12 +1931,6 @@ def final_status(grid, guess, point, status):
     return status
 
 
-def least_duration(grid, unknowns):
-    """The length of the time interval, or of the shortest phase."""
-    least = duration_of(grid, unknowns)
-    return least
-
-
 def is_finite_matrix(grid, unknowns):
     """Whether all second derivatives are finite."""
     return all(np.isfinite(entries(grid, unknowns)[2]).all() for entries in (hessian, jacobian))
@@ -2397,7 +2380,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_goddard_rocket_6e147a3dc290e04a"
+_IDENTITY = "codegen_goddard_rocket_4d58555e07f20ab2"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -59,10 +59,8 @@ metadata = {
 }
 
 DIMENSION = 3  # coordinates of a particle: x, y, z
-BLOCKS = 1  # rows of H_pp for each particle
 POINTS = 2  # points of a step at which H is evaluated
 SUBSTEPS = ((0.5, 0.0, 1.0), (0.5, 1.0, 0.0),)  # fraction of the step, place and momentum between its ends
-COST_WEIGHTS = (0.5, 0.5,)  # weights of the points in the discrete cost
 
 
 # ---- Kernels: everything that is special about this problem ----
@@ -446,7 +444,7 @@ def solve(
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_outer_solar_system_5fdd8279e91ee613"
+_IDENTITY = "codegen_outer_solar_system_847513724209067c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -82,7 +82,6 @@ CONDENSED = 1  # eliminated inside their interval: u
 STRIDE = 5  # unknowns of a node and of the interval after it, which has mu_x1, mu_x2, u
 ELEMENT = 7  # unknowns of an interval with both its nodes
 BODIES = 1  # bodies, each with a chain of nodes and intervals
-OWN = 0  # shared unknowns of a body: none
 SHARED = 0  # with those of the whole problem: none
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 0  # unknowns that no node owns, with the conditions' multipliers
@@ -344,7 +343,6 @@ TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
-RIGHT = ROWS  # the column
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 # The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
@@ -576,6 +574,9 @@ def solve_backward(upper, order, count, width, values):
         values[order[c]] = value
 
 
+# The inverse of the small block of what is eliminated inside an interval.
+
+
 @njit(error_model="numpy", forceinline=True)
 def invert_positive_definite(block, size):
     """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
@@ -613,9 +614,8 @@ def sort_entries():
     return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
 
 
-(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS), (INSIDE, INSIDE_ROWS, INSIDE_COLUMNS) = (
-    sort_entries()
-)
+ENTRIES = sort_entries()
+(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS) = ENTRIES[:2]
 TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination changes
 
 
@@ -687,6 +687,8 @@ def expand(gradient, inverses, couplings, steps, solved, step):
 #
 # Barrier terms make the block C of these unknowns different on every interval. Eliminating them leaves, in the remaining
 # unknowns of the element, K - B' inverse(C) B, with B the coupling block.
+
+INSIDE, INSIDE_ROWS, INSIDE_COLUMNS = ENTRIES[2]
 
 
 def allocate_condensed(grid):
@@ -1045,6 +1047,9 @@ def is_solved(grid, point, tolerance):
 def is_small(value, size, tolerance):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
     return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
+
+
+# Whether nothing but rounding is left, so that no step makes progress.
 
 
 def is_rounding(grid, point):
@@ -1848,12 +1853,6 @@ def final_status(grid, guess, point, status):
     return status
 
 
-def least_duration(grid, unknowns):
-    """The length of the time interval, or of the shortest phase."""
-    least = duration_of(grid, unknowns)
-    return least
-
-
 def is_finite_matrix(grid, unknowns):
     """Whether all second derivatives are finite."""
     return all(np.isfinite(entries(grid, unknowns)[2]).all() for entries in (hessian, jacobian))
@@ -2272,7 +2271,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_van_der_pol_f39f9ae8d242e419"
+_IDENTITY = "codegen_van_der_pol_61a2db34609f0e83"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

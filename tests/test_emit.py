@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import jinja2
@@ -21,6 +22,8 @@ from codegen.symbols import RESERVED
 
 ROOT = Path(__file__).parents[1]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"
+SPARE = {"interval_times"}
+"""Middles of intervals stand beside the times of nodes, whether or not a guess depends on them."""
 
 
 @pytest.mark.parametrize("problem", sorted({problem for problem, _, _ in GALLERY}))
@@ -44,6 +47,29 @@ def test_the_hash_seed_does_not_matter():
     environment = {**os.environ, "PYTHONHASHSEED": "20240229"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@cache
+def asked_from_outside() -> frozenset[str]:
+    """Names that the package or its templates ask a module for: attributes, and texts such as those of `getattr`."""
+    found = set()
+    for path in (ROOT / "codegen").rglob("*.py"):
+        if path.parent.name != "runtime":
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                found |= {getattr(node, "attr", ""), str(getattr(node, "value", ""))}
+    return frozenset(found)
+
+
+@pytest.mark.parametrize("name", sorted(committed()))
+def test_generated_modules_hold_nothing_that_nobody_uses(name):
+    """Every function and constant is used in the module or asked for by the package, or is part of its interface."""
+    tree = ast.parse(committed()[name])
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
+    made = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    for node in tree.body:
+        if isinstance(node, ast.Assign):
+            made |= {part.id for target in node.targets for part in ast.walk(target) if isinstance(part, ast.Name)}
+    assert made - used - asked_from_outside() <= SPARE
 
 
 @pytest.mark.parametrize("name", sorted(committed()))

@@ -78,7 +78,7 @@ def _sizes(program: ControlProgram) -> dict[str, int]:
         "STRIDE": stride,
         "ELEMENT": stride + node,
         "BODIES": program.bodies,
-        "OWN": own,
+        **({"OWN": own} if program.shared else {}),
         "SHARED": shared,
         "COUPLINGS": couplings,
         "ROOT": program.bodies * own + shared - own + couplings,

@@ -39,7 +39,7 @@ FUNCTIONS: tuple[tuple[str, str, tuple[Any, ...], dict[str, Any]], ...] = (
     ("arrays", "zero_matrix", (int64, int64), {}),
     ("arrays", "clear", (MATRIX,), {}),
     ("symmetric", "subtract_row", (float64, MATRIX, int64, int64, MATRIX, int64), SUMS),
-    ("symmetric", "invert_positive_definite", (MATRIX, int64), SUMS),
+    ("inverse", "invert_positive_definite", (MATRIX, int64), SUMS),
     ("norms", "measure", (VECTOR, MASK), {}),
 )
 """Files and functions of the runtime with the types of their arguments, those first that take longest.

@@ -114,7 +114,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         description=tuple(_description(program, derivatives, loops)),
         left_out=tuple(_left_out_of_motion(program, derivatives, singles, by_turns)),
         metadata=tuple(_metadata_of_motion(program, derivatives, loops)),
-        constants=tuple(_constants(program, derivatives)),
+        constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
         kernels=(),
         runtime=(*_special(loops, around), *step, "pair_motion"),
         sizes=(("IMPLICIT", int(implicit)),),

@@ -213,12 +213,12 @@ def _end_kernels(
 def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[str, ...]:
     """The files of `codegen/runtime` that the module needs, in the order in which they are to be read."""
     differ = program.has_inequalities or program.phases
-    condensed = ("condensation", "element_barrier" if differ else "element_condensed")
-    solver: tuple[str, ...] = ("descent", "filter", "newton_filter")
+    condensed = ("inverse", "condensation", "element_barrier" if differ else "element_condensed")
+    solver: tuple[str, ...] = ("standstill", "descent", "filter", "newton_filter")
     if derivatives.linear_quadratic:
         solver = ("newton_linear",)
     elif program.has_inequalities:
-        solver = ("descent", "filter", "barrier", "restoration", "interior_point")
+        solver = ("standstill", "descent", "filter", "barrier", "restoration", "interior_point")
     return (
         "arrays",
         *(("shared",) if program.shared else ()),

@@ -209,9 +209,10 @@ def integers(values: Sequence[int]) -> str:
 
 def _size_lines(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
     number = dict(sizes(program, derivatives))
+    own = Line("OWN", str(number["OWN"]), f"shared unknowns of a body: {_names(program.shared[: program.own])}")
     return [
         Line("BODIES", str(number["BODIES"]), "bodies, each with a chain of nodes and intervals"),
-        Line("OWN", str(number["OWN"]), f"shared unknowns of a body: {_names(program.shared[: program.own])}"),
+        *([own] if program.shared else []),
         Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
         Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"),

@@ -33,9 +33,8 @@ def sort_entries():
     return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
 
 
-(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS), (INSIDE, INSIDE_ROWS, INSIDE_COLUMNS) = (
-    sort_entries()
-)
+ENTRIES = sort_entries()
+(KEPT, KEPT_ROWS, KEPT_COLUMNS), (COUPLED, COUPLED_ROWS, COUPLED_COLUMNS) = ENTRIES[:2]
 TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination changes
 
 

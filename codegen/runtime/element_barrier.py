@@ -7,16 +7,12 @@ unknowns of the element, K - B' inverse(C) B, with B the coupling block.
 import numpy as np
 from numba import njit
 
-from codegen.runtime.condensation import (
-    INSIDE,
-    INSIDE_COLUMNS,
-    INSIDE_ROWS,
-    scatter,
-    subtract_condensed,
-)
+from codegen.runtime.condensation import ENTRIES, scatter, subtract_condensed
 from codegen.runtime.elements import BLOCK, WIDTH
 from codegen.runtime.example import BODIES, CONDENSED
-from codegen.runtime.symmetric import invert_positive_definite
+from codegen.runtime.inverse import invert_positive_definite
+
+INSIDE, INSIDE_ROWS, INSIDE_COLUMNS = ENTRIES[2]
 
 
 def allocate_condensed(grid):

@@ -13,7 +13,7 @@ from codegen.runtime.condensation import (
 )
 from codegen.runtime.elements import BLOCK, WIDTH
 from codegen.runtime.example import BODIES, CONDENSED, control_hessian
-from codegen.runtime.symmetric import invert_positive_definite
+from codegen.runtime.inverse import invert_positive_definite
 
 
 def allocate_condensed(grid):

@@ -27,7 +27,8 @@ from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import multiplier_unknowns
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
-from codegen.runtime.rounding import is_rounding, is_solved
+from codegen.runtime.rounding import is_solved
+from codegen.runtime.standstill import is_rounding
 
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby

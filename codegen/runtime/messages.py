@@ -22,8 +22,8 @@ from codegen.runtime.example import (
 from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.limits import at_limits, prescribed_beyond
 from codegen.runtime.phases import node_times
-from codegen.runtime.shared import read_shared
-from codegen.runtime.verdict import GROWTH, HOLDS, final_status, least_duration
+from codegen.runtime.shared import least_duration, read_shared
+from codegen.runtime.verdict import GROWTH, HOLDS, final_status
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",

@@ -14,7 +14,8 @@ from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.point import evaluate
-from codegen.runtime.rounding import is_rounding, is_solved, term_sizes
+from codegen.runtime.rounding import is_solved, term_sizes
+from codegen.runtime.standstill import is_rounding
 
 SHORTEST_STEP = 1e-10
 RESTORATION_STEPS = 50

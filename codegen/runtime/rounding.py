@@ -70,9 +70,3 @@ def is_solved(grid, point, tolerance):
 def is_small(value, size, tolerance):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
     return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
-
-
-def is_rounding(grid, point):
-    """Whether residual and stationarity are no larger than a thousand rounding errors."""
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
-    return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]

@@ -2,13 +2,7 @@
 
 from numba import njit
 
-from codegen.runtime.example import (
-    BODIES,
-    COUPLINGS,
-    OWN,
-    ROOT,
-    SHARED,
-)
+from codegen.runtime.example import BODIES, COUPLINGS, OWN, PHASES, ROOT, SHARED, duration_of, phase_durations
 
 
 @njit(error_model="numpy", inline="always")
@@ -39,3 +33,11 @@ def shared_views(unknowns):
     first = unknowns.size - ROOT
     own = unknowns[first : first + BODIES * OWN].reshape(BODIES, OWN)
     return own, unknowns[first + BODIES * OWN : unknowns.size - COUPLINGS]
+
+
+def least_duration(grid, unknowns):
+    """The length of the time interval, or of the shortest phase."""
+    least = duration_of(grid, unknowns)
+    if PHASES:
+        least = phase_durations(grid, unknowns).min()
+    return least

@@ -186,22 +186,3 @@ def solve_backward(upper, order, count, width, values):
         for k in range(c + 1, count):
             value -= upper[order[c], order[k]] * values[order[k]]
         values[order[c]] = value
-
-
-@njit(error_model="numpy", forceinline=True)
-def invert_positive_definite(block, size):
-    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
-    for k in range(size):
-        pivot = block[k, k]
-        if not 0.0 < pivot < np.inf:
-            return False
-        block[k, k] = 1.0
-        for j in range(size):
-            block[k, j] /= pivot
-        for i in range(size):
-            if i != k:
-                factor = block[i, k]
-                block[i, k] = 0.0
-                for j in range(size):
-                    block[i, j] -= factor * block[k, j]
-    return True

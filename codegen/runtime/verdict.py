@@ -5,10 +5,11 @@ import numpy as np
 from codegen.runtime.apart import allocate_system
 from codegen.runtime.system import factor_kkt, solve_kkt
 from codegen.runtime.callbacks import hessian, jacobian
-from codegen.runtime.example import INEQUALITIES, PHASES, ROOT, SHARED, duration_of, phase_durations
+from codegen.runtime.example import INEQUALITIES, ROOT, SHARED
 from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.limits import at_limits
 from codegen.runtime.point import evaluate
+from codegen.runtime.shared import least_duration
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
@@ -36,14 +37,6 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
-
-
-def least_duration(grid, unknowns):
-    """The length of the time interval, or of the shortest phase."""
-    least = duration_of(grid, unknowns)
-    if PHASES:
-        least = phase_durations(grid, unknowns).min()
-    return least
 
 
 def is_finite_matrix(grid, unknowns):

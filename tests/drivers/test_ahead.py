@@ -112,9 +112,12 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
 @pytest.mark.parametrize("name", ["hovercraft", "orbital_transfer", "two_stage_rocket"])
 @pytest.mark.parametrize(("file", "function"), [row[:2] for row in ahead.FUNCTIONS])
 def test_modules_have_the_functions_that_are_compiled_ahead(name, file, function):
-    """Otherwise the work would be lost."""
+    """Otherwise the work would be lost. Where nothing is eliminated inside an interval, nothing is inverted."""
     module, runtime = load(GENERATED / f"{name}.py"), import_module(f"codegen.runtime.{file}")
-    assert ahead._are_same(getattr(module, function), getattr(runtime, function))
+    if file == "inverse" and name == "two_stage_rocket":
+        assert not hasattr(module, function)
+    else:
+        assert ahead._are_same(getattr(module, function), getattr(runtime, function))
 
 
 def test_functions_that_read_other_values_are_not_the_same():
