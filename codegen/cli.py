@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from codegen.app_command import app
-from codegen.errors import ArgumentError
-from codegen.terminal import OneLineErrors, console, one_line, progress, working
+from codegen.errors import ArgumentError, one_line
+from codegen.terminal import OneLineErrors, console, progress, working
 from codegen.warp_command import warp
 
 if TYPE_CHECKING:

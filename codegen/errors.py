@@ -6,6 +6,17 @@ INTERRUPTED = "codegen: interrupted; no file was left half written"
 """What a command says when it is interrupted; files are written as a whole or not at all."""
 
 
+def one_line(text: str, limit: int = 1000) -> str:
+    """The text without line breaks, cut where it is very long."""
+    line = " ".join(text.split())
+    return line if len(line) <= limit else line[:limit] + " ..."
+
+
+def clause(text: str) -> str:
+    """A part of a message on one line, short enough that the rest is seen."""
+    return one_line(text, 400)
+
+
 class CodegenError(Exception):
     """Base of all errors that are reported as one line with exit status 2, never as a traceback.
 

@@ -13,17 +13,16 @@ import importlib
 import importlib.util
 import inspect
 import keyword
-import math
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from types import CodeType, ModuleType, NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, Any, cast
 
-from codegen.errors import ArgumentError, CodegenError, ProblemFileError
+from codegen.errors import ArgumentError, CodegenError, ProblemFileError, clause
+from codegen.set_values import converted
 
 if TYPE_CHECKING:
     from codegen.model import Model
@@ -43,7 +42,7 @@ def parse_arguments(items: Sequence[str], path: Path | None = None) -> dict[str,
         if not equals or not name:
             raise ArgumentError(f"--set {item!r} is not of the form name=value", _example(path, item.strip()))
         if name in arguments:
-            raise ArgumentError(f"--set gives {_one_line(name)} twice", "give it once")
+            raise ArgumentError(f"--set gives {clause(name)} twice", "give it once")
         arguments[name] = value
     return arguments
 
@@ -144,17 +143,12 @@ def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model |
 # Messages
 
 
-def _one_line(text: str, limit: int = 400) -> str:
-    words = " ".join(text.split())
-    return words if len(words) <= limit else words[:limit] + " ..."
-
-
 def _unusable(place: Path | str, finding: str, remedy: str) -> ProblemFileError:
-    return ProblemFileError(_one_line(f"{place}: {finding}"), remedy)
+    return ProblemFileError(clause(f"{place}: {finding}"), remedy)
 
 
 def _with_place(error: CodegenError, place: str) -> CodegenError:
-    return type(error)(_one_line(f"{place}: {error.finding}"), _one_line(error.remedy))
+    return type(error)(clause(f"{place}: {error.finding}"), clause(error.remedy))
 
 
 @contextmanager
@@ -283,86 +277,5 @@ def _keywords(path: Path, function: Callable[..., Any], arguments: Mapping[str, 
             close = difflib.get_close_matches(name, known, n=1)
             remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
             remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
-            raise ArgumentError(_one_line(f"{path}: --set {name}: no such argument"), remedy)
-    return {name: _converted(path, text, signature.parameters[name]) for name, text in arguments.items()}
-
-
-def _converted(path: Path, text: str, parameter: inspect.Parameter) -> Any:
-    annotation = parameter.annotation
-    if annotation is parameter.empty:
-        annotation = type(parameter.default)
-    readers = _readers(annotation)
-    if not readers or annotation is NoneType:
-        raise ArgumentError(
-            _one_line(f"{path}: --set {parameter.name}: its type cannot be read from text"),
-            f"annotate {parameter.name} in problem() with int, float, bool, str, Path or Literal",
-        )
-    for _, reader in readers:
-        try:
-            return reader(text)
-        except ValueError:
-            continue
-    raise ArgumentError(
-        _one_line(f"{path}: --set {parameter.name}={text} does not fit"),
-        _one_line(f"give {' or '.join(description for description, _ in readers)}"),
-    )
-
-
-def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
-    """What a type accepts, in words, and the function that reads it (ValueError when the text does not fit)."""
-    origin, choices = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        return _readers(choices[0])
-    if origin is Literal:
-        values = {str(choice): choice for choice in choices}
-        return [(" or ".join(values), lambda text: _chosen(values, text))]
-    if origin in (Union, UnionType):
-        # None first: every other type of text would take the word for a value.
-        parts = [_readers(choice) for choice in sorted(choices, key=lambda choice: choice is not NoneType)]
-        return [reader for part in parts for reader in part] if all(parts) else []
-    plain: dict[Any, tuple[str, Callable[[str], Any]]] = {
-        int: ("a whole number", _integer),
-        float: ("a finite number", _finite),
-        bool: ("true or false", lambda text: _chosen(_TRUTH, text.strip().lower())),
-        str: ("text", str),
-        Path: ("a path", _path),
-        NoneType: ("none", lambda text: _chosen({"none": None}, text.strip().lower())),
-    }
-    return [plain[annotation]] if isinstance(annotation, type) and annotation in plain else []
-
-
-_TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
-
-
-def _chosen(values: Mapping[str, Any], text: str) -> Any:
-    if text not in values:
-        raise ValueError(text)
-    return values[text]
-
-
-def _integer(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        pass
-    try:
-        number = Decimal(text)
-    except InvalidOperation:
-        raise ValueError(text) from None
-    # The bound comes first: the integer 1e999999999 would not fit into memory.
-    if not number.is_finite() or number.adjusted() > 18 or number != number.to_integral_value():
-        raise ValueError(text)
-    return int(number)
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(text)
-    return number
-
-
-def _path(text: str) -> Path:
-    if not text.strip():
-        raise ValueError(text)
-    return Path(text)
+            raise ArgumentError(clause(f"{path}: --set {name}: no such argument"), remedy)
+    return {name: converted(path, text, signature.parameters[name]) for name, text in arguments.items()}

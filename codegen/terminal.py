@@ -13,7 +13,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from codegen.errors import INTERRUPTED, CodegenError
+from codegen.errors import INTERRUPTED, CodegenError, one_line
 
 FILE_WIDTH = 120
 """Characters of a line where the output is no terminal."""
@@ -53,12 +53,6 @@ def _described(error: Exception) -> tuple[int, str]:
         traceback.print_exception(error)
     text = f"unexpected {type(error).__name__}: {error}"
     return 1, one_line(text, 200) + "; this is a defect of codegen, please report what CODEGEN_TRACEBACK=1 shows"
-
-
-def one_line(text: str, limit: int = 1000) -> str:
-    """The text without line breaks, cut where it is very long."""
-    line = " ".join(text.split())
-    return line if len(line) <= limit else line[:limit] + " ..."
 
 
 def console(stderr: bool = False) -> Any:

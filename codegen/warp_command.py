@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from codegen.errors import ArgumentError
-from codegen.terminal import console, one_line, progress, working
+from codegen.errors import ArgumentError, one_line
+from codegen.terminal import console, progress, working
 
 if TYPE_CHECKING:
     from codegen.registration.batch import Batch

@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from codegen import __version__
-from codegen.errors import ArgumentError, CodegenError
+from codegen.errors import ArgumentError, CodegenError, one_line
 from codegen.output import replacing
 from codegen.registration.images.header import KINDS
 from codegen.registration.job import Job, Options, run
-from codegen.terminal import one_line
 
 SUMMARY = "summary.csv"
 COLUMNS = (
