@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
@@ -10,9 +10,9 @@ import sympy
 
 from codegen import expressions
 from codegen.drawing import Item
-from codegen.errors import ExpressionError, ProblemFileError, SymbolError
+from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem import Control, Expression, Relation, form_of
-from codegen.symbols import Coordinate, Momentum, Quantity, Velocity
+from codegen.symbols import Coordinate, EndValue, Momentum, Quantity, Velocity
 
 
 def together(
@@ -150,3 +150,20 @@ def _shifts(periodic: Any) -> Any:
 
 def _sum(what: str, terms: Sequence[Expression]) -> Expression:
     return sympy.Add(*(expressions.checked(term, what) for term in terms))
+
+
+def require_body(value: EndValue, bodies: int) -> None:
+    """Raise BoundaryError unless there is the body that a quantity of a single one belongs to."""
+    if value.body >= bodies:
+        raise BoundaryError(
+            f"{value.partner}.of({value.body}) is no body", f"number them 0 to {bodies - 1}, or raise bodies"
+        )
+
+
+def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iterable[sympy.Symbol]) -> None:
+    """Raise BoundaryError when a condition between bodies, `what`, has quantities beside theirs that every body has."""
+    if mixed := sorted(map(str, every)):
+        raise BoundaryError(
+            f"{what} has {', '.join(mixed)} of every body beside {min(map(str, single))} of one",
+            "write .of(...) for each coordinate; velocities, momenta and controls cannot be tied",
+        )

@@ -13,9 +13,8 @@ from typing import Any
 
 import sympy
 
-from codegen.bodies import together
+from codegen.bodies import require_body, require_single_bodies, together
 from codegen.drawing import Item
-from codegen.errors import BoundaryError, ExpressionError
 from codegen.problem import Control
 from codegen.symbols import (
     BodyNumber,
@@ -46,18 +45,24 @@ def meet_on_the_way(problem: Any) -> bool:
 def written_out(problem: Control, declared: Sequence[Quantity]) -> tuple[Control, list[Quantity]]:
     """The problem with every body by itself, and what is left of the declared quantities.
 
-    Raises BoundaryError for a body that there is not, ExpressionError for a condition between bodies that has
-    quantities of every body in it.
+    Raises BoundaryError for a body that there is not, and for a condition between bodies that has quantities of every
+    body in it.
     """
     used = {symbol for symbol in _symbols(problem) if isinstance(symbol, Quantity)}
     own = sorted((s for s in used if not isinstance(s, EndValue)), key=lambda symbol: symbol.declared)
     own = [s for s in own if isinstance(s, (Coordinate, State, Velocity, Momentum, ControlInput))]
     copies = [_copies(own, number) for number in range(problem.bodies)]
-    values = _values([s for s in used if isinstance(s, EndValue)], copies, problem.bodies)
+    values: dict[EndValue, Quantity] = {}
+    for value in (symbol for symbol in used if isinstance(symbol, EndValue)):
+        require_body(value, problem.bodies)
+        values[value] = copies[value.body][value.partner]
     conditions, parts = {}, {part.name: getattr(problem, part.name) for part in fields(problem)}
     for what in ("path", "start_conditions", "end_conditions"):
         entries = _items(parts[what])
-        conditions[what] = [_written(what, e, own, values) for e in entries if _of_bodies(e)]
+        between = [entry for entry in entries if _of_bodies(entry)]
+        for entry in between:
+            require_single_bodies(f"{what} {entry}", _of_bodies(entry), entry.free_symbols & set(own))
+        conditions[what] = [entry.xreplace(values) for entry in between]
         parts[what] = [e for e in entries if not _of_bodies(e)]
     bodies = []
     for number, names in enumerate(copies):
@@ -92,28 +97,6 @@ def _copies(own: Sequence[Quantity], number: int) -> dict[Quantity, Quantity]:
             pair = coordinate if isinstance(q.partner, Velocity) else canonical_pair
             found[q], found[q.partner] = pair(f"{q.name}_{number}", f"{q.partner.name}_{number}")
     return found
-
-
-def _values(
-    used: Sequence[EndValue], copies: Sequence[Mapping[Quantity, Quantity]], bodies: int
-) -> dict[EndValue, Quantity]:
-    for value in used:
-        if value.body >= bodies:
-            raise BoundaryError(
-                f"{value.partner}.of({value.body}) is no body", f"number them 0 to {bodies - 1}, or raise bodies"
-            )
-    return {value: copies[value.body][value.partner] for value in used}
-
-
-def _written(what: str, entry: Any, own: Sequence[Quantity], values: Mapping[EndValue, Quantity]) -> Any:
-    """A condition between bodies in the quantities of each."""
-    mixed = sorted(map(str, entry.free_symbols & set(own)))
-    if mixed:
-        raise ExpressionError(
-            f"{what} {entry} has {', '.join(mixed)} of every body beside {min(map(str, _of_bodies(entry)))} of one",
-            "write .of(...) for each coordinate; velocities, momenta and controls cannot be tied",
-        )
-    return entry.xreplace(dict(values))
 
 
 def _put(value: Any, places: Mapping[Any, Any]) -> Any:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import sympy
 
+from codegen.bodies import require_single_bodies
 from codegen.errors import BoundaryError
 from codegen.model.definitions import Bounds, Condition, FreeParameter
 from codegen.model.relations import text
@@ -35,12 +36,7 @@ def couplings_of(
             continue
         if not entry.equality:
             raise BoundaryError(f"{entry.what} couples bodies by an inequality", "couple them by equations only")
-        mixed = sorted(map(str, entry.expression.free_symbols & set(moving)))
-        if mixed:
-            raise BoundaryError(
-                f"{entry.what} has {', '.join(mixed)} of every body beside {min(map(str, own))} of one",
-                "write .of(...) for each coordinate; velocities and momenta cannot be coupled",
-            )
+        require_single_bodies(entry.what, own, entry.expression.free_symbols & set(moving))
         couplings.append(_condition(entry))
     return tuple(couplings), tuple(others)
 

@@ -9,6 +9,7 @@ from typing import Any
 import sympy
 
 from codegen import expressions
+from codegen.bodies import require_body
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.model import drawings, regularity, values
 from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
@@ -124,8 +125,7 @@ def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entr
                 )
     for value in kinds.end_values:
         coordinate, where = value.partner, f"{value.partner}.of({value.body})"
-        if value.body >= problem.bodies:
-            raise BoundaryError(f"{where} is no body", f"number them 0 to {problem.bodies - 1}, or raise bodies")
+        require_body(value, problem.bodies)
         if coordinate in problem.end:
             finding = f"{where} is {coordinate} of body {value.body} at the end, and end fixes {coordinate}"
             raise BoundaryError(finding, "leave out one of the two")
