@@ -161,9 +161,9 @@ def require_body(value: EndValue, bodies: int) -> None:
 
 
 def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iterable[sympy.Symbol]) -> None:
-    """Raise BoundaryError when a condition between bodies, `what`, has quantities beside theirs that every body has."""
+    """Raise ExpressionError when a condition between bodies, `what`, has quantities in it that every body has."""
     if mixed := sorted(map(str, every)):
-        raise BoundaryError(
+        raise ExpressionError(
             f"{what} has {', '.join(mixed)} of every body beside {min(map(str, single))} of one",
             "write .of(...) for each coordinate; velocities, momenta and controls cannot be tied",
         )

@@ -45,8 +45,8 @@ def meet_on_the_way(problem: Any) -> bool:
 def written_out(problem: Control, declared: Sequence[Quantity]) -> tuple[Control, list[Quantity]]:
     """The problem with every body by itself, and what is left of the declared quantities.
 
-    Raises BoundaryError for a body that there is not, and for a condition between bodies that has quantities of every
-    body in it.
+    Raises BoundaryError for a body that there is not, ExpressionError for a condition between bodies that has
+    quantities of every body in it.
     """
     used = {symbol for symbol in _symbols(problem) if isinstance(symbol, Quantity)}
     own = sorted((s for s in used if not isinstance(s, EndValue)), key=lambda symbol: symbol.declared)

@@ -233,8 +233,10 @@ _BODIES = [
     Malformed(
         "coupling-inequality", group(end_conditions="[x.of(0) <= 1]", bodies="1"), BoundaryError, "by an inequality"
     ),
-    Malformed("coupling-mixed", group(end_conditions="[x.of(0) - y]"), BoundaryError, "has y of every body beside x_0"),
-    Malformed("coupling-velocity", group(end_conditions="[x.of(0) - dx]"), BoundaryError, "has dx of every body"),
+    Malformed(
+        "coupling-mixed", group(end_conditions="[x.of(0) - y]"), ExpressionError, "has y of every body beside x_0"
+    ),
+    Malformed("coupling-velocity", group(end_conditions="[x.of(0) - dx]"), ExpressionError, "has dx of every body"),
     Malformed(
         "coupling-cancels", group(end_conditions="[sin(x.of(0))**2 + cos(x.of(0))**2 - 1]"), BoundaryError, "nothing"
     ),

@@ -24,7 +24,8 @@ def couplings_of(
     """The end conditions that tie bodies together, and those that hold for every body by itself.
 
     `end_values` belong to single bodies; `moving` are the coordinates and rates, which any body has. Raises
-    BoundaryError for a coupling that is an inequality, or that does not tell whose coordinate it means.
+    BoundaryError for a coupling that is an inequality, ExpressionError for one that does not tell whose coordinate it
+    means.
     """
     couplings, others = [], []
     for entry in entries:
