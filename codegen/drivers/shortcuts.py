@@ -14,6 +14,7 @@ from contextlib import ExitStack, contextmanager
 from types import FunctionType
 from typing import Any
 
+from codegen.drivers.entries import short_entries
 from codegen.drivers.operators import remembered_operators
 
 
@@ -41,6 +42,7 @@ def quick_numba() -> Iterator[None]:
             (CPUCodegen, "_check_llvm_bugs", ["self"], _once),
             (base.BaseContext, "refresh", ["self"], _only_if_there_is_more),
             (base, "_has_loc", ["fn"], _by_code),
+            (base.BaseContext, "get_function", ["self", "fn", "sig", "_firstcall"], short_entries),
         ):
             stack.enter_context(_replaced(owner, name, parameters, make))
         yield
