@@ -208,8 +208,10 @@ UNFINISHED = 3
 def compile_for_callers(module: GeneratedModule) -> None:
     """Have functions that only compiled functions call compiled as parts of these, in this process from now on."""
     from codegen.drivers.linking import forget_constants, link_inner_functions, optimise_by_themselves
+    from codegen.drivers.straight_lines import write_directly
 
     link_inner_functions()
+    write_directly(_compiled_functions(module), Path(vars(module)["__file__"]))
     leave_out_entries(module)
     optimise_by_themselves(share_long_functions(module))
     for function in _compiled_functions(module):
