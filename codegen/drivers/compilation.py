@@ -198,6 +198,8 @@ def compile_all(module: Any) -> None:
             call()
 
 
+SELDOM = ("term_sizes", "interval_momenta")
+"""Functions that a solution calls once or twice."""
 LONG = 3000
 """Bytes of bytecode from which on a function is worth keeping by itself."""
 CAN_FORK = hasattr(os, "fork")
@@ -207,13 +209,19 @@ UNFINISHED = 3
 
 def compile_for_callers(module: GeneratedModule) -> None:
     """Have functions that only compiled functions call compiled as parts of these, in this process from now on."""
-    from codegen.drivers.linking import forget_constants, link_inner_functions, optimise_by_themselves
+    from codegen.drivers.linking import (
+        forget_constants,
+        leave_unpacked,
+        link_inner_functions,
+        optimise_by_themselves,
+    )
     from codegen.drivers.straight_lines import write_directly
 
     link_inner_functions()
     write_directly(_compiled_functions(module), Path(vars(module)["__file__"]))
     leave_out_entries(module)
     optimise_by_themselves(share_long_functions(module))
+    leave_unpacked(SELDOM)
     for function in _compiled_functions(module):
         forget_constants(function)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from numba.core import types
+from numba.core import config, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 
@@ -27,6 +27,8 @@ class LinkedLibrary(JITCodeLibrary):
 
     optimised: frozenset[str] = frozenset()
     """Names of functions so long that it pays to shorten them once, before their callers take them in."""
+    unpacked: frozenset[str] = frozenset()
+    """Names of functions that are called so seldom that looking for operations to pack does not pay."""
 
     @property
     def is_inner(self) -> bool:
@@ -36,8 +38,15 @@ class LinkedLibrary(JITCodeLibrary):
         return code is None or not any(f.name.startswith(ENTRY) and not f.is_declaration for f in code.functions)
 
     def _optimize_final_module(self) -> None:
-        if not self.is_inner or self.name in self.optimised:
+        if self.is_inner and self.name not in self.optimised:
+            return
+        settings: Any = config
+        before = settings.SLP_VECTORIZE
+        settings.SLP_VECTORIZE = before and self.name not in self.unpacked
+        try:
             super()._optimize_final_module()
+        finally:
+            settings.SLP_VECTORIZE = before
 
     def _finalize_final_module(self) -> None:
         if not self.is_inner:
@@ -81,6 +90,11 @@ def link_inner_functions() -> Callable[[], None]:
 def optimise_by_themselves(long: Iterable[str]) -> None:
     """Optimise functions of these names even if Python cannot call them."""
     LinkedLibrary.optimised = frozenset(long)
+
+
+def leave_unpacked(seldom: Iterable[str]) -> None:
+    """Have functions of these names optimised without looking for operations to pack."""
+    LinkedLibrary.unpacked = frozenset(seldom)
 
 
 def forget_constants(function: Any) -> None:

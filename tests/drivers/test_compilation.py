@@ -9,7 +9,7 @@ import sympy
 from numba import typeof
 from sympy import exp, log
 
-from codegen.drivers.compilation import compile_all
+from codegen.drivers.compilation import SELDOM, compile_all
 from codegen.lower.printer import stabilised
 
 GENERATED = Path(__file__).parents[2] / "generated"
@@ -59,6 +59,12 @@ def test_all_that_solve_calls_is_compiled_beforehand(name):
     module.solve(steps=4)
     assert calls
     assert calls <= before
+
+
+def test_functions_that_are_called_seldom_are_there():
+    module, calls = recorded("hovercraft")
+    compile_all(module)
+    assert set(SELDOM) <= {name for name, _ in calls}
 
 
 def test_only_differences_of_exponentials_are_rewritten():
