@@ -12,6 +12,7 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FunctionType
@@ -39,9 +40,11 @@ def write_directly(functions: Iterable[Any], path: Path) -> list[str]:
     by_name = {function.py_func.__name__: function for function in functions}
     found = []
     for node in ast.parse(path.read_bytes()).body:
-        if isinstance(node, ast.FunctionDef) and node.name in by_name and is_straight_line(node):
-            _replace(by_name[node.name], node)
-            found.append(node.name)
+        if isinstance(node, ast.FunctionDef) and node.name in by_name:
+            with suppress(RecursionError):  # sums of so many terms are left to numba
+                if is_straight_line(node):
+                    _replace(by_name[node.name], node)
+                    found.append(node.name)
     return found
 
 
@@ -56,6 +59,8 @@ def is_straight_line(node: ast.FunctionDef) -> bool:
             return False
         if isinstance(target, ast.Name):
             known.add(target.id)
+        elif target.value.id not in known:
+            return False
     return True
 
 

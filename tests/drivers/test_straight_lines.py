@@ -80,6 +80,14 @@ def test_other_arrays_are_left_to_numba(tmp_path):
     assert [len(kinds) for kinds in function.signatures] == [3, 3]
 
 
+def test_long_sums_are_left_to_numba_when_they_are_too_long(tmp_path):
+    for count, names in ((300, ["lines"]), (900, [])):
+        path, lines = module_of(f"def lines(x):\n    return {' + '.join(['x'] * count)}\n", tmp_path)
+        function = njit(lines)
+        assert write_directly([function], path) == names
+        assert function(0.5) == count / 2
+
+
 @pytest.mark.parametrize(
     "line",
     [
@@ -89,6 +97,7 @@ def test_other_arrays_are_left_to_numba(tmp_path):
         "y = x**65",
         "y = x[h]",
         "y = x[-1]",
+        "z[0] = y",
         "y = x[0, 1]",
         "y = x // 2",
         "y = abs(x)",
