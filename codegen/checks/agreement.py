@@ -28,7 +28,8 @@ class Agreement:
         """Errors count relative to the entry, above the rounding of the largest entry beside it.
 
         An entry that vanishes beside the others has no digits to agree with: its error counts relative to the largest.
-        Terms that cancel in it leave their rounding, up to 1.4e-11 of the largest in arccosines of nearly flat angles.
+        Terms that cancel in it leave their rounding: up to 1.4e-11 of the largest in the interior angles of 4 to 7
+        hovercraft.
         """
         assert len(names) == len(emitted) == len(exact)
         largest = max((abs(value) for value in exact), default=0)

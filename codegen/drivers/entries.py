@@ -1,8 +1,8 @@
 """Have numba write little intermediate code for an entry of an array, which a solver is mostly made of.
 
-For each `a[i, j]`, numba takes the whole array apart, on the stack: references, sizes, strides of all axes. LLVM clears
-most of that away, again and again, for every function that the code is linked into. Here only the sizes and the address
-that are needed are taken out. An index below zero counts from the end, as it does in numba.
+For each `a[i, j]`, numba takes the whole array apart, on the stack: references, sizes, strides of all axes. LLVM has to
+clear most of that away. Here sizes and the address are taken out, and no more. An index below zero counts from the end,
+as it does in numba.
 """
 
 from __future__ import annotations
