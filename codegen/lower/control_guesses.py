@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -17,19 +18,22 @@ from codegen.transcribe.program import ControlProgram
 
 def guesses(program: ControlProgram) -> dict[str, Any]:
     """Guesses as code over arrays of time, and what they read."""
-    inside = _interval_guess(program)
-    middles = (Line("t", "duration * (0.5 + np.arange(grid.steps)) / grid.steps"),) if inside else ()
+    at_nodes = [replace(line, target=f"nodes[:, :, {line.target}]") for line in _node_guess(program)]
+    inside = [replace(line, target=f"intervals[:, :, {line.target}]") for line in _interval_guess(program)]
+    nodes = (Line("t", "duration * np.arange(grid.steps + 1) / grid.steps"),)
+    middles = (Line("t", "duration * (0.5 + np.arange(grid.steps)) / grid.steps"),)
+    lines = [*(nodes if _read("t", at_nodes) else ()), *at_nodes, *(middles if _read("t", inside) else ()), *inside]
+    duration = (Line("duration", "duration_of(grid, unknowns)"),)
     return {
         "guess_inputs": inputs(program, [*program.node_guess, *program.stage_guess, *program.control_guess]),
-        "guess_lines": (
-            Line("duration", "duration_of(grid, unknowns)"),
-            Line("t", "duration * np.arange(grid.steps + 1) / grid.steps"),
-            *(replace(line, target=f"nodes[:, :, {line.target}]") for line in _node_guess(program)),
-            *middles,
-            *(replace(line, target=f"intervals[:, :, {line.target}]") for line in inside),
-        ),
+        "guess_lines": (*(duration if _read("duration", lines) else ()), *lines),
         **shared_guesses(program),
     }
+
+
+def _read(name: str, lines: Sequence[Line]) -> bool:
+    """Whether lines read the value of a name."""
+    return any(re.search(rf"\b{name}\b", line.code) for line in lines)
 
 
 def shared_guesses(program: ControlProgram) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from codegen.runtime.symmetric import subtract_row
 def sort_entries():
     """Sort the entries of an interval's Hessian by how many of their two unknowns are eliminated: none, one or both.
 
-    Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are those of the
+    Each kind is a list of arrays (place in the list of entries, row, column); rows and columns are those of the
     element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT + SHARED) >= BLOCK) & (np.arange(ELEMENT + SHARED) < STRIDE)
@@ -30,7 +30,9 @@ def sort_entries():
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
     rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
     columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
-    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
+    # Indices without a sign need no test for what counts from the end.
+    tables = [table.astype(np.uint64) for table in (np.arange(kinds.size), rows, columns)]
+    return [[table[kinds == n] for table in tables] for n in range(3)]
 
 
 ENTRIES = sort_entries()
@@ -40,15 +42,13 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 
 @njit(error_model="numpy", inline="always")
 def scatter(hessian, gradient, element, coupling):
-    """Add second derivatives by unknowns that stay to the element matrix, and put the mixed ones into `coupling`.
+    """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
     There, too, the right-hand side is a column if it is carried along: minus what `gradient`, that by the interval's
     node and interval unknowns, has for those to eliminate.
     """
     for j in range(KEPT.size):
-        element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
-        if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
-            element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
+        element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
     for j in range(COUPLED.size):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
     if CARRIED:

@@ -1,5 +1,7 @@
 """What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log."""
 
+import math
+
 import numpy as np
 
 from codegen.runtime.example import BODIES, NODE, PHASES, SHARED, STRIDE
@@ -14,12 +16,14 @@ def checked_grid(steps, duration, parameters):
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
-    if all(isinstance(value, (int, float)) for value in parameters):
-        table[:, : len(parameters)] = parameters
-    else:  # some differ from body to body
-        for i, value in enumerate(parameters):
+    numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
+    table[:, : len(parameters)] = numbers
+    finite = all(map(math.isfinite, numbers))
+    for i, value in enumerate(parameters):
+        if value is not numbers[i]:  # differs from body to body
             table[:, i] = value
-    if not np.isfinite(table).all():
+            finite = finite and np.isfinite(table[:, i]).all()
+    if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
     if PHASES:
@@ -48,6 +52,8 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
+    if BODIES == 1:
+        return values[0].copy()
     return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 

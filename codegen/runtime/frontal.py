@@ -169,8 +169,13 @@ def move_front(element, rest):
         for j in range(NODE, REST + CARRIED):
             element[i, BLOCK + j] += rest[i, j]
     for i in range(NODE):
-        for j in range(REST + CARRIED):
-            rest[i, j] = element[BLOCK + i, BLOCK + j]
+        for j in range(0, REST_WIDTH, 4):
+            one, two = element[BLOCK + i, BLOCK + j], element[BLOCK + i, BLOCK + j + 1]
+            three, four = element[BLOCK + i, BLOCK + j + 2], element[BLOCK + i, BLOCK + j + 3]
+            rest[i, j] = one
+            rest[i, j + 1] = two
+            rest[i, j + 2] = three
+            rest[i, j + 3] = four
     for i in range(SHARED):
         for j in range(SHARED + CARRIED):
             rest[LAST + i, LAST + j] += element[TAIL + i, TAIL + j]

@@ -22,7 +22,11 @@ class Grid(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity."""
+    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+
+    `violation` is the sum of all residuals, `error` the max-norm of all equations of the optimum, infinite where the cost
+    is not finite.
+    """
 
     unknowns: np.ndarray
     gradient: np.ndarray
@@ -30,11 +34,7 @@ class Point(NamedTuple):
     residual: float
     violation: float
     stationarity: float
-
-    @property
-    def error(self):
-        """Max-norm of all equations of the optimum; infinite where the cost is not finite."""
-        return max(self.residual, self.stationarity) if abs(self.cost) < np.inf else np.inf
+    error: float
 
 
 def evaluate(grid, unknowns):
@@ -49,7 +49,8 @@ def evaluate(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
-    """Fill the gradient of the Lagrangian; return the discrete cost, and norms of residual and stationarity."""
+    """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
     cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
-    return cost, residual, violation, stationarity
+    error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
+    return cost, residual, violation, stationarity, error

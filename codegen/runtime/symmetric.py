@@ -71,8 +71,13 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
         if multiple != 0.0:  # most entries of an element matrix are zeros
             subtract_row(multiple, matrix, p, width, matrix, i)
             matrix[i, p] = 0.0
-    for j in range(width):
-        upper[p, j] = matrix[p, j] * reciprocal
+    for j in range(0, width, 4):
+        one, two = matrix[p, j] * reciprocal, matrix[p, j + 1] * reciprocal
+        three, four = matrix[p, j + 2] * reciprocal, matrix[p, j + 3] * reciprocal
+        upper[p, j] = one
+        upper[p, j + 1] = two
+        upper[p, j + 2] = three
+        upper[p, j + 3] = four
     upper[p, p] = 0.0
     return reciprocal < 0.0
 
@@ -92,10 +97,16 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
             subtract_row(x * first + y * both, matrix, p, width, matrix, i)
             subtract_row(x * both + y * second, matrix, q, width, matrix, i)
             matrix[i, p] = matrix[i, q] = 0.0
-    for j in range(width):
-        x, y = matrix[p, j], matrix[q, j]
-        upper[p, j] = x * first + y * both
-        upper[q, j] = x * both + y * second
+    for row, x, y in ((p, first, both), (q, both, second)):
+        for j in range(0, width, 4):
+            one = x * matrix[p, j] + y * matrix[q, j]
+            two = x * matrix[p, j + 1] + y * matrix[q, j + 1]
+            three = x * matrix[p, j + 2] + y * matrix[q, j + 2]
+            four = x * matrix[p, j + 3] + y * matrix[q, j + 3]
+            upper[row, j] = one
+            upper[row, j + 1] = two
+            upper[row, j + 2] = three
+            upper[row, j + 3] = four
     upper[p, p] = upper[p, q] = upper[q, p] = upper[q, q] = 0.0
 
 

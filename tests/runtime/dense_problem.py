@@ -39,10 +39,7 @@ class Point(NamedTuple):
     residual: float
     violation: float
     stationarity: float
-
-    @property
-    def error(self) -> float:
-        return max(self.residual, self.stationarity)
+    error: float
 
 
 def evaluate(grid: Dense, unknowns: Vector) -> Point:
@@ -50,16 +47,12 @@ def evaluate(grid: Dense, unknowns: Vector) -> Point:
         cost, gradient = grid.lagrangian(unknowns)
     gradient = np.where(grid.free, gradient, 0.0)
     if not (np.isfinite(gradient).all() and np.isfinite(cost)):
-        return Point(unknowns, gradient, cost, np.inf, np.inf, np.inf)
+        return Point(unknowns, gradient, cost, np.inf, np.inf, np.inf, np.inf)
     size = np.abs(gradient)
-    residuals = size[grid.is_multiplier]
+    residuals, stationarity = size[grid.is_multiplier], float(size[~grid.is_multiplier].max(initial=0.0))
+    residual = float(residuals.max(initial=0.0))
     return Point(
-        unknowns,
-        gradient,
-        cost,
-        float(residuals.max(initial=0.0)),
-        float(residuals.sum()),
-        float(size[~grid.is_multiplier].max(initial=0.0)),
+        unknowns, gradient, cost, residual, float(residuals.sum()), stationarity, max(residual, stationarity)
     )
 
 
