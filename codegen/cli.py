@@ -103,7 +103,7 @@ def build(
         with working("Deriving"):
             made = _build(problem, set_, scheme, method, controls, out)
     else:
-        from codegen import drivers
+        from codegen import drivers, machine_code
         from codegen.drivers.compilation import compilers
 
         with compilers() as processes:
@@ -111,9 +111,7 @@ def build(
                 made = _build(problem, set_, scheme, method, controls, out)
             with working("Compiling"):
                 drivers.prepare(made.path, processes)
-        if processes.failure:
-            text = f"machine code could not be made ahead ({one_line(processes.failure)}); a first solve has made it"
-            typer.echo(f"codegen: {text}", err=True)
+        machine_code.tell_failure(processes)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
     typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")
@@ -154,7 +152,7 @@ def solve(
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
-    from codegen import drivers, notes, output, pictures, solve_options
+    from codegen import drivers, machine_code, notes, output, pictures, solve_options
 
     solve_options.require_sensible(driver, log, save, out)
     wanted = pictures.requested(problem, set_, plot, animate)
@@ -162,6 +160,7 @@ def solve(
     start_of = solve_options.start_of(warm)
     with working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
+    ahead_seconds = machine_code.require(made) if driver == "newton" else 0.0
     with working("Solving"):
         from codegen.load import load
 
@@ -174,7 +173,8 @@ def solve(
             guesses=guesses, points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
         )  # fmt: skip
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
-    record = output.as_record(result, made.seconds + compile_seconds, load_seconds + read_seconds)
+    build_seconds = made.seconds + ahead_seconds + compile_seconds
+    record = output.as_record(result, build_seconds, load_seconds + read_seconds)
     if save is not None:
         output.save(result, record, save)
     wanted.save(module, result)

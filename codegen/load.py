@@ -225,6 +225,11 @@ def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
     return all(callable(getattr(module, name, None)) for name in ("predict", "residual", "jacobian", "complete"))
 
 
+def has_machine_code(path: Path, function: str = "*") -> bool:
+    """Whether numba keeps machine code of a generated module, or of one of its functions, on the disk."""
+    return any((path.parent / "__pycache__").glob(f"{path.stem}.{function}-*.nbi"))
+
+
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:
     """How many functions of a module numba has compiled in this process, and how many it has read from disk."""
     statistics: list[Any] = [getattr(value, "stats", None) for value in vars(module).values()]

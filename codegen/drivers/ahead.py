@@ -38,7 +38,7 @@ FUNCTIONS: tuple[tuple[str, str, tuple[Any, ...], dict[str, Any]], ...] = (
     ("arrays", "zero_vector", (int64,), {}),
     ("arrays", "zero_matrix", (int64, int64), {}),
     ("arrays", "clear", (MATRIX,), {}),
-    ("symmetric", "subtract_row", (float64, MATRIX, int64, int64, MATRIX, int64), SUMS),
+    ("symmetric", "subtract_row", (float64, MATRIX, int64, int64, MATRIX, uint64), SUMS),
     ("inverse", "invert_positive_definite", (MATRIX, int64), SUMS),
     ("norms", "measure", (VECTOR, MASK), {}),
 )

@@ -256,9 +256,11 @@ def main(share: str) -> int:
 
     from codegen.drivers.ahead import compile_ahead, take_over
     from codegen.drivers.linking import link_inner_functions
+    from codegen.drivers.shortcuts import blas_presumed
 
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
-    njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
+    with blas_presumed():
+        njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
     undo = link_inner_functions()
     if share == "both":
         compile_ahead(lambda: bool(select.select([sys.stdin], [], [], 0.0)[0]))

@@ -49,6 +49,18 @@ def quick_numba() -> Iterator[None]:
 
 
 @contextmanager
+def blas_presumed() -> Iterator[None]:
+    """Let numba believe that scipy has BLAS, which it asks once and for which it imports all of scipy.linalg.
+
+    scipy is there, and what multiplies matrices looks for BLAS again.
+    """
+    from numba.np import linalg
+
+    with _replaced(linalg, "ensure_blas", [], lambda own: lambda: None):
+        yield
+
+
+@contextmanager
 def _replaced(
     owner: Any, name: str, parameters: list[str] | None, make: Callable[[Any], Callable[..., Any]]
 ) -> Iterator[None]:

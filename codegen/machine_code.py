@@ -1,0 +1,35 @@
+"""Machine code of modules that have none yet, and what is said where it cannot be made ahead."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from codegen import drivers
+from codegen.errors import one_line
+from codegen.load import has_machine_code
+from codegen.terminal import working
+
+if TYPE_CHECKING:
+    from codegen.compiler import Build
+    from codegen.drivers.compilation import Compilers
+
+
+def require(made: Build) -> float:
+    """Have a module that has no machine code compiled by processes that are quick at it; return the seconds."""
+    from codegen.drivers.compilation import compilers
+
+    if not made.written and has_machine_code(made.path):
+        return 0.0
+    with working("Compiling"), compilers() as processes:
+        seconds = drivers.prepare(made.path, processes)
+    tell_failure(processes)
+    return seconds
+
+
+def tell_failure(processes: Compilers) -> None:
+    """Say by which error the processes could not make machine code, if they could not."""
+    if processes.failure:
+        text = f"machine code could not be made ahead ({one_line(processes.failure)}); a first solve has made it"
+        typer.echo(f"codegen: {text}", err=True)
