@@ -450,7 +450,11 @@ class Grid(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity."""
+    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+
+    `violation` is the sum of all residuals; `error` is the max-norm of all equations of the optimum, and infinite where
+    the cost is not finite.
+    """
 
     unknowns: np.ndarray
     gradient: np.ndarray
@@ -458,11 +462,7 @@ class Point(NamedTuple):
     residual: float
     violation: float
     stationarity: float
-
-    @property
-    def error(self):
-        """Max-norm of all equations of the optimum; infinite where the cost is not finite."""
-        return max(self.residual, self.stationarity) if abs(self.cost) < np.inf else np.inf
+    error: float
 
 
 def evaluate(grid, unknowns):
@@ -477,10 +477,11 @@ def evaluate(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
-    """Fill the gradient of the Lagrangian; return the discrete cost, and norms of residual and stationarity."""
+    """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
     cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
-    return cost, residual, violation, stationarity
+    error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
+    return cost, residual, violation, stationarity, error
 
 
 # Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
@@ -656,8 +657,13 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
         if multiple != 0.0:  # most entries of an element matrix are zeros
             subtract_row(multiple, matrix, p, width, matrix, i)
             matrix[i, p] = 0.0
-    for j in range(width):
-        upper[p, j] = matrix[p, j] * reciprocal
+    for j in range(0, width, 4):
+        one, two = matrix[p, j] * reciprocal, matrix[p, j + 1] * reciprocal
+        three, four = matrix[p, j + 2] * reciprocal, matrix[p, j + 3] * reciprocal
+        upper[p, j] = one
+        upper[p, j + 1] = two
+        upper[p, j + 2] = three
+        upper[p, j + 3] = four
     upper[p, p] = 0.0
     return reciprocal < 0.0
 
@@ -677,10 +683,16 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
             subtract_row(x * first + y * both, matrix, p, width, matrix, i)
             subtract_row(x * both + y * second, matrix, q, width, matrix, i)
             matrix[i, p] = matrix[i, q] = 0.0
-    for j in range(width):
-        x, y = matrix[p, j], matrix[q, j]
-        upper[p, j] = x * first + y * both
-        upper[q, j] = x * both + y * second
+    for row, x, y in ((p, first, both), (q, both, second)):
+        for j in range(0, width, 4):
+            one = x * matrix[p, j] + y * matrix[q, j]
+            two = x * matrix[p, j + 1] + y * matrix[q, j + 1]
+            three = x * matrix[p, j + 2] + y * matrix[q, j + 2]
+            four = x * matrix[p, j + 3] + y * matrix[q, j + 3]
+            upper[row, j] = one
+            upper[row, j + 1] = two
+            upper[row, j + 2] = three
+            upper[row, j + 3] = four
     upper[p, p] = upper[p, q] = upper[q, p] = upper[q, q] = 0.0
 
 
@@ -801,7 +813,7 @@ def invert_positive_definite(block, size):
 def sort_entries():
     """Sort the entries of an interval's Hessian by how many of their two unknowns are eliminated: none, one or both.
 
-    Each kind is a tuple of arrays (place in the list of entries, row, column); rows and columns are those of the
+    Each kind is a list of arrays (place in the list of entries, row, column); rows and columns are those of the
     element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT) >= BLOCK) & (np.arange(ELEMENT) < STRIDE)
@@ -810,7 +822,9 @@ def sort_entries():
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
     rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
     columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
-    return [(entries, rows[entries], columns[entries]) for entries in (np.flatnonzero(kinds == n) for n in range(3))]
+    # Indices without a sign need no test for what counts from the end.
+    tables = [table.astype(np.uint64) for table in (np.arange(kinds.size), rows, columns)]
+    return [[table[kinds == n] for table in tables] for n in range(3)]
 
 
 ENTRIES = sort_entries()
@@ -820,15 +834,13 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 
 @njit(error_model="numpy", inline="always")
 def scatter(hessian, gradient, element, coupling):
-    """Add second derivatives by unknowns that stay to the element matrix, and put the mixed ones into `coupling`.
+    """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
     There, too, the right-hand side is a column if it is carried along: minus what `gradient`, that by the interval's
     node and interval unknowns, has for those to eliminate.
     """
     for j in range(KEPT.size):
-        element[KEPT_ROWS[j], KEPT_COLUMNS[j]] += hessian[KEPT[j]]
-        if KEPT_ROWS[j] != KEPT_COLUMNS[j]:
-            element[KEPT_COLUMNS[j], KEPT_ROWS[j]] += hessian[KEPT[j]]
+        element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
     for j in range(COUPLED.size):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
 
@@ -1049,8 +1061,13 @@ def move_front(element, rest):
         for j in range(NODE, REST):
             element[i, BLOCK + j] += rest[i, j]
     for i in range(NODE):
-        for j in range(REST):
-            rest[i, j] = element[BLOCK + i, BLOCK + j]
+        for j in range(0, REST_WIDTH, 4):
+            one, two = element[BLOCK + i, BLOCK + j], element[BLOCK + i, BLOCK + j + 1]
+            three, four = element[BLOCK + i, BLOCK + j + 2], element[BLOCK + i, BLOCK + j + 3]
+            rest[i, j] = one
+            rest[i, j + 1] = two
+            rest[i, j + 2] = three
+            rest[i, j + 3] = four
 
 
 @njit(error_model="numpy")
@@ -1829,12 +1846,14 @@ def checked_grid(steps, duration, parameters):
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
-    if all(isinstance(value, (int, float)) for value in parameters):
-        table[:, : len(parameters)] = parameters
-    else:  # some differ from body to body
-        for i, value in enumerate(parameters):
+    numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
+    table[:, : len(parameters)] = numbers
+    finite = all(map(math.isfinite, numbers))
+    for i, value in enumerate(parameters):
+        if value is not numbers[i]:  # differs from body to body
             table[:, i] = value
-    if not np.isfinite(table).all():
+            finite = finite and np.isfinite(table[:, i]).all()
+    if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
     return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy())
@@ -1861,6 +1880,8 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
+    if BODIES == 1:
+        return values[0].copy()
     return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 
@@ -2514,7 +2535,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_low_thrust_2373ba3ba077921a"
+_IDENTITY = "codegen_low_thrust_edd7046a2e3ab13b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -839,7 +839,11 @@ class Grid(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity."""
+    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+
+    `violation` is the sum of all residuals; `error` is the max-norm of all equations of the optimum, and infinite where
+    the cost is not finite.
+    """
 
     unknowns: np.ndarray
     gradient: np.ndarray
@@ -847,11 +851,7 @@ class Point(NamedTuple):
     residual: float
     violation: float
     stationarity: float
-
-    @property
-    def error(self):
-        """Max-norm of all equations of the optimum; infinite where the cost is not finite."""
-        return max(self.residual, self.stationarity) if abs(self.cost) < np.inf else np.inf
+    error: float
 
 
 def evaluate(grid, unknowns):
@@ -866,10 +866,11 @@ def evaluate(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
-    """Fill the gradient of the Lagrangian; return the discrete cost, and norms of residual and stationarity."""
+    """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
     cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
-    return cost, residual, violation, stationarity
+    error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
+    return cost, residual, violation, stationarity, error
 
 
 # Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
@@ -1011,8 +1012,13 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
         if multiple != 0.0:  # most entries of an element matrix are zeros
             subtract_row(multiple, matrix, p, width, matrix, i)
             matrix[i, p] = 0.0
-    for j in range(width):
-        upper[p, j] = matrix[p, j] * reciprocal
+    for j in range(0, width, 4):
+        one, two = matrix[p, j] * reciprocal, matrix[p, j + 1] * reciprocal
+        three, four = matrix[p, j + 2] * reciprocal, matrix[p, j + 3] * reciprocal
+        upper[p, j] = one
+        upper[p, j + 1] = two
+        upper[p, j + 2] = three
+        upper[p, j + 3] = four
     upper[p, p] = 0.0
     return reciprocal < 0.0
 
@@ -1032,10 +1038,16 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
             subtract_row(x * first + y * both, matrix, p, width, matrix, i)
             subtract_row(x * both + y * second, matrix, q, width, matrix, i)
             matrix[i, p] = matrix[i, q] = 0.0
-    for j in range(width):
-        x, y = matrix[p, j], matrix[q, j]
-        upper[p, j] = x * first + y * both
-        upper[q, j] = x * both + y * second
+    for row, x, y in ((p, first, both), (q, both, second)):
+        for j in range(0, width, 4):
+            one = x * matrix[p, j] + y * matrix[q, j]
+            two = x * matrix[p, j + 1] + y * matrix[q, j + 1]
+            three = x * matrix[p, j + 2] + y * matrix[q, j + 2]
+            four = x * matrix[p, j + 3] + y * matrix[q, j + 3]
+            upper[row, j] = one
+            upper[row, j + 1] = two
+            upper[row, j + 2] = three
+            upper[row, j + 3] = four
     upper[p, p] = upper[p, q] = upper[q, p] = upper[q, q] = 0.0
 
 
@@ -1292,8 +1304,13 @@ def move_front(element, rest):
         for j in range(NODE, REST):
             element[i, BLOCK + j] += rest[i, j]
     for i in range(NODE):
-        for j in range(REST):
-            rest[i, j] = element[BLOCK + i, BLOCK + j]
+        for j in range(0, REST_WIDTH, 4):
+            one, two = element[BLOCK + i, BLOCK + j], element[BLOCK + i, BLOCK + j + 1]
+            three, four = element[BLOCK + i, BLOCK + j + 2], element[BLOCK + i, BLOCK + j + 3]
+            rest[i, j] = one
+            rest[i, j + 1] = two
+            rest[i, j + 2] = three
+            rest[i, j + 3] = four
     for i in range(SHARED):
         for j in range(SHARED):
             rest[LAST + i, LAST + j] += element[TAIL + i, TAIL + j]
@@ -2096,12 +2113,14 @@ def checked_grid(steps, duration, parameters):
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
-    if all(isinstance(value, (int, float)) for value in parameters):
-        table[:, : len(parameters)] = parameters
-    else:  # some differ from body to body
-        for i, value in enumerate(parameters):
+    numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
+    table[:, : len(parameters)] = numbers
+    finite = all(map(math.isfinite, numbers))
+    for i, value in enumerate(parameters):
+        if value is not numbers[i]:  # differs from body to body
             table[:, i] = value
-    if not np.isfinite(table).all():
+            finite = finite and np.isfinite(table[:, i]).all()
+    if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
     steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
@@ -2129,6 +2148,8 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
+    if BODIES == 1:
+        return values[0].copy()
     return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 
@@ -2888,7 +2909,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_two_stage_rocket_b70a20f70153b798"
+_IDENTITY = "codegen_two_stage_rocket_b86a49f43a0c9118"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -24,8 +24,8 @@ class Grid(NamedTuple):
 class Point(NamedTuple):
     """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
 
-    `violation` is the sum of all residuals, `error` the max-norm of all equations of the optimum, infinite where the cost
-    is not finite.
+    `violation` is the sum of all residuals; `error` is the max-norm of all equations of the optimum, and infinite where
+    the cost is not finite.
     """
 
     unknowns: np.ndarray
