@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jinja2
-from jinja2 import meta
 
 from codegen.errors import ModuleError
 from codegen.specialise import specialise
@@ -25,8 +24,12 @@ if TYPE_CHECKING:  # a build that the cache answers writes files without ever im
     from codegen.lower.module import Module, Origin
 
 
+_NAME = "\0"
+"""Where a text's own name comes, which depends on all the rest of the text."""
+
+
 def render(module: Module, origin: Origin) -> str:
-    """The text of a generated module; every variable of its template is supplied, and nothing is decided there."""
+    """The text of a generated module; its template asks for values by name, and decides nothing."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("codegen"),
         undefined=jinja2.StrictUndefined,
@@ -45,12 +48,10 @@ def render(module: Module, origin: Origin) -> str:
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
     }
-    missing = _template_variables(environment, module.template) - set(values) - {"identity"}
-    assert not missing, f"template {module.template} wants {sorted(missing)}"
-    template = environment.get_template(module.template)
+    named = environment.get_template(module.template).render(values, identity=_NAME)
     # numba's cache needs a name that belongs to this text alone; see the end of a generated module.
-    anonymous = template.render(values, identity="")
-    text = _tidy(template.render(values, identity=hashlib.sha256(anonymous.encode()).hexdigest()[:16]))
+    name = hashlib.sha256(named.replace(_NAME, "").encode()).hexdigest()[:16]
+    text = _tidy(named.replace(_NAME, name))
     compile(text, f"{module.name}.py", "exec")
     return text
 
@@ -127,18 +128,6 @@ def write(path: Path, text: str) -> bool:
 def _in_docstring(text: str) -> str:
     """Text as it has to be written between triple quotes."""
     return text.replace("\\", "\\\\").replace('"', '\\"')
-
-
-def _template_variables(environment: jinja2.Environment, name: str) -> set[str]:
-    """The variables that a template and the templates that it includes expect from outside."""
-    loader = environment.loader
-    assert loader is not None
-    tree = environment.parse(loader.get_source(environment, name)[0])
-    variables = set(meta.find_undeclared_variables(tree))
-    for included in meta.find_referenced_templates(tree):
-        assert included is not None, "templates include others by literal names"
-        variables |= _template_variables(environment, included) - {"kernel", "visit"}
-    return variables
 
 
 def _tidy(text: str) -> str:

@@ -8,6 +8,7 @@ the test, or left out.
 from __future__ import annotations
 
 import ast
+import re
 import textwrap
 from collections.abc import Mapping
 
@@ -18,7 +19,7 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
     `if NAME:` and `if NAME and other:` are understood, with an `else` that is no `elif`, and `for ... in range(NAME):`.
     In a sum `... + NAME`, a size that is zero is left out.
     """
-    while True:
+    while _may_be_undecided(text, sizes):
         lines, chosen = text.splitlines(), list[_Place]()
         # What lies inside, or on a line of, something decided has to wait for the next round.
         for node in ast.walk(ast.parse(text)):
@@ -29,6 +30,14 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
         for node in sorted(chosen, key=lambda node: -node.lineno):  # so that lines above keep their numbers
             lines = _decided(node, lines, sizes) or lines
         text = "\n".join(lines) + "\n"
+    return text
+
+
+def _may_be_undecided(text: str, sizes: Mapping[str, int]) -> bool:
+    """Whether a text has words that look like something to decide; parsing it, to be certain, takes far longer."""
+    names, zeros = "|".join(sizes), "|".join(name for name, size in sizes.items() if size == 0)
+    tests, empty = rf"\bif ({names})\b", rf"(\bin range\(|\+ )({zeros})\b"
+    return bool((names and re.search(tests, text)) or (zeros and re.search(empty, text)))
 
 
 _Place = ast.If | ast.For | ast.BinOp

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from jinja2 import meta
 from codegen import emit
 from codegen.compiler import build
 from codegen.errors import ModuleError
+from codegen.lower.connect import ConnectModule, ParticlesModule
+from codegen.lower.module import ControlModule, Origin, SimulateModule
 from codegen.symbols import RESERVED
 
 ROOT = Path(__file__).parents[1]
@@ -167,6 +170,24 @@ def test_templates_ask_only_for_what_modules_supply():
         assert "{% if" not in source, f"{name} decides something"
         assert "{% set" not in source, f"{name} computes something"
         assert meta.find_undeclared_variables(tree)
+
+
+@pytest.mark.parametrize(
+    ("template", "kind"),
+    [
+        ("control.py.j2", ControlModule), ("simulate.py.j2", SimulateModule),
+        ("connect.py.j2", ConnectModule), ("particles.py.j2", ParticlesModule),
+    ],
+)  # fmt: skip
+def test_templates_name_nothing_that_is_not_supplied(template, kind):
+    environment, wanted, left = jinja2.Environment(loader=jinja2.PackageLoader("codegen")), set(), [template]
+    while left:
+        tree = environment.parse(environment.loader.get_source(environment, left.pop())[0])
+        wanted |= meta.find_undeclared_variables(tree)
+        left += meta.find_referenced_templates(tree)
+    made = {"numba_names", "runtime", "imports", "title_code", "left_out_code", "identity"}
+    supplied = {field.name for owner in (kind, Origin) for field in fields(owner)}
+    assert wanted - {"kernel", "visit"} <= supplied | made  # those two are what an include inherits from a loop
 
 
 def test_writing_the_same_text_touches_nothing(tmp_path):
