@@ -51,9 +51,7 @@ def evaluate(grid: Dense, unknowns: Vector) -> Point:
     size = np.abs(gradient)
     residuals, stationarity = size[grid.is_multiplier], float(size[~grid.is_multiplier].max(initial=0.0))
     residual = float(residuals.max(initial=0.0))
-    return Point(
-        unknowns, gradient, cost, residual, float(residuals.sum()), stationarity, max(residual, stationarity)
-    )
+    return Point(unknowns, gradient, cost, residual, float(residuals.sum()), stationarity, max(residual, stationarity))
 
 
 def kkt_matrix(grid: Dense, unknowns: Vector) -> Vector:
