@@ -1,0 +1,40 @@
+"""Machine code that a first solve does not have to wait for."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from codegen import machine_code
+from codegen.compiler import build
+from codegen.load import has_machine_code, load, machine_code_counts
+
+PROBLEM = Path(__file__).parents[2] / "problems" / "pendulum.py"
+
+
+def test_a_module_without_machine_code_is_compiled_once(tmp_path):
+    made = build(PROBLEM, out=tmp_path)
+    assert not has_machine_code(made.path)
+    assert machine_code.require(made) > 0.0
+    assert has_machine_code(made.path)
+    module = load(made.path)
+    module.solve(2)
+    compiled, read = machine_code_counts(module)
+    assert (compiled, read > 0) == (0, True)
+    assert machine_code.require(replace(made, written=False)) == 0.0
+
+
+def test_numba_starts_without_linear_algebra_and_finds_it_when_asked():
+    script = """
+import sys
+import numpy as np
+from numba import njit
+from codegen.drivers.shortcuts import blas_presumed
+
+with blas_presumed():
+    njit(lambda x: x)(0.0)
+print("scipy.linalg" in sys.modules)
+print(njit(lambda a, b: a @ b)(2.0 * np.eye(2), np.ones((2, 2)))[0], "scipy.linalg" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["False", "[2. 2.] True"]
