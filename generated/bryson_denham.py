@@ -1431,7 +1431,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         measured = measure_optimality(
             point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
         )
-        point = point._replace(stationarity=measured[0])
+        error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
+        point = point._replace(stationarity=measured[0], error=error)  # duals of bounds take part in the stationarity
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
         if not point.error < np.inf:
             return "non-finite", point, iteration
@@ -2315,7 +2316,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bryson_denham_be4be9afeb8b06a5"
+_IDENTITY = "codegen_bryson_denham_f8f4a21deb0a896c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -124,7 +124,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         measured = measure_optimality(
             point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
         )
-        point = point._replace(stationarity=measured[0])
+        error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
+        point = point._replace(stationarity=measured[0], error=error)  # duals of bounds take part in the stationarity
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
         if not point.error < np.inf:
             return "non-finite", point, iteration
