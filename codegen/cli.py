@@ -103,10 +103,12 @@ def build(
         with working("Deriving"):
             made = _build(problem, set_, scheme, method, controls, out)
     else:
-        from codegen import drivers, machine_code
-        from codegen.drivers.compilation import compilers
+        from codegen import drivers
+        from codegen.drivers.processes import compilers
 
         with compilers() as processes:
+            from codegen import machine_code  # which imports arrays; the processes should not wait for that
+
             with working("Deriving"):
                 made = _build(problem, set_, scheme, method, controls, out)
             with working("Compiling"):

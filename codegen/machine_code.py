@@ -13,12 +13,12 @@ from codegen.terminal import working
 
 if TYPE_CHECKING:
     from codegen.compiler import Build
-    from codegen.drivers.compilation import Compilers
+    from codegen.drivers.processes import Compilers
 
 
 def require(made: Build) -> float:
     """Have a module that has no machine code compiled by processes that are quick at it; return the seconds."""
-    from codegen.drivers.compilation import compilers
+    from codegen.drivers.processes import compilers
 
     if not made.written and has_machine_code(made.path):
         return 0.0

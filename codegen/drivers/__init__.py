@@ -17,7 +17,7 @@ from codegen.errors import ArgumentError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from codegen.drivers.compilation import Compilers
+    from codegen.drivers.processes import Compilers
     from codegen.drivers.result import Result
     from codegen.load import ControlModule, GeneratedModule, Vector
     from codegen.points import PointSet

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from codegen.drivers import Driver
-from codegen.drivers.compilation import Compilers, packed_operations, solve_small
+from codegen.drivers.compilation import packed_operations, solve_small
+from codegen.drivers.processes import Compilers
 from codegen.drivers.connect_result import connect_result
 from codegen.drivers.control_result import control_result
 from codegen.drivers.result import Request, Result

@@ -48,7 +48,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     That takes about half a minute and is announced on stderr. Raises SchemeError for a scheme without fixed steps.
     """
     from codegen.compiler import build
-    from codegen.drivers.compilation import compilers
+    from codegen.drivers.processes import compilers
 
     made = build(problem_file(), ARGUMENTS, scheme=scheme)
     module = require_passive(load(made.path))

@@ -13,7 +13,7 @@ from numba.core.compiler import Flags, run_frontend
 from numba.core.postproc import PostProcessor
 
 from codegen.drivers import ahead
-from codegen.drivers.compilation import compilers
+from codegen.drivers.processes import compilers
 from codegen.drivers.shortcuts import _replaced, quick_numba
 from codegen.load import load
 
