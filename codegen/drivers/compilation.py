@@ -2,9 +2,9 @@
 
 numba compiles one function after the other. The KKT factorisation of a control problem, or the loop over the steps of
 a simulation, takes about half of that time, so one process compiles it, and another one everything else; numba's cache
-on disk brings their work together. `python -m codegen.drivers.compilation SHARE` loads numba while the module is still
-being derived, and reads the path of the module from its standard input (see `processes`). Where a process can fork, it becomes the two
-only then, so that numba is loaded once; elsewhere two are started.
+on disk brings their work together. `python -m codegen.drivers.compilation SHARE`, which `processes` starts, loads numba
+while the module is still being derived, and reads the path of the module from its standard input. Where a process can
+fork, it becomes the two only then, so that numba is loaded once; elsewhere two are started.
 
 They let LLVM pack neighbouring operations into one instruction, which numba leaves out by default. Without it the
 factorisation takes 1.25 (orbital transfer), 1.4 (quadrotor) and 1.5 times (hovercraft) as long. What they leave out are

@@ -12,9 +12,9 @@ from typing import Any
 
 from codegen.drivers import Driver
 from codegen.drivers.compilation import packed_operations, solve_small
-from codegen.drivers.processes import Compilers
 from codegen.drivers.connect_result import connect_result
 from codegen.drivers.control_result import control_result
+from codegen.drivers.processes import Compilers
 from codegen.drivers.result import Request, Result
 from codegen.drivers.shortcuts import quick_numba
 from codegen.drivers.simulate_result import simulate_result
