@@ -162,14 +162,14 @@ def solve(
     start_of = solve_options.start_of(warm)
     with working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
-    ahead_seconds = machine_code.require(made) if driver == "newton" else 0.0
-    with working("Solving"):
-        from codegen.load import load
+    from codegen.load import load
 
-        begin = time.perf_counter()
-        module = load(made.path)
-        load_seconds = time.perf_counter() - begin
-        solve_options.require_fitting(module.metadata["task"], driver, every, log)
+    begin = time.perf_counter()
+    module = load(made.path)
+    load_seconds = time.perf_counter() - begin
+    solve_options.require_fitting(module.metadata["task"], driver, every, log)
+    ahead_seconds = machine_code.require(made, module) if driver == "newton" else 0.0
+    with working("Solving"):
         result = drivers.solve(
             module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings,
             guesses=guesses, points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,

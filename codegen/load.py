@@ -225,9 +225,11 @@ def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
     return all(callable(getattr(module, name, None)) for name in ("predict", "residual", "jacobian", "complete"))
 
 
-def has_machine_code(path: Path, function: str = "*") -> bool:
-    """Whether numba keeps machine code of a generated module, or of one of its functions, on the disk."""
-    return any((path.parent / "__pycache__").glob(f"{path.stem}.{function}-*.nbi"))
+def has_machine_code(path: Path, module: GeneratedModule) -> bool:
+    """Whether numba keeps machine code of a generated module on the disk, wherever it keeps it."""
+    statistics: list[Any] = [getattr(value, "stats", None) for value in vars(module).values()]
+    folders = {str(entry.cache_path) for entry in statistics if getattr(entry, "cache_path", None)}
+    return any(any(Path(folder).glob(f"{path.stem}.*.nbi")) for folder in folders)
 
 
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:

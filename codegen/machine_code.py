@@ -8,7 +8,7 @@ import typer
 
 from codegen import drivers
 from codegen.errors import one_line
-from codegen.load import has_machine_code
+from codegen.load import GeneratedModule, has_machine_code
 from codegen.terminal import working
 
 if TYPE_CHECKING:
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from codegen.drivers.processes import Compilers
 
 
-def require(made: Build) -> float:
+def require(made: Build, module: GeneratedModule) -> float:
     """Have a module that has no machine code compiled by processes that are quick at it; return the seconds."""
     from codegen.drivers.processes import compilers
 
-    if not made.written and has_machine_code(made.path):
+    if not made.written and has_machine_code(made.path, module):
         return 0.0
     with working("Compiling"), compilers() as processes:
         seconds = drivers.prepare(made.path, processes)

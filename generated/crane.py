@@ -1652,9 +1652,7 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
-    if BODIES == 1:
-        return values[0].copy()
-    return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
+    return values[0].copy()
 
 
 def print_log(rows):
@@ -2363,7 +2361,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_crane_cb948d51843bf5d3"
+_IDENTITY = "codegen_crane_c96038c8c04cb773"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

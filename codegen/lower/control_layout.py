@@ -19,13 +19,14 @@ def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
 
 
 def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
-    """The numbers of bodies and of shared unknowns, of each body and in all, and of conditions between them.
+    """The number of bodies, whether it is more than one, the shared unknowns of each and in all, and their conditions.
 
     Then whether there are phases, inequalities, and a right-hand side that takes part in the elimination.
     """
     own, shared, couplings = program.own, len(program.shared), len(program.couplings)
     return (
         ("BODIES", program.bodies),
+        ("SEVERAL", int(program.bodies > 1)),
         ("OWN", own),
         ("SHARED", shared),
         ("COUPLINGS", couplings),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ModuleError, SchemeError
-from codegen.load import has_machine_code, load
+from codegen.load import load
 from codegen.registration.flow import FlowModule, require_passive
 
 ARGUMENTS = {"passive": "True"}
@@ -38,7 +38,11 @@ def is_compiled(scheme: str = DEFAULT_SCHEME) -> bool:
 
     if not stored(problem_file(), ARGUMENTS, scheme=scheme).is_file():
         return False
-    return has_machine_code(build(problem_file(), ARGUMENTS, scheme=scheme).path, "carry_points")
+    return _has_machine_code(build(problem_file(), ARGUMENTS, scheme=scheme).path)
+
+
+def _has_machine_code(path: Path) -> bool:
+    return any((path.parent / "__pycache__").glob(f"{path.stem}.carry_points-*.nbi"))
 
 
 @cache
@@ -54,7 +58,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     module = require_passive(load(made.path))
     if module.metadata["adaptive"]:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
-    if not has_machine_code(made.path, "carry_points"):
+    if not _has_machine_code(made.path):
         print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
         with compilers() as processes:
             processes.compile(made.path)

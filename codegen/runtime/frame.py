@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from codegen.runtime.example import BODIES, NODE, PHASES, SHARED, STRIDE
+from codegen.runtime.example import BODIES, NODE, PHASES, SEVERAL, SHARED, STRIDE
 from codegen.runtime.layout import layout
 from codegen.runtime.point import Grid
 
@@ -52,9 +52,10 @@ def views(grid, unknowns):
 
 def side_by_side(values):
     """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
-    if BODIES == 1:
+    if SEVERAL:
+        return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
+    else:
         return values[0].copy()
-    return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
 
 
 def print_log(rows):

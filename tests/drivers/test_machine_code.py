@@ -1,5 +1,6 @@
 """Machine code that a first solve does not have to wait for."""
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,14 +15,32 @@ PROBLEM = Path(__file__).parents[2] / "problems" / "pendulum.py"
 
 def test_a_module_without_machine_code_is_compiled_once(tmp_path):
     made = build(PROBLEM, out=tmp_path)
-    assert not has_machine_code(made.path)
-    assert machine_code.require(made) > 0.0
-    assert has_machine_code(made.path)
     module = load(made.path)
+    assert not has_machine_code(made.path, module)
+    assert machine_code.require(made, module) > 0.0
+    assert has_machine_code(made.path, module)
     module.solve(2)
     compiled, read = machine_code_counts(module)
     assert (compiled, read > 0) == (0, True)
-    assert machine_code.require(replace(made, written=False)) == 0.0
+    assert machine_code.require(replace(made, written=False), module) == 0.0
+
+
+def test_machine_code_is_found_where_numba_was_told_to_keep_it(tmp_path):
+    script = f"""
+from dataclasses import replace
+from pathlib import Path
+from codegen import machine_code
+from codegen.compiler import build
+from codegen.load import load
+
+made = build({str(PROBLEM)!r}, out={str(tmp_path / "modules")!r})
+module = load(made.path)
+print(machine_code.require(made, module) > 0.0, machine_code.require(replace(made, written=False), module))
+"""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "elsewhere")}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.split() == ["True", "0.0"]
+    assert not list((tmp_path / "modules").rglob("*.nbi"))
 
 
 def test_numba_starts_without_linear_algebra_and_finds_it_when_asked():
