@@ -4,6 +4,7 @@ Source: Waechter and Biegler (2006), On the implementation of an interior-point 
 equation numbers are quoted. The inertia of the KKT matrix, by which the shifts are chosen, comes from its factors.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from codegen.runtime.system import factor_kkt, is_factored, solve_kkt
 from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
+from codegen.runtime.layout import layout
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_solved, term_sizes
 from codegen.runtime.standstill import is_rounding
@@ -68,7 +70,7 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
     point = with_multipliers(grid, guess, system)
     small_violation = 1e-4 * max(1.0, point.violation)
     filtered = [(1e8 * small_violation, -np.inf)]
-    shift, length = Shift(), 0.0
+    shift, length, step = Shift(), 0.0, np.empty_like(guess.unknowns)
     for iteration in range(max_iterations + 1):
         log.append((point.cost, point.residual, point.stationarity, shift.value, length))
         if not point.error < np.inf:
@@ -79,8 +81,8 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             return ("saddle point" if doubtful and not is_minimum(grid, point, system) else "solved"), point, iteration
         if iteration == max_iterations:
             break
-        step, slope, shift = regularised_step(grid, point, shift, system)
-        if step is None:
+        slope, shift = regularised_step(grid, point, shift, system, step)
+        if slope is None:
             return "rank-deficient", point, iteration
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
@@ -120,14 +122,13 @@ def with_multipliers(grid, point, system):
     return evaluate(grid, point.unknowns + multipliers) if np.abs(multipliers).max() <= 1e3 else point
 
 
-def regularised_step(grid, point, before, system):
-    """Newton step, slope of the cost along it, and the shift of the Hessian that makes it a descent.
+def regularised_step(grid, point, before, system, step):
+    """Fill a Newton step; return the slope of the cost along it, and the shift of the Hessian that makes it a descent.
 
     This is algorithm IC with two changes that save factorisations. Where the iterate `before` needed a shift for its
     curvatures, a lower one is tried at once, and none only when that has become small; and the more often in turn a
-    lower shift was enough, the lower the next one is. The step is None when the system stays singular.
+    lower shift was enough, the lower the next one is. The slope is None when the system stays singular.
     """
-    step = np.empty_like(point.unknowns)
     lower = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
     at_once = before.value > 0.0 and lower > SMALL_SHIFT and not before.singular
     shift, dual_shift, singular = lower if at_once else 0.0, 0.0, before.singular
@@ -137,7 +138,7 @@ def regularised_step(grid, point, before, system):
             solve_kkt(grid, system, point.gradient, step, carried=True)
             lowered = before.lowered + 1 if shift == lower and not singular else 0
             found = Shift(shift, shift or before.last, lowered, singular)
-            return step, slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), found
+            return slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), found
         if excess is None or excess < 0:
             singular = True
             dual_shift = 1e-8 if shift > 0.0 else 0.0  # the equations are dependent
@@ -145,37 +146,37 @@ def regularised_step(grid, point, before, system):
             shift = lower
         else:
             shift *= 100.0 if before.last == 0.0 else 8.0
-    return None, 0.0, before
+    return None, before
 
 
 def shifts(grid, shift, dual_shift):
     """Diagonal that shifts the Hessian by primal unknowns up, and that by multipliers down."""
-    if shift == dual_shift == 0.0:
-        return np.zeros(grid.is_multiplier.size)
+    if dual_shift == 0.0:
+        return shift * primal_ones(grid.steps)
     return np.where(grid.is_multiplier, -dual_shift, shift)
+
+
+@lru_cache(maxsize=4)
+def primal_ones(steps):
+    """Ones for primal unknowns and zeros for multipliers, kept for the next solve."""
+    return np.where(layout(steps).is_multiplier, 0.0, 1.0)
 
 
 def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
 
-    def is_better(trial, length):
-        violation, cost = point.violation, point.cost
-        if not trial.error < np.inf:
-            return False
-        return accept(violation, cost, trial.violation, trial.cost, slope, length, small_violation, filtered)
-
-    length = 1.0
+    length, violation, cost, others = 1.0, point.violation, point.cost, (small_violation, filtered)
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + step)
-        accepted = is_better(trial, length)
-        if not accepted and length == 1.0 and trial.violation >= point.violation:
+        if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *others):
+            return trial, length
+        if length == 1.0 and trial.violation >= violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
             correction = np.empty_like(step)
             solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
             trial = evaluate(grid, point.unknowns + correction)
-            accepted = is_better(trial, length)
-        if accepted:
-            return trial, length
+            if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *others):
+                return trial, length
         length, step = 0.5 * length, 0.5 * step
     return None, length
 

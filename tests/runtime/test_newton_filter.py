@@ -11,7 +11,7 @@ import pytest
 from codegen.runtime import newton_filter
 from codegen.runtime.newton_filter import SMALL_SHIFT, Shift, regularised_step
 
-GRID = SimpleNamespace(is_multiplier=np.array([False, True]))
+GRID = SimpleNamespace(is_multiplier=np.array([False, True]), steps=1)
 POINT = SimpleNamespace(unknowns=np.zeros(2), gradient=np.array([1.0, 0.0]))
 
 
@@ -31,6 +31,7 @@ def tried(monkeypatch):
 
     monkeypatch.setattr(newton_filter, "factor_kkt", factor_kkt)
     monkeypatch.setattr(newton_filter, "solve_kkt", solve_kkt)
+    monkeypatch.setattr(newton_filter, "primal_ones", lambda steps: np.array([1.0, 0.0]))
     return shifts
 
 
@@ -38,8 +39,7 @@ def follow(tried, curvatures, shift=Shift()):  # noqa: B008  a constant
     """The shift at every iterate, and the shifts that were tried there."""
     for curvature in curvatures:
         tried.clear()
-        step, slope, shift = regularised_step(GRID, POINT, shift, curvature)
-        assert step is not None
+        slope, shift = regularised_step(GRID, POINT, shift, curvature, np.empty(2))
         assert slope < 0.0
         yield shift, list(tried)
 
