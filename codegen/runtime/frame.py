@@ -22,7 +22,7 @@ def checked_grid(steps, duration, parameters):
     for i, value in enumerate(parameters):
         if value is not numbers[i]:  # differs from body to body
             table[:, i] = value
-            finite = finite and np.isfinite(table[:, i]).all()
+            finite = finite and all(map(math.isfinite, table[:, i].tolist()))
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)

@@ -164,7 +164,6 @@ def primal_ones(steps):
 
 def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
-
     length, violation, cost, others = 1.0, point.violation, point.cost, (small_violation, filtered)
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + step)
