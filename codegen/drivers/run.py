@@ -14,7 +14,6 @@ from codegen.drivers import Driver
 from codegen.drivers.compilation import packed_operations, solve_small
 from codegen.drivers.connect_result import connect_result
 from codegen.drivers.control_result import control_result
-from codegen.drivers.processes import Compilers
 from codegen.drivers.result import Request, Result
 from codegen.drivers.shortcuts import quick_numba
 from codegen.drivers.simulate_result import simulate_result
@@ -73,17 +72,14 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
         )
 
 
-def prepare(path: Path, compilers: Compilers) -> float:
-    """See `codegen.drivers.prepare`."""
-    begin = time.perf_counter()
-    if not compilers.compile(path):
-        module = load(path)
-        with packed_operations(), quick_numba():
-            if is_connect(module):
-                solve_small(module)
-            else:
-                module.solve()  # which tells what is wrong, or compiles what is missing
-    return time.perf_counter() - begin
+def compile_here(path: Path) -> None:
+    """Have all that `newton` needs of a module compiled in this process."""
+    module = load(path)
+    with packed_operations(), quick_numba():
+        if is_connect(module):
+            solve_small(module)
+        else:
+            module.solve()  # which tells what is wrong, or compiles what is missing
 
 
 def _touch(module: GeneratedModule, request: Request, driver: str) -> None:
