@@ -156,7 +156,7 @@ def prepare(path: Path, compilers: Compilers) -> float:
     """Have all that `newton` needs of a module compiled, so that processes find machine code; return the seconds."""
     begin = time.perf_counter()
     if not compilers.compile(path):
-        from codegen.drivers.run import compile_here  # only now: importing it takes a tenth of a build
+        from codegen.drivers.run import compile_here  # only now: importing it takes a fifteenth of a build
 
         compile_here(path)
     return time.perf_counter() - begin
