@@ -1515,17 +1515,17 @@ def primal_ones(steps):
 
 def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
-    length, violation, cost, others = 1.0, point.violation, point.cost, (small_violation, filtered)
+    length, violation, cost, limits = 1.0, point.violation, point.cost, (small_violation, filtered)
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + step)
-        if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *others):
+        if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *limits):
             return trial, length
         if length == 1.0 and trial.violation >= violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
             correction = np.empty_like(step)
             solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
             trial = evaluate(grid, point.unknowns + correction)
-            if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *others):
+            if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *limits):
                 return trial, length
         length, step = 0.5 * length, 0.5 * step
     return None, length
@@ -1843,7 +1843,7 @@ def runaways(grid, guess, point, is_stationary):
     """
     unknowns, grown = point.unknowns, np.zeros(guess.size, bool)
     seen = slice(guess.size - ROOT if is_stationary else 0, None)
-    if not max(map(abs, unknowns[seen].tolist()), default=0.0) > GROWTH:  # quicker for a few
+    if not np.abs(unknowns[seen]).max(initial=0.0) > GROWTH:
         return grown
     large = np.abs(unknowns[seen]) > GROWTH * np.maximum(1.0, np.abs(guess[seen]))
     grown[seen] = ~grid.is_multiplier[seen] & large
@@ -2223,7 +2223,7 @@ def unpack(grid, unknowns):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_n_link_pendulum_e444564678b0a712"
+_IDENTITY = "codegen_n_link_pendulum_b19458e6462e1138"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
     _function.py_func.__module__ = _IDENTITY

@@ -164,17 +164,17 @@ def primal_ones(steps):
 
 def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
-    length, violation, cost, others = 1.0, point.violation, point.cost, (small_violation, filtered)
+    length, violation, cost, limits = 1.0, point.violation, point.cost, (small_violation, filtered)
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + step)
-        if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *others):
+        if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *limits):
             return trial, length
         if length == 1.0 and trial.violation >= violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
             correction = np.empty_like(step)
             solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
             trial = evaluate(grid, point.unknowns + correction)
-            if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *others):
+            if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *limits):
                 return trial, length
         length, step = 0.5 * length, 0.5 * step
     return None, length
