@@ -225,12 +225,11 @@ def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
     return all(callable(getattr(module, name, None)) for name in ("predict", "residual", "jacobian", "complete"))
 
 
-def has_machine_code(module: GeneratedModule) -> bool:
+def has_machine_code(path: Path, module: GeneratedModule) -> bool:
     """Whether numba keeps machine code of a generated module on the disk, wherever it keeps it."""
     statistics: list[Any] = [getattr(value, "stats", None) for value in vars(module).values()]
     folders = {str(entry.cache_path) for entry in statistics if getattr(entry, "cache_path", None)}
-    name = Path(vars(module)["__file__"]).stem
-    return any(any(Path(folder).glob(f"{name}.*.nbi")) for folder in folders)
+    return any(any(Path(folder).glob(f"{path.stem}.*.nbi")) for folder in folders)
 
 
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:

@@ -20,7 +20,7 @@ def require(made: Build, module: GeneratedModule) -> float:
     """Have a module that has no machine code compiled by processes that are quick at it; return the seconds."""
     from codegen.drivers.processes import compilers
 
-    if not made.written and has_machine_code(module):
+    if not made.written and has_machine_code(made.path, module):
         return 0.0
     with working("Compiling"), compilers() as processes:
         seconds = drivers.prepare(made.path, processes)
