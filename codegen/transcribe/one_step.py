@@ -68,12 +68,11 @@ def _transcribed(
         periodic += periodic_velocities_in_momenta(model, phase, names)
     shared = shared_unknowns(model, periodic, guesses, names)
     placed = _with_positions(model, phase)
-    motion = _motion(phase, scheme, method, nodal_controls, guesses)
-    start, end = _ends(model, placed, periodic, shared, boundary_values, names, motion)
+    start, end = _ends(model, placed, periodic, shared, boundary_values, names)
     equalities = path_conditions.nodal_conditions(phase, equality=True)
     return assemble(
         phase,
-        motion,
+        _motion(phase, scheme, method, nodal_controls, guesses),
         boundary_values,
         (path_conditions.nodal_equalities(placed, equalities, "y", names),),
         start + End(aliases=periodic.start_aliases),
@@ -97,7 +96,6 @@ def _ends(
     shared: Shared,
     boundary_values: tuple[BoundaryValue, ...],
     names: Names,
-    motion: Motion,
 ) -> tuple[End, End]:
     """Given values, conditions and the terminal cost at both ends."""
     assert model.end is not None, "a control problem has an end"
@@ -105,9 +103,7 @@ def _ends(
     start_conditions = (
         *phase.start_conditions, *path_conditions.start_inequalities(phase), *periodic.start_conditions
     )  # fmt: skip
-    end_conditions = (
-        *phase.end_conditions, *path_conditions.end_inequalities(phase, motion.path), *periodic.end_conditions
-    )  # fmt: skip
+    end_conditions = (*phase.end_conditions, *periodic.end_conditions)
     states = (*phase.coordinates, *phase.rates)
     ends = []
     for boundary, suffix, conditions, cost in (

@@ -3,12 +3,10 @@
 Where rates or controls occur, a condition holds at the points at which the scheme evaluates cost and dynamics:
 l gains y g for g = 0, and y (g + s) with a slack s >= 0 for g <= 0, both y and s being unknowns of the interval.
 
-A condition on coordinates and time alone, too, matters where the scheme evaluates cost and dynamics: were an inequality
-imposed at nodes only, they could alternate between two sides of a forbidden region, and the middle of every interval
-would lie inside it, where the cost is less. There it is imposed, and at ends that are free. It holds at nodes (the right
-one of each interval, and a free start) where the scheme evaluates there, or where it is proved to be convex: between
-two nodes on a straight line it then follows from theirs. Not at other nodes: those of a motion along a curved limit
-would take part in its multipliers, which the cost has at other points, and make a minimum look like a saddle point.
+A condition on coordinates and time alone holds at the nodes. An inequality is imposed at the right node of each
+interval, at the start unless the coordinates are given there, and where the scheme evaluates cost and dynamics as well.
+Otherwise nodes could alternate between two sides of a forbidden region, and the middle of every interval would lie
+inside it, where the cost is less. Between two nodes on a straight line it follows from theirs if it is convex.
 An equality has its multiplier on the node, and l gains (y_k g_k + y_k1 g_k1)/2, because then each end can do without it
 where the coordinates are given (a condition on given numbers has no derivative, and the KKT matrix would be singular).
 """
@@ -95,41 +93,20 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
     return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(places), element, tuple(equations))
 
 
-def apart_from_nodes(model: Model, inner: Sequence[PathValue]) -> tuple[Condition, ...]:
-    """The inequalities on coordinates that hold inside intervals and at free ends, but not at every node."""
-    return tuple(g for g in nodal_conditions(model, equality=False) if not _at_every_node(model, g, inner))
-
-
-def end_inequalities(model: Model, inner: Sequence[PathValue]) -> tuple[Condition, ...]:
-    """Path inequalities on coordinates at an end that is not given, where they do not hold at every node."""
-    assert model.end is not None, "a control problem has an end"
-    return tuple(g for g in apart_from_nodes(model, inner) if not given_at(model, model.end, g.expression))
-
-
 def _imposed(model: Model, inner: Sequence[PathValue]) -> list[PathValue]:
     """The values inside an interval and at its right node, without those that follow from values at nodes."""
     nodal = nodal_conditions(model, equality=False)
     values = [v for v in inner if v.condition not in nodal or not _follows_from_nodes(model, v)]
-    at_nodes_too = [g for g in nodal if _at_every_node(model, g, inner)]
-    return [*values, *(PathValue(g, S.One, _at_node(model, g, S.One)) for g in at_nodes_too)]
-
-
-def _at_every_node(model: Model, condition: Condition, inner: Sequence[PathValue]) -> bool:
-    """Whether a condition on coordinates holds at nodes: it is convex, or the scheme evaluates it there."""
-    values = [value for value in inner if value.condition == condition]
-    return _is_convex(model, condition) or any(_is_nodal(model, value) for value in values)
+    return [*values, *(PathValue(g, S.One, _at_node(model, g, S.One)) for g in nodal)]
 
 
 def _follows_from_nodes(model: Model, value: PathValue) -> bool:
     """Whether a value is that of a node, or on the straight line between two nodes with a convex condition."""
+    if value.value in [_at_node(model, value.condition, place) for place in (S.Zero, S.One)]:
+        return True
     along = {model.time, STEP, *model.parameters, *(free.symbol for free in model.free_parameters)}
     along |= {q for suffix in ("_k", "_k1") for q in at_nodes(model.coordinates, suffix)}
-    on_a_line = value.value.free_symbols <= along
-    return _is_nodal(model, value) or (on_a_line and _is_convex(model, value.condition))
-
-
-def _is_nodal(model: Model, value: PathValue) -> bool:
-    return value.value in [_at_node(model, value.condition, place) for place in (S.Zero, S.One)]
+    return value.value.free_symbols <= along and _is_convex(model, value.condition)
 
 
 def _at_node(model: Model, condition: Condition, place: Expr) -> Expr:

@@ -48,8 +48,7 @@ def variational(original: Model, scheme: DiscreteLagrangian, nodal_controls: boo
     )
     periodic = _periodic(original, model, names)
     shared = shared_unknowns(model, periodic, coordinate_guess(model), names)
-    motion = _motion(model, scheme, nodal_controls, constraints)
-    ends = _end_conditions(model, periodic, motion)
+    ends = _end_conditions(model, periodic)
     literal = {value.symbol: value.value for value in boundary_values}
     optimised = {own.symbol for own in shared.all}
     start, end = (momentum_end(model, e, constraints, literal, optimised, names) for e in ends)
@@ -57,7 +56,7 @@ def variational(original: Model, scheme: DiscreteLagrangian, nodal_controls: boo
     by_momentum = {place for place, _, _ in periodic.momenta}
     return assemble(
         model,
-        motion,
+        _motion(model, scheme, nodal_controls, constraints),
         boundary_values,
         (constraints.nodal_terms((start_places, end_places), by_momentum), equalities),
         start + End(aliases=periodic.start_aliases),
@@ -76,12 +75,11 @@ def _periodic(original: Model, model: Model, names: Names) -> Periodic:
     return out
 
 
-def _end_conditions(model: Model, periodic: Periodic, motion: Motion) -> tuple[EndConditions, EndConditions]:
+def _end_conditions(model: Model, periodic: Periodic) -> tuple[EndConditions, EndConditions]:
     assert model.end is not None, "a control problem has an end"
     inequalities = path_conditions.start_inequalities(model)
     start = (*model.start_conditions, *inequalities, *periodic.start_conditions)
-    beyond = path_conditions.end_inequalities(model, motion.path)
-    end = (*model.end_conditions, *beyond, *periodic.end_conditions)
+    end = (*model.end_conditions, *periodic.end_conditions)
     return (
         EndConditions("_k", 1, model.start, start, S.Zero, {i: first for i, first, _ in periodic.momenta}),
         EndConditions("_k1", -1, model.end, end, model.terminal_cost, {i: last for i, _, last in periodic.momenta}),
