@@ -28,11 +28,15 @@ from codegen.transcribe.program import Unknown
 
 @dataclass(frozen=True)
 class IntervalTerms:
-    """Path conditions on one interval: multipliers, slacks with the place of their multiplier, and their share of l."""
+    """Path conditions on one interval: multipliers, slacks with the places of their multipliers, and their share of l.
+
+    `inequalities` are the values to which the slacks belong.
+    """
 
     multipliers: tuple[Unknown, ...]
     slacks: tuple[Unknown, ...]
     slack_multipliers: tuple[int, ...]
+    inequalities: tuple[PathValue, ...]
     element: Expr
     equations: tuple[tuple[str, Expr], ...]
 
@@ -90,7 +94,8 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
             left_side = f"-{slacks[-1].name}"
         element += y * term
         equations.append((f"{left_side} ({condition.name})", value.value))
-    return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(places), element, tuple(equations))
+    inequalities = tuple(value for value in values if not value.condition.equality)
+    return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(places), inequalities, element, tuple(equations))
 
 
 def _imposed(model: Model, inner: Sequence[PathValue]) -> list[PathValue]:
