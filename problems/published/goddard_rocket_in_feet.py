@@ -10,9 +10,7 @@ from sympy import exp
 from codegen import Control, control, free_parameter, states
 
 
-def problem(
-    greatest: float = 193.044, sigma: float = 5.49153484923381e-5, c: float = 1580.9425279876559
-) -> Control:
+def problem(greatest: float = 193.044, sigma: float = 5.49153484923381e-5, c: float = 1580.9425279876559) -> Control:
     altitude, v, m = states("altitude v m")
     thrust = control("thrust")
     T = free_parameter("T", 60, lower=20, upper=100)
