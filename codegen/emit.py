@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import jinja2
 
 from codegen.errors import ModuleError
+from codegen.mangling import renamed, told_arguments
 from codegen.specialise import specialise
 
 if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy
@@ -40,7 +41,9 @@ def render(module: Module, origin: Origin) -> str:
     )
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
+    names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
     values |= {
+        "description": (*module.description, *told_arguments(names)),
         "numba_names": numba_names(module.runtime),
         "runtime": runtime_source(module.runtime, module.sizes),
         "imports": standard_imports(module.runtime),
@@ -51,7 +54,7 @@ def render(module: Module, origin: Origin) -> str:
     named = environment.get_template(module.template).render(values, identity=_NAME)
     # numba's cache needs a name that belongs to this text alone; see the end of a generated module.
     name = hashlib.sha256(named.replace(_NAME, "").encode()).hexdigest()[:16]
-    text = _tidy(named.replace(_NAME, name))
+    text = renamed(_tidy(named.replace(_NAME, name)))
     compile(text, f"{module.name}.py", "exec")
     return text
 

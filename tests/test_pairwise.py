@@ -261,7 +261,7 @@ def test_an_incomplete_start_is_refused():
         made(problem)
 
 
-@pytest.mark.parametrize(("names", "momenta"), [("x y", "px"), ("", ""), ("x x", "p q"), ("row", "p")])
+@pytest.mark.parametrize(("names", "momenta"), [("x y", "px"), ("", ""), ("x x", "p q")])
 def test_unusable_names_are_refused(names, momenta):
     with pytest.raises(SymbolError):
         particles(names, momenta)

@@ -117,7 +117,7 @@ def _places(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol,
     """The code that reads each symbol inside a kernel; shared unknowns stand behind the parameters."""
     places = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(unknowns)}
     places |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(layout.parameters(program))}
-    places[program.model.time] = program.model.time.name if program.model.time.name == "t" else "t"
+    places[program.model.time] = "t"
     places[STEP] = "h"
     return places
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import sympy
 
-from codegen import expressions
+from codegen import expressions, mangling, symbols
 from codegen.bodies import require_body
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.model import drawings, regularity, values
@@ -43,30 +43,46 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     kinds = kinds_of(used, form)
     if isinstance(problem, Control):
         require_cost([problem], kinds)
-    model = checked_model(problem, entries, kinds, name, title)
+    plain = plain_symbols(used, problem.task)
+    model = checked_model(problem, entries, kinds, plain, name, title)
     values.require_agreement(model)
-    return drawings.with_drawing(model, drawing, plain_symbols(used))
+    return drawings.with_drawing(model, drawing, plain)
 
 
 def checked_model(
-    problem: Simulate | Control, entries: Sequence[Entry], kinds: Kinds, name: str = "", title: str = ""
+    problem: Simulate | Control,
+    entries: Sequence[Entry],
+    kinds: Kinds,
+    plain: Mapping[Quantity, sympy.Symbol],
+    name: str = "",
+    title: str = "",
 ) -> Model:
     """Check one problem and build its model; whether boundary values agree with conditions is still to be seen."""
     form = form_of(problem)
     _require_fitting(problem, form, entries, kinds)
     require_keys(entries, kinds)
     require_scope(entries, kinds, form, isinstance(problem, Control))
-    plain = plain_symbols(used_quantities(entries))
+    used = [plain[symbol] for symbol in used_quantities(entries)]
     entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
-    values.require_values(model, bounds_of(entries, list(plain.values())))
+    values.require_values(model, bounds_of(entries, used))
     regularity.require_regular(model)
     return model
 
 
-def plain_symbols(used: Sequence[Quantity]) -> dict[Quantity, sympy.Symbol]:
-    """The symbols of a model that stand for the author's quantities."""
-    return {symbol: sympy.Symbol(symbol.name, real=True) for symbol in used}
+def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.Symbol]:
+    """The symbols of a model that stand for the author's quantities; names that generated code needs have a mark."""
+    names = {symbol.name for symbol in used if not isinstance(symbol, symbols.EndValue)}
+    plain = {}
+    for symbol in used:
+        moving = not isinstance(symbol, (symbols.Parameter, symbols.FreeParameter, symbols.EndValue))
+        name = mangling.marked(symbol.name, task, names, moving=moving)
+        if isinstance(symbol, (symbols.Time, symbols.BodyNumber)):
+            name = "t" if isinstance(symbol, symbols.Time) else "body"
+        elif isinstance(symbol, symbols.EndValue) and symbol.name in names:
+            name = symbol.name + mangling.MARK
+        plain[symbol] = sympy.Symbol(name, real=True)
+    return plain
 
 
 def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
@@ -81,6 +97,8 @@ def require_unique_names(quantities: Sequence[Quantity]) -> None:
     """Refuse two quantities of one name."""
     seen: dict[str, Quantity] = {}
     for symbol in quantities:
+        if isinstance(symbol, symbols.EndValue):
+            continue  # it has a name that nobody chose
         if seen.setdefault(symbol.name, symbol) != symbol:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +10,13 @@ from typing import Any
 import numpy as np
 from sympy import Expr, Symbol
 
-from codegen import expressions
+from codegen import expressions, mangling
 from codegen.differentiate.invariants import Invariants
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.pairwise import Connect, Pairwise, Particle, ParticleQuantity
 from codegen.problem import Simulate
 from codegen.symbols import Parameter, Quantity
 
-_GENERATED = re.compile(r"[hsxy]\d+$")
-"""Names that generated loops over pairs use for scalars, entries and common parts."""
 FRACTION = Symbol("fraction", real=True)
 """The fraction of the way from start to target."""
 
@@ -107,8 +104,7 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     duration = expressions.checked(problem.duration, "duration")
     _require_symbols({**terms, "duration": duration}, system.particles, declared)
     parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter))
-    marked = [s for one in system.particles for s in (*one.q, *one.p, *one.own)]
-    plain = {symbol: Symbol(symbol.name, real=True) for symbol in (*marked, *parameters)}
+    plain = _plain_symbols(system.particles, parameters, problem.task)
     first, second = (_place(one, plain) for one in system.particles)
     pair = expressions.tidied(terms["pair_term"].xreplace(plain))
     self_term = expressions.tidied(terms["self_term"].xreplace(plain)) if "self_term" in terms else None
@@ -126,9 +122,9 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         task=problem.task,
         name=name,
         title=title,
-        coordinates=_names(system.particles[0].q),
-        momenta=_names(system.particles[0].p),
-        own=_names(system.particles[0].own),
+        coordinates=_names(first.q),
+        momenta=_names(first.p),
+        own=_names(first.own),
         first=first,
         second=second,
         parameters=tuple(plain[s] for s in parameters),
@@ -149,7 +145,24 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     )
 
 
-def _names(symbols: Sequence[ParticleQuantity]) -> tuple[str, ...]:
+def _plain_symbols(
+    pair: tuple[Particle, Particle], parameters: Sequence[Parameter], task: str
+) -> dict[Quantity, Symbol]:
+    """The symbols of a model; names that generated code needs are marked, in front of a particle's own mark."""
+    task = "particles" if task == "simulate" else task
+    of_particles = [s for one in pair for s in (*one.q, *one.p, *one.own)]
+    names = {symbol.name[:-2] for symbol in of_particles} | {symbol.name for symbol in parameters}
+    plain: dict[Quantity, Symbol] = {
+        p: Symbol(mangling.marked(p.name, task, names, moving=False), real=True) for p in parameters
+    }
+    for symbol in of_particles:
+        own = any(symbol in one.own for one in pair)
+        name = mangling.marked(symbol.name[:-2], task, names, moving=not own)
+        plain[symbol] = Symbol(f"{name}{symbol.name[-2:]}", real=True)
+    return plain
+
+
+def _names(symbols: Sequence[Symbol]) -> tuple[str, ...]:
     return tuple(symbol.name.removesuffix("_i") for symbol in symbols)
 
 
@@ -178,8 +191,6 @@ def _require_symbols(terms: Mapping[str, Expr], pair: tuple[Particle, Particle],
     for symbol in declared:
         if isinstance(symbol, Parameter) and symbol not in used:
             raise SymbolError(f"{symbol} is declared but never used", "remove it, or use it")
-        if _GENERATED.match(symbol.name):
-            raise SymbolError(f"{symbol.name!r} is reserved for generated code", "choose another name")
         if symbol.name in names:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
         names.add(symbol.name)

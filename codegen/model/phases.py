@@ -44,8 +44,8 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     normal_form.require_all_used([*used, *drawings.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
     normal_form.require_cost(problem.phases, kinds)
-    models = [_phase(place, phase, written[place], kinds, form) for place, phase in enumerate(problem.phases)]
-    plain = normal_form.plain_symbols(used)
+    plain = normal_form.plain_symbols(used, "control")
+    models = [_phase(place, phase, written[place], kinds, plain) for place, phase in enumerate(problem.phases)]
     entries = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
     chain = _chain(models, entries, kinds, plain, name, title)
     _require_values(chain, entries)
@@ -107,10 +107,12 @@ def _require_supported(place: int, phase: Control) -> None:
         raise ExpressionError("it has a drawing", "give the drawing to the first phase, whose it is in all of them")
 
 
-def _phase(place: int, phase: Control, entries: Sequence[Entry], common: Kinds, form: str) -> Model:
+def _phase(
+    place: int, phase: Control, entries: Sequence[Entry], common: Kinds, plain: Mapping[Quantity, sympy.Symbol]
+) -> Model:
     """The model of one phase, checked by itself."""
     with _in_phase(place):
-        kinds = kinds_of(used_quantities(entries), form)
+        kinds = kinds_of(used_quantities(entries), form_of(phase))
         lacking = [q.name for q in common.coordinates if q not in kinds.coordinates]
         if lacking:
             raise SymbolError(
@@ -120,7 +122,7 @@ def _phase(place: int, phase: Control, entries: Sequence[Entry], common: Kinds, 
         if kinds.end_values or kinds.body is not None:
             symbol = f"{kinds.end_values[0].partner}.of(...)" if kinds.end_values else "body"
             raise SymbolError(f"{symbol} belongs to problems of several bodies", "leave it out of problems of phases")
-        model = normal_form.checked_model(phase, entries, kinds)
+        model = normal_form.checked_model(phase, entries, kinds, plain)
         for condition in model.path:
             if condition.equality and not condition.expression.free_symbols & {*model.rates, *model.controls}:
                 raise BoundaryError(
