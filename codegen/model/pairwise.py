@@ -73,6 +73,7 @@ class PairwiseModel:
     parallel: bool = False
     start: tuple[tuple[tuple[float, ...], ...], ...] = ()
     own_values: tuple[tuple[float, ...], ...] = ()
+    unused: tuple[str, ...] = ()
     drawing: tuple[()] = ()
 
     @property
@@ -103,7 +104,8 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
     duration = expressions.checked(problem.duration, "duration")
     _require_symbols({**terms, "duration": duration}, system.particles, declared)
-    parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter))
+    inside = set().union(*(e.free_symbols for e in (*terms.values(), duration)))
+    parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)
     plain = _plain_symbols(system.particles, parameters, problem.task)
     first, second = (_place(one, plain) for one in system.particles)
     pair = expressions.tidied(terms["pair_term"].xreplace(plain))
@@ -142,6 +144,7 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         parallel=isinstance(problem, Connect) and problem.parallel,
         start=start,
         own_values=own_values,
+        unused=tuple(s.name for s in declared if isinstance(s, Parameter) and s not in inside),
     )
 
 
@@ -177,20 +180,16 @@ def _count(number: Any) -> int:
 
 
 def _require_symbols(terms: Mapping[str, Expr], pair: tuple[Particle, Particle], declared: Sequence[Quantity]) -> None:
-    """Every symbol is a parameter or belongs to one of the two particles, every parameter is used, names are unique."""
+    """Every symbol is a parameter or belongs to one of the two particles; names are unique."""
     known = {s for one in pair for s in (*one.q, *one.p, *one.own)}
-    used: set[Symbol] = set()
     for what, expression in terms.items():
         for symbol in sorted(expression.free_symbols, key=str):
             if symbol not in known and not isinstance(symbol, Parameter):
                 raise SymbolError(
                     f"{symbol} in {what} is no parameter and belongs to no particle", "use particles(...)"
                 )
-            used.add(symbol)
     names: set[str] = set()
     for symbol in declared:
-        if isinstance(symbol, Parameter) and symbol not in used:
-            raise SymbolError(f"{symbol} is declared but never used", "remove it, or use it")
         if symbol.name in names:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
         names.add(symbol.name)
