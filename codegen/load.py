@@ -227,9 +227,13 @@ def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
 
 def has_machine_code(path: Path, module: GeneratedModule) -> bool:
     """Whether numba keeps machine code of a generated module on the disk, wherever it keeps it."""
+    return any(any(Path(folder).glob(f"{path.stem}.*.nbi")) for folder in code_folders(module))
+
+
+def code_folders(module: GeneratedModule) -> set[str]:
+    """Where numba keeps machine code of a generated module."""
     statistics: list[Any] = [getattr(value, "stats", None) for value in vars(module).values()]
-    folders = {str(entry.cache_path) for entry in statistics if getattr(entry, "cache_path", None)}
-    return any(any(Path(folder).glob(f"{path.stem}.*.nbi")) for folder in folders)
+    return {str(entry.cache_path) for entry in statistics if getattr(entry, "cache_path", None)}
 
 
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:
@@ -269,6 +273,9 @@ def _imported(path: Path, name: str, text: str) -> ModuleType:
         raise
     except Exception as error:  # a damaged file may fail in any way
         del sys.modules[name]
+        if "no locator available" in str(error):
+            remedy = "let NUMBA_CACHE_DIR name a folder that may be written to"
+            raise ModuleError(f"{path}: numba finds no folder where it could keep machine code", remedy) from error
         finding = " ".join(f"{path} is damaged ({type(error).__name__}: {error})".split())
         raise ModuleError(finding, _REMEDY) from error
     return module
