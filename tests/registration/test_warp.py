@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from registered_images import SHAPE
 
-from codegen.errors import ArgumentError, FileError, ExtraError, ImageError
+from codegen.errors import ArgumentError, ExtraError, FileError, ImageError
 from codegen.registration import (
     LandmarkPairs,
     displacement_field,
