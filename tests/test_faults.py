@@ -16,7 +16,7 @@ from codegen import emit
 from codegen.compiler import build
 from codegen.errors import FileError
 from codegen.files import replacing
-from codegen.load import load
+from codegen.loading import load
 
 NAME = "oscillator"
 

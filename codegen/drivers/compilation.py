@@ -29,7 +29,7 @@ import numpy as np
 
 from codegen.drivers.processes import UNFINISHED
 from codegen.files import replacing
-from codegen.load import GeneratedModule, load
+from codegen.loading import GeneratedModule, load
 
 
 @contextmanager

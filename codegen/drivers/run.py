@@ -19,7 +19,15 @@ from codegen.drivers.shortcuts import quick_numba
 from codegen.drivers.simulate_result import simulate_result
 from codegen.errors import FileError, NumericsError
 from codegen.files import refused
-from codegen.load import GeneratedModule, code_folders, is_connect, is_control, is_simulation, load, machine_code_counts
+from codegen.loading import (
+    GeneratedModule,
+    code_folders,
+    is_connect,
+    is_control,
+    is_simulation,
+    load,
+    machine_code_counts,
+)
 
 
 def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) -> Result:
