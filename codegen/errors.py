@@ -61,6 +61,10 @@ class ModuleError(CodegenError):
     """A generated module is missing, damaged or does not belong to the problem."""
 
 
+class FileError(CodegenError):
+    """The file system refuses to write a file: no room, no permission, a disk that may only be read."""
+
+
 class NumericsError(CodegenError):
     """Numbers given at run time are unusable: not finite, of the wrong shape, or out of range."""
 
