@@ -246,9 +246,6 @@ NON_FINITE = [
     ),
 ]
 
-OTHERS = [
-]
-
 STEEP = Failing(
     "too-steep-for-a-hundred-iterations",
     mass(cost="u**2 + exp(200*x)", end="{x: 1}"),
@@ -257,4 +254,4 @@ STEEP = Failing(
 )
 """Solved where it may take some hundred iterations."""
 
-FAILING = [*INFEASIBLE, *RANK_DEFICIENT, *UNBOUNDED, *NON_FINITE, *OTHERS]
+FAILING = [*INFEASIBLE, *RANK_DEFICIENT, *UNBOUNDED, *NON_FINITE]

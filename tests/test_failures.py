@@ -56,7 +56,7 @@ def test_word_exit_status_and_message(tmp_path, uncompiled, case: Failing):
 
 
 def test_remedies_can_be_followed_on_the_command_line(tmp_path, uncompiled):
-    """More iterations than a hundred, which is the default, and a looser tolerance than that of the generated solver."""
+    """More iterations than a hundred, as by default, and a looser tolerance than that of the generated solver."""
     path = tmp_path / "steep.py"
     path.write_text(STEEP.text)
 

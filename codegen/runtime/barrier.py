@@ -2,10 +2,11 @@
 
 Every finite bound is one entry of flat arrays: `place` of its unknown x, its `value` b, and `side` s, which is 1 for a
 lower and -1 for an upper bound. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
-gradient - s z = 0 and z d = mu. Distances are moved along with the unknowns instead of being computed anew, because
-close to a bound rounding would leave nothing of a difference. Bounds are relaxed a little, so that unknowns may lie
-on them by force of the equations; how much, goes to rounding level with the barrier. Eliminating the change of z = mu / d - z - (z / d) s dx from Newton's equations leaves
+gradient - s z = 0 and z d = mu. Eliminating the change of z = mu / d - z - (z / d) s dx from Newton's equations leaves
 z / d on the diagonal and gradient - mu s / d on the right; see equations (11) and (13) of Waechter and Biegler (2006).
+Distances are moved along with the unknowns instead of being computed anew, because close to a bound rounding would
+leave nothing of a difference. Bounds are relaxed, so that equations may force unknowns onto them: by little, which goes
+to rounding level with the weight of the barrier.
 """
 
 from typing import NamedTuple

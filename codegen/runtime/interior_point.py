@@ -194,7 +194,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             # Newton's steps converge quadratically once the barrier is weak, and its weight may tend to zero as fast.
             mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
         if mu < before:
-            filtered, fallback = filtered[:1], iterate
+            filtered, fallback = filtered[:1], (iterate, before)
             iterate = tightened(search, iterate, before, mu)
         step = regularised_step(search, iterate, mu, last_shift)
         trial, at_least = None, at_least + (mu == least)
@@ -205,7 +205,9 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             if is_acceptable(grid, point, measured, tolerance):
                 return "solved", iterate, iteration
             # So low a weight is beyond rounding: the tolerance for each complementarity is what can be had.
-            iterate, fallback, mu, at_least, filtered = fallback, None, sound, PATIENCE + 1, filtered[:1]
+            iterate, before = fallback
+            iterate, mu = tightened(search, iterate, before, sound), sound
+            fallback, at_least, filtered = None, PATIENCE + 1, filtered[:1]
             continue
         if step is None:
             return "rank-deficient", iterate, iteration

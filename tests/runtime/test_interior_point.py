@@ -24,8 +24,8 @@ def dense_linear_algebra() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for module in (barrier, curvature, filter, interior_point, restoration):
             for name in set(vars(module)) & {
-                "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved", "multiplier_unknowns",
-                "solve_kkt", "variable_bounds",
+                "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved",
+                "multiplier_unknowns", "solve_kkt", "variable_bounds",
             }:  # fmt: skip
                 patch.setattr(module, name, getattr(dense_problem, name))
         yield
