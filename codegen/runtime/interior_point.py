@@ -23,7 +23,7 @@ from codegen.runtime.barrier import (
     relaxation,
 )
 from codegen.runtime.curvature import ESCAPES, FLAT, LEFT, is_below, steps_aside
-from codegen.runtime.example import variable_bounds
+from codegen.runtime.example import TIED, variable_bounds, with_pinned_values
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import multiplier_unknowns
 from codegen.runtime.point import evaluate
@@ -65,12 +65,16 @@ class Iterate(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers."""
+    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers.
+
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound.
+    """
 
     grid: NamedTuple
     bounds: NamedTuple
     system: tuple[NamedTuple, int]
     equations: np.ndarray
+    box: tuple[np.ndarray, np.ndarray]
 
 
 class Step(NamedTuple):
@@ -95,12 +99,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     `max_iterations` is for all of them together; steps of the restoration are not counted.
     """
     lower, upper = variable_bounds(grid)
-    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid), multiplier_unknowns(grid))
+    bounds, box = finite_bounds(lower, upper), (lower, upper)
+    search = Search(grid, bounds, allocate_system(grid), multiplier_unknowns(grid), box)
     primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
     for attempt in (WARM if warm else COLD, *OTHERS):
         # Far from a solution duals of one serve better than the central path.
-        inside = push_inside(lower, upper, primal, attempt.push)
-        iterate = begin(search, inside, attempt.weight, central=attempt is WARM)
+        iterate = begin(search, primal, attempt, central=attempt is WARM)
         status = "restored"
         if attempt.nearby and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
@@ -112,12 +116,15 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
     status, point = (status, point) if status == "solved" else first
-    return status, within_bounds(grid, point, lower, upper, tolerance), total
+    return status, within_bounds(search, point, tolerance), total
 
 
-def within_bounds(grid, point, lower, upper, tolerance):
+def within_bounds(search, point, tolerance):
     """The point with what lies beyond a bound, by its relaxation, on the bound, unless equations then fail to hold."""
+    grid, (lower, upper) = search.grid, search.box
     unknowns = np.minimum(np.maximum(point.unknowns, lower), upper)
+    if TIED:
+        unknowns = with_pinned_values(grid, unknowns)
     if not point.error < np.inf or (unknowns == point.unknowns).all():
         return point
     inside, stationarity = evaluate(grid, unknowns), point.stationarity  # with the duals of bounds
@@ -148,12 +155,10 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
 def neighbours(search, saddle, attempt, escapes):
     """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
     unknowns, bounds = saddle.point.unknowns, search.bounds
-    lower, upper = variable_bounds(search.grid)
     curvature = np.zeros(unknowns.size)
     np.add.at(curvature, bounds.place, saddle.duals / saddle.distance)
     for step in steps_aside(search.grid, unknowns, curvature, escapes):
-        beside = push_inside(lower, upper, primal_part(search.grid, unknowns + step), attempt.push)
-        yield begin(search, beside, attempt.weight)
+        yield begin(search, primal_part(search.grid, unknowns + step), attempt)
 
 
 def primal_part(grid, unknowns):
@@ -254,6 +259,8 @@ def tightened(search, iterate, before, mu):
     unknowns = iterate.point.unknowns.copy()
     unknowns[bounds.place[outside]] += bounds.side[outside] * (0.1 * relaxed - distance)[outside]
     distance[outside] = 0.1 * relaxed[outside]
+    if TIED:
+        unknowns = with_pinned_values(search.grid, unknowns)
     return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
 
 
@@ -262,7 +269,7 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     shift = max(FLAT, 100.0 * tolerance)
     point, (diagonal, unused) = iterate.point, np.empty((2, iterate.point.unknowns.size))
     barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, 0.0
@@ -270,9 +277,12 @@ def is_minimum(search, iterate, tolerance):
     return factor_kkt(grid, point.unknowns, 1.0, diagonal, system) == 0
 
 
-def begin(search, unknowns, mu, central=False):
-    """An iterate at primal unknowns inside their bounds, with duals of one, or on the central path of weight mu."""
-    bounds = search.bounds
+def begin(search, unknowns, attempt, central=False):
+    """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
+    bounds, mu = search.bounds, attempt.weight
+    unknowns = push_inside(*search.box, unknowns, attempt.push)
+    if TIED:
+        unknowns = with_pinned_values(search.grid, unknowns)  # nodes move with the shared unknowns that they equal
     distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(bounds, mu)
     return with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3) if central else None)
 
@@ -286,7 +296,7 @@ def with_multipliers(search, unknowns, distance, duals=None):
 
 def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)
@@ -313,7 +323,7 @@ def barrier_error(point, measured, mu):
 
 def regularised_step(search, iterate, mu, last_shift):
     """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
@@ -378,7 +388,7 @@ def moved(search, iterate, step, length):
 
 def corrected(search, iterate, step, mu, trial, accepted):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
     barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation

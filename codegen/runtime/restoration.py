@@ -57,7 +57,7 @@ def restoration_error(grid, bounds, pull, distance, duals):
 
 def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
-    grid, bounds, system, equations = search
+    grid, bounds, system, equations, _ = search
     size = point.unknowns.size
     diagonal, step, slopes = np.empty(size), np.empty(size), np.empty(size)
     dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
