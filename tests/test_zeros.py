@@ -1,5 +1,7 @@
 """What counts as identically zero: everything that is proved to be, and nothing because it is small somewhere."""
 
+import itertools
+
 import pytest
 import sympy
 from hypothesis import given, settings
@@ -111,7 +113,7 @@ def test_a_term_of_any_size_beside_what_cancels(shape, constant, factor):
 
 
 def test_each_prime_leaves_one_when_it_is_divided_by_the_next_and_has_roots_of_small_numbers():
-    for prime, smaller in zip(PRIMES, PRIMES[1:], strict=False):
+    for prime, smaller in itertools.pairwise(PRIMES):
         assert prime % smaller == 1
     for prime in PRIMES:
         assert sympy.isprime(prime)
