@@ -211,3 +211,15 @@ def test_nothing_is_written_where_a_derivative_is_wrong(tmp_path, monkeypatch):
     with pytest.raises(VerificationError, match="the emitted code gives"):
         compiler.build(file, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_where_no_condition_of_a_piecewise_function_holds_there_is_no_number():
+    x, v = states("x v")
+    u, t = control("u"), time()
+    pushed = sympy.Piecewise((t, t < 0.5), (1 - t, t < 1))
+    problem = Control(
+        dynamics={x: v, v: u + pushed * x**2}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1}, steps=4
+    )
+    text = generate_from_model(normalise(problem), Choices(), ORIGIN)
+    assert "else math.nan)" in text
+    assert "else None)" not in text

@@ -79,8 +79,8 @@ class _Functions:
         self._arithmetic = arithmetic
 
     def __getattr__(self, name: str) -> Any:
-        if name in ("pi", "e"):
-            return self._arithmetic.number({"pi": _PI, "e": _E}[name])
+        if name in _NUMBERS:
+            return self._arithmetic.number(_NUMBERS[name])
         return self._arithmetic.sign if name == "sign" else self._arithmetic.function(name)
 
 
@@ -137,5 +137,9 @@ def _namespace(a: Arithmetic) -> dict[str, Any]:
     }
 
 
-_PI = "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798"
-_E = "2.71828182845904523536028747135266249775724709369995957496696762772407663035354759457138217852516642743"
+_NUMBERS = {
+    "pi": "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798",
+    "e": "2.71828182845904523536028747135266249775724709369995957496696762772407663035354759457138217852516642743",
+    "nan": "nan",
+    "inf": "inf",
+}
