@@ -12,6 +12,7 @@ import numpy as np
 import sympy
 from sympy.core.function import AppliedUndef
 
+from codegen.differentiate.zeros import identically_zero
 from codegen.errors import ExpressionError
 
 PRINTABLE = (
@@ -21,6 +22,8 @@ PRINTABLE = (
 )
 """Functions that the printer knows how to write as numba code."""
 
+_TINY = 1e-50
+"""Below this a value may be what is left where terms cancel, and is looked at again."""
 _ARITHMETIC = (
     *(sympy.Symbol, sympy.Number, sympy.NumberSymbol, sympy.Add, sympy.Mul, sympy.Pow),
     *(sympy.functions.elementary.piecewise.ExprCondPair, sympy.core.relational.Relational),
@@ -159,6 +162,16 @@ def values_at(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.n
         values = np.array(matrix.evalf(subs=point).tolist(), dtype=float).reshape(matrix.shape)
     except (TypeError, ValueError):
         return None
-    # What is left by evalf, which works with 100 digits, where terms cancel.
-    values[np.abs(values) < 1e-90] = 0.0
+    for place in np.argwhere((values != 0.0) & (np.abs(values) < _TINY)):
+        row, column = map(int, place)
+        if _cancels(matrix[row, column], float(values[row, column]), point):
+            values[row, column] = 0.0
     return values if np.all(np.isfinite(values)) else None
+
+
+def _cancels(entry: sympy.Expr, value: float, point: Mapping[sympy.Symbol, float]) -> bool:
+    """Whether a tiny value is what evalf, which works with 100 digits, leaves where terms cancel."""
+    if identically_zero(entry):
+        return True
+    terms = [rounded_at(term, point) for term in entry.args] if entry.is_Add else []
+    return abs(value) < 1e-90 * sum(abs(term) for term in terms if term is not None)

@@ -7,7 +7,6 @@ section 1.4.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -15,6 +14,7 @@ import sympy
 from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
 from codegen import expressions
+from codegen.differentiate.zeros import identically_zero
 from codegen.errors import BoundaryError, DegenerateError, SymbolError
 from codegen.model import Boundary, Model
 
@@ -118,24 +118,14 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
         values = sympy.Matrix([right[row] for row in rows])
         if len(rows) <= _ADJUGATE_LIMIT:
             determinant = _simplified_entry(part.det(method="berkowitz"))
-            if vanishes(determinant):
+            if identically_zero(determinant):
                 raise DegenerateError(f"a linear system is singular in row {rows[0] + 1}", "check that it is regular")
             found = part.adjugate() * values / determinant
         else:
-            found = part.LUsolve(values, iszerofunc=vanishes)
+            found = part.LUsolve(values, iszerofunc=identically_zero)
         for row, value in zip(rows, found, strict=True):
             solution[row] = value
     return tuple(solution)
-
-
-def vanishes(expression: sympy.Expr) -> bool:
-    """Whether an expression is zero everywhere, decided at random points where sympy does not know."""
-    if expression.is_zero is not None:
-        return bool(expression.is_zero)
-    points = itertools.islice(expressions.trial_points(expression.free_symbols, {}, {}), 8)
-    values = (expressions.number_at(expression, point) for point in points)
-    # evalf raises its precision until 15 digits are right, so what cancels comes out far below any true value.
-    return all(value is None or abs(value) < 1e-25 for value in values)
 
 
 def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
