@@ -40,7 +40,8 @@ class EndElement:
     `shared` fixes unknowns of the end node to shared ones (local index, index of the shared unknown, offset).
     `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative. What is given or
     determined at this end has no bounds there: `decided` names, in pairs, an unknown of the node or a slack of the
-    interval beside it, and the condition on whose limit it lies, "" where it does not.
+    interval beside it, and the condition on whose limit it lies, "" where it does not. `dependent` names what follows
+    from path equalities and other values, and was left out.
     """
 
     pins: tuple[tuple[int, Expr], ...]
@@ -50,6 +51,7 @@ class EndElement:
     shared: tuple[tuple[int, int, Expr], ...] = ()
     slacks: tuple[tuple[int, int], ...] = ()
     decided: tuple[tuple[str, str], ...] = ()
+    dependent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
