@@ -113,7 +113,7 @@ def build(
                 made = _build(problem, set_, scheme, method, controls, out)
             with working("Compiling"):
                 drivers.prepare(made.path, processes)
-        machine_code.tell_failure(processes)
+        machine_code.tell(processes)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
     typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")

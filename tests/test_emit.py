@@ -17,7 +17,7 @@ from jinja2 import meta
 
 from codegen import emit, mangling
 from codegen.compiler import build
-from codegen.errors import ModuleError
+from codegen.errors import FileError
 from codegen.lower.connect import ConnectModule, ParticlesModule
 from codegen.lower.module import ControlModule, Origin, SimulateModule
 
@@ -186,7 +186,7 @@ def test_templates_name_nothing_that_is_not_supplied(template, kind):
         tree = environment.parse(environment.loader.get_source(environment, left.pop())[0])
         wanted |= meta.find_undeclared_variables(tree)
         left += meta.find_referenced_templates(tree)
-    made = {"numba_names", "runtime", "imports", "title_code", "left_out_code", "identity"}
+    made = {"numba_names", "runtime", "imports", "title_code", "left_out_code", "identity", "kept_code"}
     supplied = {field.name for owner in (kind, Origin) for field in fields(owner)}
     assert wanted - {"kernel", "visit"} <= supplied | made  # those two are what an include inherits from a loop
 
@@ -208,7 +208,7 @@ def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch):
         raise OSError("no space left")
 
     monkeypatch.setattr(os, "replace", broken)
-    with pytest.raises(ModuleError, match="no space left"):
+    with pytest.raises(FileError, match="no space left"):
         emit.write(path, "new")
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["module.py"]
