@@ -27,6 +27,7 @@ _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities",
 RESERVED = frozenset(
     "np math numba njit sys h steps grid unknowns parameters gradient hessian residual jacobian interval state "
     "duration start end every guess tolerance max_iterations log rows status message iterations point boundary "
+    "time_limit watch Log iterates "
     "prescribed nodes intervals last views Solution Grid make_grid checked_grid replace_values initial_state "
     "initial_guess with_pinned_values pin_values minimise evaluate describe unpack print_log integrate NODE START OWN "
     "warm BODIES bodies shared own common coupling couplings slack slacks lower upper bounds variable_bounds "

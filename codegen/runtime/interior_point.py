@@ -138,6 +138,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             return ("solved" if minimum else "saddle point"), point, iteration
         if is_boundless(point, measured[6]):
             return "unbounded", point, iteration
+        if log.is_late():
+            return "time limit", point, iteration
         if iteration == max_iterations:
             break
         while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
