@@ -3,6 +3,8 @@
     author            discretise           transcribe          derive              lower            render
     Problem   --->    interval exprs --->  Program     --->    derivatives  --->   Module    --->   text of one .py
 
+Before the text is written, `verify` compares its derivatives with an independent differentiation of the program.
+
 `build` runs it, or takes the text from the cache, whose key is everything that the text depends on; a hit needs no
 sympy at all.
 """
@@ -139,14 +141,16 @@ def _rare_collections() -> Iterator[None]:
 
 def generate_from_model(model: Model | PairwiseModel, choices: Choices, origin: Origin) -> str:
     """The pipeline itself, from a checked problem to the text of its module."""
-    from codegen import derive, lower, transcribe
+    from codegen import derive, lower, transcribe, verify
 
     if choices.general:
         return emit.render(_general_module(model, choices), origin)
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     derivatives = derive.derivatives(program)
     module = lower.lower(program, derivatives)
-    return emit.render(module, origin)
+    text = emit.render(module, origin)
+    verify.verify(program, text)
+    return text
 
 
 def _general_module(model: Model | PairwiseModel, choices: Choices) -> Module:

@@ -65,6 +65,10 @@ class FileError(CodegenError):
     """The file system refuses to write a file: no room, no permission, a disk that may only be read."""
 
 
+class VerificationError(CodegenError):
+    """A derivative in an emitted text is not that of the expression; nothing is written."""
+
+
 class NumericsError(CodegenError):
     """Numbers given at run time are unusable: not finite, of the wrong shape, or out of range."""
 

@@ -17,6 +17,11 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
         verb = "follows from the others and was" if len(redundant) == 1 else "follow from the others and were"
         count = f"{len(redundant)} of {metadata['coupling_conditions']}"
         found.append(f"{count} conditions between bodies {verb} left out: {named}")
+    for quantity, where in metadata.get("dependent_values", ()):
+        found.append(
+            f"{shortened(quantity)} at the {where} follows from the path equalities with the other values at the ends, "
+            "and was left out"
+        )
     for condition, where in metadata.get("decided_conditions", ()):
         found.append(
             f"{shortened(condition)} holds with equality at the {where}, by what is prescribed there, and was left out"

@@ -87,13 +87,14 @@ def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> l
     bounds = module.finite_bounds(*module.variable_bounds(grid))
     distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
     duals, result = np.ones(distance.size), np.empty(distance.size)
-    barrier = grid.is_multiplier, *bounds[::2], distance, duals, 1.0
+    places = bounds.place, bounds.side, distance
+    barrier = grid.is_multiplier, *places, duals, 1.0
     return [
-        lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *bounds, distance, duals),
+        lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *places, duals),
         lambda: module.measure_step(unknowns, gradient, step, *barrier, 0.99, result),
         lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
         lambda: module.move_duals(duals, duals, 1.0, distance, 1.0, result),
-        lambda: module.moved(grid, bounds, unknowns, step, 0.0),
+        lambda: module.move(unknowns, step, 0.0, *places, np.empty_like(step), result),
     ]
 
 

@@ -16,7 +16,7 @@ from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, Vector
 
 TOLERANCE = 1e-8
-MAX_ITERATIONS = 1000
+MAX_ITERATIONS = 3000
 LONGEST = 1e20  # seconds of the processor, IPOPT's own
 OTHER = "try driver newton"
 REMEDIES = {"iteration limit": f"raise max_iterations, or {OTHER}", "time limit": f"raise time_limit, or {OTHER}"}

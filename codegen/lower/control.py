@@ -71,6 +71,8 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
         entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
         entries.append(("redundant_conditions", repr(redundant)))
     ends = (("start", program.start), ("end", program.end))
+    if dependent := tuple((name, where) for where, end in ends for name in end.dependent):
+        entries.append(("dependent_values", repr(dependent)))
     if decided := tuple((name, where) for where, end in ends for _, name in end.decided if name):
         entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
     return entries

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import sympy
 
 from codegen import expressions
+from codegen.differentiate.samples import hessian_samples
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.model.definitions import Condition, Model
 from codegen.model.relations import text
@@ -31,7 +32,7 @@ def _require_regular_lagrangian(model: Model, points: Points) -> None:
     """Refuse a Lagrangian whose velocities cannot be recovered from the momenta (its Hessian in v is singular)."""
     if model.form != "lagrangian":
         return
-    null = expressions.null_direction(sympy.hessian(model.function, model.rates), points)
+    null = expressions.null_direction(hessian_samples(model.function, model.rates, points))
     if null is not None:
         names = " ".join(str(v) for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6)
         raise DegenerateError(

@@ -99,14 +99,14 @@ def phase_durations(grid, unknowns):
     return np.zeros(0)
 
 
+def with_pinned_values(grid, unknowns):
+    """No unknown equals another one."""
+    return unknowns
+
+
 def variable_bounds(grid):
     """Nothing is bounded."""
     return np.full(grid.is_multiplier.size, -np.inf), np.full(grid.is_multiplier.size, np.inf)
-
-
-def with_pinned_values(grid, unknowns):
-    """Unknowns in which what boundary conditions fix has its values: they have."""
-    return unknowns
 
 
 def duration_of(grid, unknowns):
