@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING
 import jinja2
 
 from codegen.files import refused, write_text
+from codegen.mangling import renamed, told_arguments
 from codegen.specialise import specialise
 
 if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy
     from codegen.lower.module import Module, Origin
 
 
-_NAME = "\0"
+_NAME = "@@digest@@"
 """Where a text's own name comes, which depends on all the rest of the text."""
 _IDENTITY = re.compile(r'^_IDENTITY = "codegen_\w+?_([0-9a-f]{16})"$', re.MULTILINE)
 """The line that tells it."""
@@ -40,7 +41,9 @@ def render(module: Module, origin: Origin) -> str:
     )
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
+    names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
     values |= {
+        "description": (*module.description, *told_arguments(names)),
         "numba_names": numba_names(module.runtime),
         "runtime": runtime_source(module.runtime, module.sizes),
         "kept_code": runtime_source(("kept_code",)),
@@ -49,7 +52,7 @@ def render(module: Module, origin: Origin) -> str:
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
     }
-    named = _tidy(environment.get_template(module.template).render(values, identity=_NAME))
+    named = renamed(_tidy(environment.get_template(module.template).render(values, identity=_NAME)))
     # numba's cache needs a name that belongs to this text alone; see the end of a generated module.
     text = named.replace(_NAME, _digest(named.replace(_NAME, "")))
     compile(text, f"{module.name}.py", "exec")
