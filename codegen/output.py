@@ -6,6 +6,7 @@ import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from codegen.checks import Finding
-    from codegen.drivers.result import Result
+    from codegen.drivers.result import Level, Result
 
 ARCHIVES = (".npz",)
 
@@ -63,7 +64,13 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
         "iterations": result.iterations,
         "seconds": {"build": _finite(build), "load": _finite(load), "solve": _finite(result.seconds_solve)},
         "summary": {name: _finite(value) for name, value in result.summary.items()},
+        **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
     }
+
+
+def _level(level: Level) -> dict[str, Any]:
+    numbers = {name: _finite(getattr(level, name)) for name in ("cost", "residual", "seconds")}
+    return {**asdict(level), **numbers}
 
 
 def as_json(record: Mapping[str, Any]) -> str:
@@ -92,6 +99,9 @@ def as_table(record: Mapping[str, Any], intervals: str) -> Table:
         table.add_row("cost", f"{record['cost']:.12g}")
     table.add_row("residual", _number(record["residual"]))
     table.add_row("iterations", f"{record['iterations']} ({record['driver']})")
+    for level in record.get("levels", ()):
+        cost = "" if level["cost"] is None else f", cost {level['cost']:.12g}"
+        table.add_row("grid", f"{level['steps']} steps: {level['status']}{cost}, {level['iterations']} iterations")
     for name, value in record["summary"].items():
         table.add_row(name.replace("_", " "), _number(value))
     seconds = record["seconds"]
