@@ -30,6 +30,7 @@ from codegen.checks.kernel_arguments import kernel_stems, other_symbols, paramet
 from codegen.checks.step_kernels import check_step
 from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement
+from codegen.verify.arithmetic import CONTINUED
 
 _COMPLEX_STEP = 1e-30
 _NOT_ANALYTIC = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside, sympy.atan2)
@@ -104,7 +105,7 @@ def _compare_block(
 
 
 def _complex_steps(scalar: Expr, symbols: Sequence[Symbol], numbers: Sequence[float], count: int) -> list[Any]:
-    function = sympy.lambdify(list(symbols), scalar, modules="numpy", cse=True)
+    function = sympy.lambdify(list(symbols), scalar, modules=[CONTINUED, "numpy"], cse=True)
     results = []
     for i in range(count):
         shifted = [complex(number) for number in numbers]
