@@ -12,6 +12,7 @@ from codegen import expressions
 from codegen.differentiate import Assignment, second_derivatives
 from codegen.differentiate import jacobian as differentiated
 from codegen.differentiate.pairwise import PairDerivatives, pair_derivatives
+from codegen.differentiate.zeros import identically_zero
 from codegen.discretise import STEP
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
@@ -124,7 +125,7 @@ def step_derivatives(program: StepProgram) -> StepDerivatives:
 def _tidy_derivative(expression: Expr, symbol: Symbol) -> Expr:
     """A derivative, written as zero where it is one."""
     derivative = sympy.diff(expression, symbol)
-    return sympy.S.Zero if _vanishes(derivative) else derivative
+    return sympy.S.Zero if identically_zero(derivative) else derivative
 
 
 def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int] = ()) -> ElementDerivatives:
@@ -139,7 +140,7 @@ def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collec
             if x not in present or column in given:
                 continue
             second = sympy.diff(first, x)
-            if not _vanishes(second):
+            if not identically_zero(second):
                 hessian.append((row, column, second))
     return ElementDerivatives(tuple(unknowns), gradient, tuple(hessian), cost)
 
@@ -175,15 +176,6 @@ def _with_one_pattern(shares: Sequence[ElementDerivatives]) -> tuple[ElementDeri
 def _end_element(end: EndElement, unknowns: tuple[Symbol, ...]) -> ElementDerivatives:
     """Derivatives of an end's share; what is pinned there is a number and not differentiated twice."""
     return _element(end.element, unknowns, end.cost, {i for i, _ in end.pins})
-
-
-def _vanishes(expression: Expr) -> bool:
-    """Whether an expression is identically zero; costly simplification only where it is cheap and can matter."""
-    if expression.is_zero:
-        return True
-    if expression.is_Add and expressions.multiplied_out(expression) < _LONG:
-        return bool(sympy.expand(expression) == 0)
-    return False
 
 
 def _condensed(program: ControlProgram, elements: Sequence[ElementDerivatives]) -> int:

@@ -7,7 +7,6 @@ section 1.4.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -16,6 +15,7 @@ from sympy.functions.elementary.trigonometric import TrigonometricFunction
 from sympy.simplify.fu import TR8
 
 from codegen import expressions
+from codegen.differentiate.zeros import identically_zero
 from codegen.errors import BoundaryError, DegenerateError, SizeError, SymbolError
 from codegen.model import Boundary, Model
 
@@ -124,31 +124,21 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
         values = sympy.Matrix([right[row] for row in rows])
         if len(rows) <= _ADJUGATE_LIMIT:
             determinant = _simplified_entry(part.det(method="berkowitz"))
-            if vanishes(determinant):
+            if identically_zero(determinant):
                 raise DegenerateError(f"a linear system is singular in row {rows[0] + 1}", "check that it is regular")
             found = part.adjugate() * values / determinant
         else:
-            found = part.LUsolve(values, iszerofunc=vanishes)
+            found = part.LUsolve(values, iszerofunc=identically_zero)
         for row, value in zip(rows, found, strict=True):
             solution[row] = value
     return tuple(solution)
-
-
-def vanishes(expression: sympy.Expr) -> bool:
-    """Whether an expression is zero everywhere, decided at random points where sympy does not know."""
-    if expression.is_zero is not None:
-        return bool(expression.is_zero)
-    points = itertools.islice(expressions.trial_points(expression.free_symbols, {}, {}), 8)
-    values = (expressions.number_at(expression, point) for point in points)
-    # evalf raises its precision until 15 digits are right, so what cancels comes out far below any true value.
-    return all(value is None or abs(value) < 1e-25 for value in values)
 
 
 def _require_affordable(matrix: sympy.Matrix) -> None:
     """Refuse an inverse that would be too long when it is written out, before hours go into it."""
     if _written_out(matrix) <= _WRITTEN_LIMIT:
         return
-    matrix = matrix.applyfunc(lambda entry: sympy.S.Zero if vanishes(entry) else entry)
+    matrix = matrix.applyfunc(lambda entry: sympy.S.Zero if identically_zero(entry) else entry)
     for block in matrix.connected_components():
         rows = sorted(block)
         operations = _written_out(matrix.extract(rows, rows))

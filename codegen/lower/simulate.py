@@ -260,6 +260,7 @@ def _metadata(program: StepProgram, derivatives: StepDerivatives, kernels: Seque
         ("unknowns", repr(tuple(s.name for s in program.unknowns))),
         ("start", repr(tuple(value.quantity for value in program.start_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+        *([("unused", repr(model.unused))] if model.unused else []),
     ]
 
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from sympy import Add, Expr, S, Symbol, expand
 
 from codegen import expressions
+from codegen.differentiate.zeros import identically_zero
 from codegen.discretise import STEP
-from codegen.legendre import vanishes
 
 Assignment = tuple[Symbol, Expr]
 
@@ -157,7 +157,7 @@ class _System:
         """Coefficient of y in equation i and the value of y, if y enters linearly and surely."""
         equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
-        if coefficient is None or vanishes(coefficient):
+        if coefficient is None or identically_zero(coefficient):
             return None
         rest = equation.xreplace({y: S.Zero})
         return coefficient, rest if coefficient == -1 else -rest / coefficient

@@ -14,6 +14,7 @@ with their number.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -220,9 +221,10 @@ def _euler_guesses(
         end = places[-1]
     guesses = dict[Symbol, Expr]()
     for y in unknowns:
-        name, _, stage = y.name.rpartition("_stage")
-        c = places[int(stage) - 1] if name else end
-        x = next(x for x in left if x.name == f"{name or y.name.removesuffix('_k1')}_k")
+        stage = re.search(r"_stage(\d+)$", y.name)
+        c = places[int(stage[1]) - 1] if stage else end
+        name = y.name[: stage.start()] if stage else y.name.removesuffix("_k1")
+        x = next(x for x in left if x.name == f"{name}_k")
         guesses[y] = x + sympy.expand(c * STEP) * rates[x]
     return guesses
 
