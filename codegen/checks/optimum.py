@@ -24,6 +24,8 @@ _ALLOWED = 0.15
 _ROUND_OFF = 1e-9
 _LARGEST = 10_000
 _TOLERANCE = 1e-9
+_SECONDS = 30.0
+"""Processor time for the optimum of the continuous problem."""
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -61,7 +63,7 @@ def optimal_cost(context: Context) -> tuple[float, str]:
         rates = solution.p if model.form == "hamiltonian" else np.gradient(solution.q, solution.t, axis=0)
         states = np.hstack([solution.q, rates])
         guess = solution.t, states, np.zeros_like(states)
-    return reference_optimum(model, tolerance=_TOLERANCE, guess=guess).cost, "by collocation"
+    return reference_optimum(model, tolerance=_TOLERANCE, guess=guess, seconds=_SECONDS).cost, "by collocation"
 
 
 def _convergence(context: Context, optimum: float, source: str) -> Finding:
