@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen import __version__, emit
-from codegen.errors import ArgumentError
+from codegen.errors import ArgumentError, FileError
 from codegen.problem_file import input_digest, load_problem, split_points
 
 if TYPE_CHECKING:
@@ -86,12 +86,13 @@ def build(
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
     choices = chosen(scheme, method, controls, general)
     store = _store(path, arguments, choices)
-    name, cached = store.stem, store.is_file()
-    if cached:
-        text = store.read_text(encoding="utf-8")
-    else:
-        text = generate(path, arguments, choices)
-        emit.write(store, text)
+    kept_text = _kept_text(store)
+    name, cached, text = store.stem, bool(kept_text), kept_text or generate(path, arguments, choices)
+    if not cached:
+        try:
+            emit.write(store, text)
+        except FileError as error:
+            raise FileError(error.finding, "make room there, or let CODEGEN_CACHE_DIR name another folder") from error
     if out is None:
         kept = GENERATED / f"{name}.py"
         target = kept if kept.is_file() and kept.read_bytes() == text.encode() else store
@@ -116,6 +117,15 @@ def chosen(
 def _store(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
     digest = input_digest(path, arguments, *_choice_texts(choices), *versions(), _own_digest())
     return cache_folder() / digest[:20] / f"{module_name(path, arguments, choices)}.py"
+
+
+def _kept_text(store: Path) -> str:
+    """What the cache holds; nothing where it holds nothing, or what is not whole."""
+    try:
+        text = store.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return text if emit.is_whole(text) else ""
 
 
 def generate(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
@@ -220,8 +230,8 @@ def _choice_texts(choices: Choices) -> tuple[str, ...]:
 
 
 _USERS = (
-    "drivers", "plots", "registration", "report", "stress", "__main__.py", "app_command.py", "cli.py", "notes.py",
-    "output.py", "solve_options.py", "terminal.py",
+    "drivers", "plots", "registration", "report", "stress", "__main__.py", "app_command.py", "cli.py", "files.py",
+    "notes.py", "output.py", "solve_options.py", "terminal.py",
 )  # fmt: skip
 """Parts of this package on which no generated text depends."""
 

@@ -10,6 +10,7 @@ from sympy import Expr, Symbol
 
 from codegen import expressions
 from codegen.differentiate import Assignment, second_derivatives
+from codegen.differentiate import jacobian as differentiated
 from codegen.differentiate.pairwise import PairDerivatives, pair_derivatives
 from codegen.differentiate.zeros import identically_zero
 from codegen.discretise import STEP
@@ -22,6 +23,8 @@ Entry = tuple[int, int, Expr]
 
 _LONG = 200
 """Operations from which on a scalar is differentiated on its graph; shorter ones read better from plain derivatives."""
+_LONG_STEP = 1000
+"""The same for all equations of a step together."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +73,16 @@ class ControlDerivatives:
 
 @dataclass(frozen=True)
 class StepDerivatives:
-    """Jacobian (dense, row by row) of the residual of an implicit step; empty for an explicit one.
+    """Residual of an implicit step and its Jacobian (dense, row by row); empty for an explicit one.
 
-    `constant` says that it depends on parameters and the step's length only, so that it can be factored once.
+    `constant` says that the Jacobian depends on parameters and the step's length only, so that it can be factored once.
+    Those of a long residual are straight-line programs, and may read the symbols of `assignments`.
     """
 
+    residual: tuple[Expr, ...]
     jacobian: tuple[tuple[Expr, ...], ...]
     constant: bool
+    assignments: tuple[Assignment, ...] = ()
 
 
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
@@ -102,9 +108,18 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
 
 def step_derivatives(program: StepProgram) -> StepDerivatives:
     """Differentiate the residual of a step by its unknowns, on which the assignments before it do not depend."""
-    jacobian = tuple(tuple(_tidy_derivative(r, y) for y in program.unknowns) for r in program.residual)
     fixed = {*program.model.parameters, STEP}
-    return StepDerivatives(jacobian, all(entry.free_symbols <= fixed for row in jacobian for entry in row))
+    residual, assignments = program.residual, tuple[Assignment, ...]()
+    if sum(int(r.count_ops()) for r in residual) < _LONG_STEP:
+        jacobian = tuple(tuple(_tidy_derivative(r, y) for y in program.unknowns) for r in residual)
+    else:
+        found, places = differentiated(residual, program.unknowns, fixed)
+        residual, assignments = found.values[: len(residual)], found.assignments
+        entries = dict(zip(places, found.values[len(residual) :], strict=True))
+        count = range(len(program.unknowns))
+        jacobian = tuple(tuple(entries.get((i, j), sympy.S.Zero) for j in count) for i in range(len(residual)))
+    constant = all(entry.free_symbols <= fixed for row in jacobian for entry in row)
+    return StepDerivatives(residual, jacobian, constant, assignments)
 
 
 def _tidy_derivative(expression: Expr, symbol: Symbol) -> Expr:
@@ -181,7 +196,8 @@ def _constant_and_regular(program: ControlProgram, element: ElementDerivatives, 
             if value.free_symbols & (unknowns | {program.model.time}):
                 return False
             block[row - first, column - first] = block[column - first, row - first] = value
-    return expressions.null_direction(block, expressions.trial_points(block.free_symbols, {}, {})) is None
+    points = expressions.trial_points(block.free_symbols, {}, {})
+    return expressions.null_direction(expressions.values_at(block, point) for point in points) is None
 
 
 def derivatives(

@@ -44,6 +44,23 @@ def lagrangian_form(model: Model) -> Model:
     return model if model.form == "lagrangian" else _transformed(model, "lagrangian")
 
 
+def in_phase_space(model: Model) -> Model:
+    """Return a Lagrangian model with momenta as its rates and with its ends in them, but with no function of these.
+
+    This is all of the Hamiltonian form that does not want p = dL/dv to be solved for v. Raises SymbolError and
+    BoundaryError as `hamiltonian_form` does.
+    """
+    conjugates, gradient = conjugate_symbols(model), _gradient(model.function, model.rates)
+    return replace(
+        model,
+        form="hamiltonian",
+        rates=conjugates,
+        function=sympy.S.Zero,
+        start=_boundary(model, "start", model.start, sympy.S.Zero, gradient, conjugates),
+        end=model.end and _boundary(model, "end", model.end, model.duration, gradient, conjugates),
+    )
+
+
 def momentum_of_velocity(model: Model) -> tuple[sympy.Expr, ...]:
     """Return p(q, v, t), one expression for each coordinate: dL/dv, or v = dH/dp solved for p.
 
@@ -147,7 +164,7 @@ def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr,
     """Return y.x - f(x) and x(y), where f is the model's function, x its rates, and y = df/dx the `conjugates`."""
     function, rates = model.function, model.rates
     hessian = sympy.hessian(function, rates)
-    null = expressions.null_direction(hessian, _trial_points(model))
+    null = expressions.null_direction(expressions.values_at(hessian, point) for point in _trial_points(model))
     if null is not None:
         names = " ".join(str(y) for y, weight in zip(conjugates, null, strict=True) if abs(weight) > 1e-6)
         raise DegenerateError(

@@ -59,6 +59,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         unknowns=unknowns,
         names=component_names(metadata),
         summary={
+            **({"maximum": -float(module.cost(grid, unknowns))} if metadata.get("maximised") else {}),
             "duration": float(t[-1] - t[0]),
             "final_state_miss": _final_state_miss(module, grid, unknowns),
             "largest_control": max_norm(u),
