@@ -46,7 +46,7 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is a {type(expression).__name__}", "give one scalar expression")
     expression = with_exponents_together(expression)
     for atom in sorted(expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity), key=str):
-        if not atom.is_finite or not (atom == 0 or sys.float_info.min <= abs(atom) <= sys.float_info.max):
+        if not atom.is_finite or not (atom.is_zero or sys.float_info.min <= abs(atom) <= sys.float_info.max):
             number = sympy.N(atom, 15) if atom.is_finite else atom
             remedy = "scale it, or write it as the exponential of its logarithm" if atom.is_finite else "leave it out"
             raise ExpressionError(f"{what} contains {number}, which no double-precision number is", remedy)
