@@ -225,8 +225,7 @@ def check(
         from codegen import checks, compiler
 
         # A module that someone keeps is checked as it stands, never rebuilt: it may have been changed by hand.
-        chosen = None if scheme == compiler.DEFAULT_SCHEME else scheme
-        choices = compiler.Choices(chosen, method, controls.value)
+        choices = compiler.chosen(scheme, method, controls.value)
         kept = (out or compiler.GENERATED) / f"{compiler.module_name(problem, arguments, choices)}.py"
         made = kept if kept.is_file() else _build(problem, set_, scheme, method, controls, None).path
         findings = checks.run(problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made)

@@ -134,23 +134,31 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     from rich import box
     from rich.table import Table
 
-    silent = sum(not finding.applies for finding in findings)
+    silent = [finding for finding in findings if not finding.applies]
+    unmeasured = sum(map(_is_unmeasured, silent))
     failed = sum(not finding.passed for finding in findings)
-    passed = len(findings) - silent - failed
-    caption = f"{passed} passed, {failed} failed, {silent} do not apply"
+    passed = len(findings) - len(silent) - failed
+    caption = f"{passed} passed, {failed} failed, {len(silent) - unmeasured} do not apply"
+    caption += f", {unmeasured} not measured" if unmeasured else ""
     table = Table(box=box.SIMPLE_HEAD, caption=caption, caption_justify="left")
     for heading in ("check", "subject", "", "detail"):
         table.add_column(heading)
     for finding in findings:
-        detail = finding.detail if finding.applies else finding.detail.removeprefix("does not apply: ")
+        detail = finding.detail
+        for words in () if finding.applies else ("does not apply: ", "not measured: "):
+            detail = detail.removeprefix(words)
         table.add_row(_escaped(finding.check), _escaped(finding.subject), _verdict(finding), _escaped(detail))
     return table
+
+
+def _is_unmeasured(finding: Finding) -> bool:
+    return not finding.applies and finding.detail.startswith("not measured")
 
 
 def _verdict(finding: Finding) -> str:
     """A check that says nothing about a problem has not passed."""
     if not finding.applies:
-        return "[dim]does not apply[/]"
+        return "[dim]not measured[/]" if _is_unmeasured(finding) else "[dim]does not apply[/]"
     return "[green]passed[/]" if finding.passed else "[bold red]FAILED[/]"
 
 
