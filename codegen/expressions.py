@@ -48,7 +48,7 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is a {type(expression).__name__}", "give one scalar expression")
     expression = special_functions.rewritten(with_exponents_together(expression), what)
     for atom in sorted(expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity), key=str):
-        if not atom.is_finite or not (atom == 0 or sys.float_info.min <= abs(atom) <= sys.float_info.max):
+        if not atom.is_finite or not (atom.is_zero or sys.float_info.min <= abs(atom) <= sys.float_info.max):
             number = sympy.N(atom, 15) if atom.is_finite else atom
             remedy = "scale it, or write it as the exponential of its logarithm" if atom.is_finite else "leave it out"
             raise ExpressionError(f"{what} contains {number}, which no double-precision number is", remedy)
@@ -66,7 +66,7 @@ def with_exponents_together(expression: sympy.Expr) -> sympy.Expr:
     sympy evaluates the constant part of an exponent with decimals: what is left is 6.4e384 exp(-885.85 x), or factors
     that a computer can represent, but whose product underflows. As fractions such exponents stay together.
     """
-    if not any(abs(sympy.log(abs(c), 10).evalf()) > _WIDE for c in expression.atoms(sympy.Float) if c not in (0, 1)):
+    if not any(abs(sympy.log(abs(c), 10).evalf()) > _WIDE for c in expression.atoms(sympy.Float) if not c.is_zero):
         return expression
     return expression.replace(lambda part: part.is_Mul and bool(part.atoms(sympy.exp)), _joined)
 

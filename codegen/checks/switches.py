@@ -15,7 +15,7 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen import expressions, legendre
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.checks.flat_vector import FlatVector
 from codegen.checks.kernel_arguments import other_symbols
 from codegen.checks.one_step import without_boundaries
@@ -39,7 +39,7 @@ def check(context: Context) -> Iterator[Finding]:
         return
     solution = context.solution
     if solution.status != "solved":
-        yield Finding("switches", "all switches", False, f"no solution to measure: {solution.message}")
+        yield not_measured("switches", "all switches", solution.message)
         return
     steps = (solution.t.size - 1) // len(program.phases)
     for number in range(1, len(program.phases)):

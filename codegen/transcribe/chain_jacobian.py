@@ -108,7 +108,7 @@ class ChainJacobian:
             places = np.concatenate([k * self.stride + np.arange(self.node), shared])
             self._add(share, places, point, [k * values[STEP], *numbers])
 
-    def _add(self, share: _Share, places: Array, point: Array, others: Sequence[float]) -> None:
+    def _add(self, share: _Share, places: NDArray[np.intp], point: Array, others: Sequence[float]) -> None:
         (rows, columns), evaluate = share
         with np.errstate(all="ignore"):
             gradient, entries = evaluate(*point[places], *others)
