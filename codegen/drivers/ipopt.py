@@ -31,7 +31,7 @@ _STATUSES = {
 def control(module: ControlModule, request: Request) -> ControlAttempt:
     """Minimise the cost; bounds are not relaxed. Raises ArgumentError when cyipopt is not installed."""
     try:
-        import cyipopt  # type: ignore[import-not-found, unused-ignore]
+        import cyipopt  # type: ignore[import-not-found, import-untyped, unused-ignore]
     except ImportError:
         raise ArgumentError(
             "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"
