@@ -40,6 +40,9 @@ class Driver:
         return getattr(import_module(f"codegen.drivers.{self.file}"), task)  # type: ignore[no-any-return]
 
 
+SCALINGS = ("auto", "none")
+"""Whether an optimiser works in parts of the sizes that it finds in a problem, or in the problem's own units."""
+
 _OF_CONTROL = (("control", "tolerance"), ("control", "max_iterations"))
 _ROWS = (
     Driver(
@@ -106,6 +109,7 @@ def solve(
     points: PointSet | None = None,
     tolerance: float | None = None,
     max_iterations: int | None = None,
+    scaling: str = "auto",
 ) -> Result:
     """Solve with a driver on `steps` intervals (default: the problem's own number) and re-evaluate the residuals.
 
@@ -114,7 +118,8 @@ def solve(
     repeated on twice, four times, ... as many (`doublings`), each time from the solution before. With several
     `guesses` it starts from the problem's own and from variations of it, and the best solution counts. A connect
     problem needs `points`. `tolerance` is that of the equations, or of an adaptive integrator's steps, and
-    `max_iterations` the most that an optimiser makes; None stands for the driver's own. Raises ArgumentError when the
+    `max_iterations` the most that an optimiser makes; None stands for the driver's own. `scaling="none"` has an
+    optimiser work in the problem's own units. Raises ArgumentError when the
     driver or one of its options does not apply, NumericsError when a number is unusable; numerical failure is a status
     of the result.
     """
@@ -126,6 +131,10 @@ def solve(
     _require_stops(found, task, tolerance, max_iterations)
     if task != "control" and (warm is not None or doublings or guesses > 1):
         raise ArgumentError("warm starts, guesses and refinement are for optimisation", f"leave them out to {task}")
+    if scaling not in SCALINGS:
+        raise ArgumentError(f"scaling {scaling!r}", f"use one of {', '.join(SCALINGS)}")
+    if scaling != "auto" and task != "control":
+        raise ArgumentError("--scaling is for optimisation", f"leave it out to {task}")
     if warm is not None and guesses > 1:
         raise ArgumentError("several guesses beside a warm start", "leave one of them out")
     if task == "simulate":
@@ -145,7 +154,7 @@ def solve(
         return solve_from(number, start, True)
 
     def solve_from(number: int, start: Vector | None, near: bool) -> Result:
-        return run(module, found, Request(number, every, start, None, tolerance, near, max_iterations), repeat)
+        return run(module, found, Request(number, every, start, None, tolerance, near, max_iterations, scaling), repeat)
 
     if doublings:
         return refine(solve_on, control, steps, doublings, warm)

@@ -34,7 +34,8 @@ class Request:
 
     The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
     unknowns to start from, and whether that is `near` the solution; for a connect problem the points. None as a
-    tolerance, or as the most iterations of an optimiser, stands for the driver's own.
+    tolerance, or as the most iterations of an optimiser, stands for the driver's own. With the `scaling` "none" an
+    optimiser works in the problem's own units.
     """
 
     steps: int
@@ -44,6 +45,7 @@ class Request:
     tolerance: float | None = None
     near: bool = True
     max_iterations: int | None = None
+    scaling: str = "auto"
 
 
 @dataclass(frozen=True)

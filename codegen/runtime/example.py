@@ -9,7 +9,7 @@ from numba import njit
 
 NODE, CONDENSED, STRIDE, ELEMENT = 2, 1, 3, 5
 BODIES, OWN, SHARED, COUPLINGS, ROOT, TIED, PHASES, INEQUALITIES = 1, 0, 0, 0, 0, 0, 0, 0
-CARRIED, SEVERAL = 1, 0
+CARRIED, SEVERAL, SCALED = 1, 0, 1
 PHASE_LACKS = SWITCH_LACKS = np.zeros((0, 1), bool)
 SHARED_IS_MULTIPLIER = np.zeros(0, bool)
 IS_MULTIPLIER = np.array([False, True, False])

@@ -28,7 +28,7 @@ def checked_grid(steps, duration, parameters):
     steps = int(steps)
     if PHASES:
         steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy())
+    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), np.zeros(0), 1.0)
 
 
 def replace_values(boundary, where, values):

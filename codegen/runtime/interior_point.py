@@ -22,9 +22,9 @@ from codegen.runtime.barrier import (
     push_inside,
 )
 from codegen.runtime.curvature import FLAT
-from codegen.runtime.example import variable_bounds
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import multiplier_unknowns
+from codegen.runtime.limits import bounds_of
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_solved
@@ -92,7 +92,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     that keeps unknowns away from their bounds for longer. If no attempt succeeds, the first one is reported.
     `max_iterations` is for all of them together; steps of the restoration are not counted.
     """
-    lower, upper = variable_bounds(grid)
+    lower, upper = bounds_of(grid)
     search = Search(grid, finite_bounds(lower, upper), allocate_system(grid), multiplier_unknowns(grid))
     primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
     for attempt in (WARM if warm else COLD, *OTHERS):

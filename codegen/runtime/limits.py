@@ -6,9 +6,17 @@ from codegen.runtime.example import BODIES, NODE, STRIDE, metadata, variable_bou
 from codegen.runtime.layout import free_unknowns
 
 
+def bounds_of(grid):
+    """Least and greatest values of all unknowns, in parts of sizes where the grid has them."""
+    lower, upper = variable_bounds(grid)
+    if grid.sizes.size:
+        return lower / grid.sizes, upper / grid.sizes
+    return lower, upper
+
+
 def at_limits(grid, unknowns):
     """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
-    lower, upper = variable_bounds(grid)
+    lower, upper = bounds_of(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
 
