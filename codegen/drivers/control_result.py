@@ -35,7 +35,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         steps=request.steps,
         status=status,
         message=message,
-        cost=float(module.cost(grid, unknowns)),
+        cost=_cost(module, grid, unknowns, status == "solved"),
         residual=residual,
         stationarity=stationarity,
         iterations=attempt.iterations,
@@ -57,6 +57,14 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
             **{f"switch_{i}": float(t[i * request.steps]) for i in range(1, metadata.get("phases", 1))},
         },
     )
+
+
+def _cost(module: ControlModule, grid: Grid, unknowns: Vector, solved: bool) -> float:
+    """The discrete cost; of a solution to second order in the residuals, by the multipliers, which are their price."""
+    cost = float(module.cost(grid, unknowns))
+    if not solved:
+        return cost
+    return cost + float(unknowns[module.multiplier_unknowns(grid)] @ module.constraints(grid, unknowns))
 
 
 def _is_accurate(module: ControlModule, grid: Grid, request: Request, attempt: ControlAttempt) -> bool:

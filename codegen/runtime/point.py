@@ -53,6 +53,14 @@ def evaluate(grid, unknowns):
     )
 
 
+def corrected_cost(grid, point):
+    """The cost where the equations hold exactly, to first order: what is left of them costs multipliers times residual.
+
+    This is the value of the Lagrangian, whose error at a stationary point is of second order.
+    """
+    return float(point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier])
+
+
 @njit(cache=True, error_model="numpy")
 def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
     """Fill the gradient of the Lagrangian; return what a Point holds beside it."""

@@ -5,8 +5,8 @@ which contains prescribed values, and from its bounds. What is zero there, and u
 matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
 constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
 duration. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
-when all unknowns change by their sizes. A change of units then changes nothing but the sizes. They are powers of two,
-so that rounding errors stay what they are; where all are between 1/ORDINARY and ORDINARY, none is used.
+at most when one unknown changes by its size. A change of units then changes nothing but the sizes. Where all of them are
+between 1/ORDINARY and ORDINARY, none is used.
 """
 
 from functools import lru_cache
@@ -34,6 +34,7 @@ from codegen.runtime.example import (
     SWITCH_LACKS,
     interval_hessian,
     variable_bounds,
+    with_pinned_values,
 )
 from codegen.runtime.messages import describe
 from codegen.runtime.newton_filter import minimise
@@ -41,7 +42,9 @@ from codegen.runtime.point import evaluate
 from codegen.runtime.shared import read_shared
 
 ORDINARY = 1e3  # sizes between its inverse and it need no scaling
+CHANGE = 1.0  # of the scaled cost, at most, when one unknown changes by its size
 LOOSE = 1e-3  # a guess below this part of a bound says little about the size of an unknown
+DUST = 1e-6  # the same beside the other terms of every equation
 SAMPLES = 8  # intervals on which derivatives are looked at
 CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 
@@ -76,11 +79,11 @@ def scaled_grid(grid, unknowns):
         further = coupling_entries(grid, primal)
         rows, columns, values = (np.concatenate(pair) for pair in zip((rows, columns, values), further, strict=True))
     slopes, sizes, kinds = evaluate(grid, primal).gradient, np.empty(primal.size), kinds_of(grid.steps)
-    weight = fill_sizes(
+    weight, extreme = fill_sizes(
         primal, slopes, lower, upper, np.zeros(KINDS), kinds, kinds[rows], kinds[columns], values,
         grid.steps, grid.h, grid.parameters, sizes,
     )  # fmt: skip
-    return grid._replace(sizes=sizes, weight=weight) if weight > 0.0 else grid
+    return grid._replace(sizes=sizes, weight=weight) if extreme > ORDINARY else grid
 
 
 @lru_cache(maxsize=4)
@@ -99,7 +102,8 @@ def in_units(grid, point):
     if not grid.sizes.size:
         return point
     stationarity = point.stationarity / grid.weight
-    point = evaluate(grid._replace(sizes=grid.sizes[:0], weight=1.0), point.unknowns * grid.sizes)
+    sizes, grid = grid.sizes, grid._replace(sizes=grid.sizes[:0], weight=1.0)
+    point = evaluate(grid, with_pinned_values(grid, point.unknowns * sizes))
     return point._replace(stationarity=stationarity, error=max(point.residual, stationarity))
 
 
@@ -107,7 +111,7 @@ def in_units(grid, point):
 def fill_sizes(
     unknowns, slopes, lower, upper, given, kinds, rows, columns, values, steps, h, parameters, sizes
 ):
-    """Fill in the size of every unknown; return the weight of the cost, or zero where no scaling is needed.
+    """Fill in the size of every unknown; return the weight of the cost, and how far from one weights and sizes are.
 
     `rows`, `columns` and `values` are the entries of the KKT matrix, by kinds, that do not come from intervals.
     """
@@ -124,45 +128,50 @@ def fill_sizes(
     measure_intervals(unknowns, steps, h, parameters, tables)
     for j in range(values.size):
         add_entry(rows[j], columns[j], abs(values[j]), tables)
+    forget_dust(size, tables[1])
     spread(size, rest, tables[1])
     for j in range(KINDS):
         if not KIND_IS_MULTIPLIER[j]:
-            size[j] = power_of_two(size[j])
-    weight = power_of_two(1.0 / change_of_cost(slopes, kinds, size, tables[2]))
-    ordinary = 1.0 / ORDINARY < weight < ORDINARY
+            size[j] = positive(size[j])
+    weight = CHANGE / positive(change_of_cost(slopes, kinds, size, tables[2]))
+    extreme = max(weight, 1.0 / weight)
     for i in range(KINDS):
         if KIND_IS_MULTIPLIER[i]:
             largest = 0.0
             for j in range(KINDS):
                 if not KIND_IS_MULTIPLIER[j]:
                     largest = max(largest, tables[0, i, j] * size[j])
-            row = power_of_two(1.0 / largest)
-            size[i] = row / weight
-            ordinary = ordinary and 1.0 / ORDINARY < row < ORDINARY
+            largest = positive(largest)
+            extreme = max(extreme, largest, 1.0 / largest)
+            size[i] = 1.0 / (largest * weight)
         else:
-            ordinary = ordinary and 1.0 / ORDINARY < size[i] < ORDINARY
+            extreme = max(extreme, size[i], 1.0 / size[i])
     for i in range(kinds.size):
         sizes[i] = size[kinds[i]]
-    return 0.0 if ordinary else weight
+    return weight, extreme
 
 
 @njit(error_model="numpy")
-def power_of_two(value):
-    """The nearest power of two, or one where there is no size."""
-    return 2.0 ** np.rint(np.log2(value)) if 1e-150 < value < 1e150 else 1.0
+def positive(value):
+    """A size, or one where there is none."""
+    return value if 1e-150 < value < 1e150 else 1.0
 
 
 @njit(error_model="numpy")
 def fit_bounds(lower, upper, kinds, size):
-    """Make sizes fit the largest finite bound: no larger, and no less than a small part of it."""
-    bound = zero_vector(KINDS)
+    """Make sizes fit the largest finite bound, where there is one on either side: no less than a small part of it."""
+    bound, between = zero_vector(KINDS), zero_vector(KINDS)
     for i in range(lower.size):
-        for value in (abs(lower[i]), abs(upper[i])):
-            if value < np.inf:
-                bound[kinds[i]] = max(bound[kinds[i]], value)
+        below, above = abs(lower[i]), abs(upper[i])
+        if max(below, above) < np.inf:
+            between[kinds[i]] = max(between[kinds[i]], below, above)
+        elif min(below, above) < np.inf:
+            bound[kinds[i]] = max(bound[kinds[i]], min(below, above))
     for j in range(KINDS):
-        if bound[j] > 0.0:
-            size[j] = bound[j] if size[j] == 0.0 else min(max(size[j], LOOSE * bound[j]), bound[j])
+        if between[j] > 0.0 and size[j] > 0.0:
+            size[j] = min(max(size[j], LOOSE * between[j]), between[j])
+        elif size[j] == 0.0:
+            size[j] = max(between[j], bound[j])
 
 
 @njit(error_model="numpy")
@@ -176,7 +185,7 @@ def add_entry(row, column, value, tables):
         tables[0, row, column] = max(tables[0, row, column], value)
         tables[1, row, column] = max(tables[1, row, column], value)
     else:
-        tables[2, row, column] += value
+        tables[2, row, column] = max(tables[2, row, column], value)
 
 
 @njit(error_model="numpy")
@@ -184,7 +193,7 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
     """Fill three tables by kinds from some intervals.
 
     The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
-    quadratic in time, of size one, the third the sum of the moduli of the cost's curvatures.
+    quadratic in time, of size one, the third the largest curvatures of the cost.
     """
     intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT + SHARED, KINDS, 4))
     if PHASES:
@@ -206,7 +215,7 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
                 if PHASES and is_lacking(row, k, steps):
                     continue
                 if not LOCAL_IS_MULTIPLIER[row]:
-                    tables[2, KIND[row], KIND[column]] += abs(hessian[j]) * min(stride, intervals - k % intervals)
+                    add_entry(KIND[row], KIND[column], abs(hessian[j]), tables)
                 elif not LOCAL_IS_MULTIPLIER[column]:
                     ahead = PLACE[column] - PLACE[row]
                     moments[row, KIND[column], 0] += hessian[j]
@@ -249,6 +258,22 @@ def change(moments, intervals, powers):
 
 
 @njit(error_model="numpy")
+def forget_dust(size, effect):
+    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
+    for j in range(KINDS):
+        least = np.inf
+        for i in range(KINDS):
+            others = 0.0
+            for k in range(KINDS):
+                if k != j:
+                    others = max(others, effect[i, k] * size[k])
+            if effect[i, j] > 0.0:
+                least = min(least, others / effect[i, j])
+        if least < np.inf and size[j] < DUST * least:
+            size[j] = 0.0
+
+
+@njit(error_model="numpy")
 def spread(size, rest, effect):
     """Give unknowns without a size the least one with which they balance an equation, until nothing is new."""
     for _ in range(KINDS):
@@ -270,15 +295,15 @@ def spread(size, rest, effect):
 
 @njit(error_model="numpy")
 def change_of_cost(slopes, kinds, size, curvature):
-    """By how much the cost changes when all unknowns change by their sizes."""
-    total = 0.0
+    """By how much the cost changes, at most, when one unknown changes by its size."""
+    largest = 0.0
     for i in range(kinds.size):
         if not KIND_IS_MULTIPLIER[kinds[i]]:
-            total += abs(slopes[i]) * size[kinds[i]]
+            largest = max(largest, abs(slopes[i]) * size[kinds[i]])
     for i in range(KINDS):
         for j in range(KINDS):
-            total += curvature[i, j] * size[i] * size[j]
-    return total
+            largest = max(largest, curvature[i, j] * size[i] * size[j])
+    return largest
 
 
 if PHASES:

@@ -25,7 +25,7 @@ def dense_linear_algebra() -> Iterator[None]:
         for module in (barrier, filter, interior_point, restoration):
             for name in set(vars(module)) & {
                 "allocate_system", "evaluate", "factor_kkt", "is_rounding", "is_solved", "multiplier_unknowns",
-                "solve_kkt", "variable_bounds",
+                "bounds_of", "solve_kkt",
             }:  # fmt: skip
                 patch.setattr(module, name, getattr(dense_problem, name))
         yield
@@ -205,7 +205,7 @@ def test_unknowns_stay_inside_in_spite_of_rounding() -> None:
 
 def test_start_is_pushed_inside() -> None:
     grid = nlp((-5, 9, 0.5), x1 + x2 + x3, [], [], {x1: (0, 1), x2: (-INFINITY, 4), x3: (0, 1)})
-    pushed = barrier.push_inside(*dense_problem.variable_bounds(grid), grid.guess, 1e-2)
+    pushed = barrier.push_inside(*dense_problem.bounds_of(grid), grid.guess, 1e-2)
     np.testing.assert_allclose(pushed, [0.01, 4 - 0.04, 0.5])
 
 
