@@ -18,7 +18,7 @@ _HOMES = {
     **dict.fromkeys(["Points"], "codegen.points"),
     **dict.fromkeys(["together"], "codegen.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
-    **dict.fromkeys(["load"], "codegen.load"),
+    **dict.fromkeys(["load"], "codegen.loading"),
 }
 
 __all__ = [
@@ -49,7 +49,7 @@ __all__ = [
 if TYPE_CHECKING:
     from codegen.bodies import together
     from codegen.compiler import build
-    from codegen.load import load
+    from codegen.loading import load
     from codegen.pairwise import Connect, Pairwise, particles
     from codegen.points import Points
     from codegen.problem import Control, Phases, Simulate

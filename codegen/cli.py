@@ -165,7 +165,7 @@ def solve(
     start_of = solve_options.start_of(warm)
     with working("Deriving"):
         made = _build(problem, set_, scheme, method, controls, out)
-    from codegen.load import load
+    from codegen.loading import load
 
     begin = time.perf_counter()
     module = load(made.path)

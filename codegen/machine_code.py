@@ -8,7 +8,7 @@ import typer
 
 from codegen import drivers
 from codegen.errors import one_line
-from codegen.load import GeneratedModule, has_machine_code
+from codegen.loading import GeneratedModule, has_machine_code
 from codegen.terminal import working
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from codegen.output import replacing, require_writable
 
 if TYPE_CHECKING:
     from codegen.drivers.result import Result
-    from codegen.load import GeneratedModule
+    from codegen.loading import GeneratedModule
     from codegen.model import Model
     from codegen.model.pairwise import PairwiseModel
 
@@ -41,7 +41,7 @@ class Pictures:
 
     def _save_plot(self, path: Path, module: GeneratedModule, result: Result) -> None:
         from codegen import plots
-        from codegen.load import is_control
+        from codegen.loading import is_control
         from codegen.model import Model
         from codegen.plots.quantities import first_guess
         from codegen.scene import fine_times, scene

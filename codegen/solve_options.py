@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from codegen.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from codegen.load import GeneratedModule, Vector
+    from codegen.loading import GeneratedModule, Vector
     from codegen.points import PointSet
 
 

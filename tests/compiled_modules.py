@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from codegen.load import GeneratedModule, load
+from codegen.loading import GeneratedModule, load
 
 
 def compiled(path: Path) -> GeneratedModule:

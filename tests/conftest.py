@@ -15,7 +15,7 @@ from registered_images import SHAPE
 
 from codegen.compiler import build
 from codegen.drivers.shortcuts import quick_numba
-from codegen.load import GeneratedModule, load
+from codegen.loading import GeneratedModule, load
 from codegen.points import read_points
 from codegen.registration import LandmarkPairs, Registration, register
 from codegen.registration.flow import FlowModule

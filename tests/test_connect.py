@@ -14,7 +14,7 @@ from codegen.compiler import build
 from codegen.drivers.connect_result import connect_result
 from codegen.drivers.result import ConnectAttempt, Request
 from codegen.errors import ArgumentError, PointsError, SchemeError
-from codegen.load import load
+from codegen.loading import load
 from codegen.points import PointSet, read_points
 from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
 

@@ -31,7 +31,7 @@ def module_of(folder: Path, text: str):
 @pytest.fixture
 def uncompiled(monkeypatch):
     """Let the command line run generated modules by the interpreter, where NaN and infinity come without warnings."""
-    monkeypatch.setattr("codegen.load.load", lambda path: as_machine_code(path.read_text(), path.stem))
+    monkeypatch.setattr("codegen.loading.load", lambda path: as_machine_code(path.read_text(), path.stem))
     monkeypatch.setattr("codegen.machine_code.require", lambda made, module: 0.0)
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -33,7 +33,7 @@ from codegen.checks.base import Check, Context, Finding
 from codegen.checks.pairwise import is_pairwise_module
 from codegen.checks.phases import phase_contexts
 from codegen.compiler import Choices
-from codegen.load import load
+from codegen.loading import load
 from codegen.model import Model
 from codegen.problem_file import load_problem, split_points
 

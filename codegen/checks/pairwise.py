@@ -14,7 +14,7 @@ from codegen import compiler, derive, emit, lower, transcribe
 from codegen.checks import passive, provenance
 from codegen.checks.base import Finding
 from codegen.compiler import Choices
-from codegen.load import load
+from codegen.loading import load
 from codegen.model.pairwise import PairwiseModel
 from codegen.problem_file import load_problem
 from codegen.schemes.particles import PARTICLE_SCHEMES

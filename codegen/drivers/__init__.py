@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from codegen.drivers.processes import Compilers
     from codegen.drivers.result import Result
-    from codegen.load import ControlModule, GeneratedModule, Vector
+    from codegen.loading import ControlModule, GeneratedModule, Vector
     from codegen.points import PointSet
 
 

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from codegen.drivers.result import ConnectAttempt, Request, max_norm
 from codegen.drivers.scaled import quiet_single_thread
-from codegen.load import ConnectModule, Vector
+from codegen.loading import ConnectModule, Vector
 
 TOLERANCE = 1e-8
 """Relative and absolute error of each adaptive step, unless asked otherwise."""

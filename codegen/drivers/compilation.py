@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from codegen.drivers.processes import UNFINISHED
-from codegen.load import GeneratedModule, load
+from codegen.loading import GeneratedModule, load
 
 
 @contextmanager

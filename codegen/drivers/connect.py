@@ -14,7 +14,7 @@ from codegen.drivers.adaptive import adaptive
 from codegen.drivers.result import ConnectAttempt, Request, max_norm
 from codegen.drivers.scaled import quiet_single_thread
 from codegen.errors import ArgumentError, PointsError
-from codegen.load import ConnectModule, Vector
+from codegen.loading import ConnectModule, Vector
 
 TOLERANCE = 1e-12
 _DENSE_LIMIT = 3000

@@ -7,7 +7,7 @@ import numpy as np
 from codegen.drivers.connect import case_of, condition_number
 from codegen.drivers.crossings import crossings
 from codegen.drivers.result import ConnectAttempt, Request, Result, max_norm
-from codegen.load import ConnectModule
+from codegen.loading import ConnectModule
 
 
 def connect_result(module: ConnectModule, driver: str, request: Request, attempt: ConnectAttempt) -> Result:

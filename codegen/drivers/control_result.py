@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from codegen.drivers.result import ControlAttempt, Request, Result, component_names, max_norm
-from codegen.load import ControlModule, Entries, Grid, Vector
+from codegen.loading import ControlModule, Entries, Grid, Vector
 
 
 def control_result(module: ControlModule, driver: str, request: Request, attempt: ControlAttempt) -> Result:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from codegen.load import Vector
+from codegen.loading import Vector
 
 
 def crossings(start: Vector, target: Vector) -> list[tuple[int, int]]:

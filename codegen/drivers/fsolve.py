@@ -16,7 +16,7 @@ from codegen.drivers.connect import fsolve as connect
 from codegen.drivers.result import ControlAttempt, Request, SimulateAttempt, max_norm
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
-from codegen.load import ControlModule, ImplicitModule, Matrix, SimulateModule, StepGrid, Vector, is_implicit
+from codegen.loading import ControlModule, ImplicitModule, Matrix, SimulateModule, StepGrid, Vector, is_implicit
 
 __all__ = ["connect", "control", "simulate"]
 

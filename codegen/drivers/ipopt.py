@@ -13,7 +13,7 @@ import numpy as np
 from codegen.drivers.result import ControlAttempt, Request
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
-from codegen.load import ControlModule, Vector
+from codegen.loading import ControlModule, Vector
 
 TOLERANCE = 1e-8
 MAX_ITERATIONS = 1000

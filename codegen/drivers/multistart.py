@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from codegen.drivers.result import Result
-from codegen.load import ControlModule, Vector
+from codegen.loading import ControlModule, Vector
 
 WAVES = 3
 """The number of sines in a curve."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from codegen.drivers.connect import newton as connect
 from codegen.drivers.result import ControlAttempt, Request, SimulateAttempt
-from codegen.load import ControlModule, SimulateModule
+from codegen.loading import ControlModule, SimulateModule
 
 __all__ = ["connect", "control", "simulate"]
 

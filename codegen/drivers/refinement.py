@@ -14,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 
 from codegen.drivers.result import Result
 from codegen.errors import NumericsError
-from codegen.load import ControlModule, Matrix, Vector
+from codegen.loading import ControlModule, Matrix, Vector
 
 
 def transferred(module: ControlModule, unknowns: Vector, steps: int) -> Vector:

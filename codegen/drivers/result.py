@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.load import Matrix, Vector
+from codegen.loading import Matrix, Vector
 from codegen.points import PointSet
 
 STATUSES = {

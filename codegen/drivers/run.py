@@ -18,7 +18,7 @@ from codegen.drivers.result import Request, Result
 from codegen.drivers.shortcuts import quick_numba
 from codegen.drivers.simulate_result import simulate_result
 from codegen.errors import NumericsError
-from codegen.load import GeneratedModule, is_connect, is_control, is_simulation, load, machine_code_counts
+from codegen.loading import GeneratedModule, is_connect, is_control, is_simulation, load, machine_code_counts
 
 
 def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) -> Result:

@@ -23,7 +23,7 @@ from threadpoolctl import ThreadpoolController
 
 from codegen.drivers.result import Request, max_norm
 from codegen.errors import ArgumentError
-from codegen.load import ControlModule, Entries, Grid, Indices, Vector
+from codegen.loading import ControlModule, Entries, Grid, Indices, Vector
 
 _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500

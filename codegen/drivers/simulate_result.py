@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from codegen.drivers.result import Request, Result, SimulateAttempt, component_names, max_norm
-from codegen.load import Matrix, SimulateModule
+from codegen.loading import Matrix, SimulateModule
 
 UNITS = 1e4
 """How many times larger than rounding errors the changes are by which their effect is measured."""

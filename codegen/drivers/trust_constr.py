@@ -11,7 +11,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 from codegen.drivers.connect import trust_constr as connect
 from codegen.drivers.result import ControlAttempt, Request
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
-from codegen.load import ControlModule
+from codegen.loading import ControlModule
 
 __all__ = ["connect", "control"]
 

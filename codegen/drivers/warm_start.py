@@ -13,7 +13,7 @@ import numpy as np
 from codegen.drivers.refinement import source_steps
 from codegen.drivers.result import component_names
 from codegen.errors import ArgumentError, NumericsError
-from codegen.load import ControlModule, GeneratedModule, Vector
+from codegen.loading import ControlModule, GeneratedModule, Vector
 
 _REMEDY = "give a file that --save wrote when this problem was solved"
 

@@ -8,7 +8,7 @@ import matplotlib
 
 from codegen.drawing import Scene
 from codegen.drivers.result import Result
-from codegen.load import GeneratedModule, is_connect, is_control
+from codegen.loading import GeneratedModule, is_connect, is_control
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.simulation import simulation_figure

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from codegen.drivers.result import Result
-from codegen.load import ConnectModule
+from codegen.loading import ConnectModule
 from codegen.plots.style import AMBER, BLUE, DARK, GREY, RED, title
 
 

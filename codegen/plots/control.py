@@ -14,7 +14,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from codegen.drawing import Scene
 from codegen.drivers.result import Result
-from codegen.load import ControlModule
+from codegen.loading import ControlModule
 from codegen.plots import panels, shapes
 from codegen.plots.quantities import Inequality, Quantity, inequalities, quantities
 from codegen.plots.style import MOST_BODY_COLOURS, body_map, title

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from codegen.load import Matrix, Vector
+from codegen.loading import Matrix, Vector
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.plots.style import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, label, relation
 

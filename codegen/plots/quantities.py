@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from codegen.drivers.result import Result
-from codegen.load import ControlModule, Matrix, Vector
+from codegen.loading import ControlModule, Matrix, Vector
 
 CLOSE, LEAST = 2e-4, 1e-6
 """Relative and absolute distance from a limit that count as none: an interior point method ends a little inside."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ModuleError, SchemeError
-from codegen.load import load
+from codegen.loading import load
 from codegen.registration.flow import FlowModule, require_passive
 
 ARGUMENTS = {"passive": "True"}

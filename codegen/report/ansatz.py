@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from codegen.load import ConnectModule, Vector
+from codegen.loading import ConnectModule, Vector
 from codegen.report.accuracy import points_of
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store, Values

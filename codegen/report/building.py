@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError
-from codegen.load import GeneratedModule, load, machine_code_counts
+from codegen.loading import GeneratedModule, load, machine_code_counts
 from codegen.report.store import Case, Store, Values
 
 WORKERS = 2

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from codegen.drivers.compilation import packed_operations
-from codegen.load import SimulateModule, Vector
+from codegen.loading import SimulateModule, Vector
 from codegen.report.orders import Order, is_exhausted, measured_order
 from codegen.report.reference_motion import Motion, component_sizes, duration_of, field_of, reference_motion
 from codegen.report.store import Values

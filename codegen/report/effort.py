@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from codegen.drivers.scaled import quiet_single_thread
-from codegen.load import ConnectModule
+from codegen.loading import ConnectModule
 from codegen.points import PointSet
 from codegen.report.accuracy import points_of
 from codegen.report.dimension import least_time

@@ -21,7 +21,7 @@ from codegen.drivers.control_result import bound_distances
 from codegen.drivers.refinement import order_of_optima
 from codegen.drivers.result import Result
 from codegen.errors import CodegenError
-from codegen.load import ControlModule, Vector
+from codegen.loading import ControlModule, Vector
 from codegen.report.limits import limit_of
 from codegen.report.orders import measured_order
 from codegen.report.store import Values

@@ -10,7 +10,7 @@ from codegen import drivers
 from codegen.drivers.refinement import order_of_optima
 from codegen.drivers.result import Result
 from codegen.errors import CodegenError
-from codegen.load import ControlModule, GeneratedModule, is_control
+from codegen.loading import ControlModule, GeneratedModule, is_control
 from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.extent import Extent
 from codegen.report.limits import Limit, fitted_limit, limit_of

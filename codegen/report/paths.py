@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.load import ConnectModule
+from codegen.loading import ConnectModule
 from codegen.points import PointSet
 from codegen.report.accuracy import points_of
 from codegen.report.settings import Settings, smooth_pair

@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from codegen.compiler import build
-from codegen.load import ConnectModule, load
+from codegen.loading import ConnectModule, load
 from codegen.points import PointSet, read_points
 
 NODES = tuple(range(10, 101, 5))

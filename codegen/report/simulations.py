@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import CodegenError
-from codegen.load import SimulateModule, is_simulation
+from codegen.loading import SimulateModule, is_simulation
 from codegen.report.building import Variant, Workshop
 from codegen.report.convergence import Spans, order_values, spans_of
 from codegen.report.extent import Extent

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.load import ConnectModule, Vector
+from codegen.loading import ConnectModule, Vector
 from codegen.points import PointSet
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store, Values

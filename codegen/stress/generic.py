@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError
-from codegen.load import load
+from codegen.loading import load
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
 from codegen.stress.families.common import EVERY_SCHEME
 

@@ -45,7 +45,7 @@ def _made(setup: Setup) -> tuple[Any, str, str]:
     """The compiled module, or what it was refused for, or the exception."""
     from codegen import compiler
     from codegen.drivers.compilation import compile_all, packed_operations
-    from codegen.load import load
+    from codegen.loading import load
 
     try:
         arguments = {name: str(value) for name, value in setup.arguments}

@@ -33,7 +33,7 @@ from scipy.integrate import solve_ivp
 
 import codegen.stress
 from codegen.compiler import build
-from codegen.load import load
+from codegen.loading import load
 from codegen.machine import machine
 
 ROOT = Path(__file__).resolve().parents[2]

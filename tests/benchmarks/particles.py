@@ -30,7 +30,7 @@ from scipy.integrate import solve_ivp
 
 from codegen import drivers
 from codegen.compiler import build
-from codegen.load import load
+from codegen.loading import load
 from codegen.points import PointSet, read_points
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -21,7 +21,7 @@ from simulation_systems import model_of, text_of  # noqa: E402
 
 from codegen import emit, schemes  # noqa: E402
 from codegen.compiler import cache_folder  # noqa: E402
-from codegen.load import load  # noqa: E402
+from codegen.loading import load  # noqa: E402
 from codegen.report.drift import answer, drift_values  # noqa: E402
 
 MOMENTUM, DURATION, LONG = 1.4, 2.0, 1_000_000

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from codegen.compiler import build
-from codegen.load import load
+from codegen.loading import load
 
 ROOT = Path(__file__).parents[2]
 WARM = "from generated import orbital_transfer; orbital_transfer.solve(steps=300)"

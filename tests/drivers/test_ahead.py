@@ -15,7 +15,7 @@ from numba.core.postproc import PostProcessor
 from codegen.drivers import ahead
 from codegen.drivers.processes import compilers
 from codegen.drivers.shortcuts import _replaced, quick_numba
-from codegen.load import load
+from codegen.loading import load
 
 GENERATED = Path(__file__).parents[2] / "generated"
 
@@ -24,7 +24,7 @@ import sys
 from numba import njit
 from codegen.drivers import ahead, compilation
 from codegen.drivers.linking import link_inner_functions
-from codegen.load import load
+from codegen.loading import load
 njit(lambda x: x)(0.0)
 link_inner_functions()
 waiting = iter([False] * int(sys.argv[2]) + [True])
@@ -44,7 +44,7 @@ print(hash(tuple(line.split()[0] for line in code.splitlines() if line.startswit
 
 USE = """
 import sys
-from codegen.load import load, machine_code_counts
+from codegen.loading import load, machine_code_counts
 module = load(sys.argv[1])
 solution = module.solve(200)
 assert "codegen.drivers" not in sys.modules
@@ -149,7 +149,7 @@ from contextlib import nullcontext
 from codegen.drivers import shortcuts
 from codegen.drivers.compilation import parts
 from codegen.drivers.shortcuts import quick_numba
-from codegen.load import load
+from codegen.loading import load
 shortcuts.short_entries = lambda own: own  # LLVM makes the same of it, but not always in the same order
 module = load(sys.argv[1])
 with quick_numba() if sys.argv[2] == "quick" else nullcontext():

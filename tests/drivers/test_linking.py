@@ -39,7 +39,7 @@ import sys
 from pathlib import Path
 from numba import njit
 from codegen.drivers import compilation
-from codegen.load import GeneratedModule
+from codegen.loading import GeneratedModule
 sys.path.insert(0, sys.argv[1])
 njit(lambda x: x)(0.0)
 import linked

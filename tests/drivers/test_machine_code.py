@@ -8,7 +8,7 @@ from pathlib import Path
 
 from codegen import machine_code
 from codegen.compiler import build
-from codegen.load import has_machine_code, load, machine_code_counts
+from codegen.loading import has_machine_code, load, machine_code_counts
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "pendulum.py"
 
@@ -31,7 +31,7 @@ from dataclasses import replace
 from pathlib import Path
 from codegen import machine_code
 from codegen.compiler import build
-from codegen.load import load
+from codegen.loading import load
 
 made = build({str(PROBLEM)!r}, out={str(tmp_path / "modules")!r})
 module = load(made.path)

@@ -9,7 +9,7 @@ import pytest
 from numba import njit
 
 from codegen.drivers.straight_lines import is_straight_line, write_directly
-from codegen.load import load
+from codegen.loading import load
 
 GENERATED = Path(__file__).parents[2] / "generated"
 KERNELS = ("interval_gradient", "interval_hessian", "start_gradient", "end_gradient")

@@ -9,7 +9,7 @@ import numpy as np
 from codegen.compiler import build
 from codegen.drivers import prepare
 from codegen.drivers.processes import compilers
-from codegen.load import load
+from codegen.loading import load
 
 from .casadi_gallery import Array, PreparedGallery
 

@@ -1,18 +1,21 @@
 """Loading a generated module: from the path of a file to a typed view of what is in it, without sympy.
 
-Every file is imported under a name made from its path and text, so that two modules of the same name never meet. The
-machine code that numba keeps beside the file does not depend on that name.
+Every file is imported under a name made from its text and its path, so that two modules of the same name never meet,
+and so that another process finds it by that name: solutions, and functions such as `solve`, can be pickled. The machine
+code that numba keeps beside the file does not depend on that name.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
+import importlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
+from urllib.parse import quote, unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,9 +203,7 @@ def load(path: Path | str) -> GeneratedModule:
     """
     path = Path(path)
     text = _text(path)
-    digest = hashlib.sha256(f"{path.resolve()}\n{text}".encode()).hexdigest()
-    name = f"codegen_generated.{path.stem}_{digest[:16]}"
-    return cast(GeneratedModule, sys.modules.get(name) or _imported(path, name, text))
+    return cast(GeneratedModule, importlib.import_module(_name(path.resolve(), text)))
 
 
 def is_control(module: GeneratedModule) -> TypeGuard[ControlModule]:
@@ -254,24 +255,49 @@ def _text(path: Path) -> str:
     return text
 
 
-def _imported(path: Path, name: str, text: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, path.resolve())
-    if spec is None or spec.loader is None:
-        raise ModuleError(f"{path} is not a Python file", _REMEDY)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        # Not through the loader, whose bytecode cache takes an edit within one second, of the same length, for no edit.
-        exec(compile(text, str(path.resolve()), "exec"), vars(module))
+def _name(path: Path, text: str) -> str:
+    """The name of the module of a file, from which `_ByName` finds the file."""
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return f"{__name__}.{path.stem}_{digest[:16]}@{quote(str(path)).replace('.', '%2E')}"
+
+
+class _ByName:
+    """Imports the modules of this package: generated ones, whose names hold a digest of the text and the path."""
+
+    @staticmethod
+    def find_spec(name: str, _path: Sequence[str] | None = None, _: ModuleType | None = None) -> ModuleSpec | None:
+        """The file of a module, or None for a module of another package."""
+        if not name.startswith(f"{__name__}."):
+            return None
+        path = Path(unquote(name.partition("@")[2]))
+        return ModuleSpec(name, _ByName, origin=str(path))  # type: ignore[arg-type]
+
+    @staticmethod
+    def create_module(_spec: ModuleSpec) -> None:
+        """Leave it to Python to make a module."""
+
+    @staticmethod
+    def exec_module(module: ModuleType) -> None:
+        """Run the text of a file; ModuleError when it is not the one that the name tells, or is damaged."""
+        assert module.__spec__ is not None
+        path = Path(module.__spec__.origin or "")
+        text = _text(path)
+        if _name(path, text) != module.__name__:
+            raise ModuleError(f"{path} is not what it was", "load it anew")
+        module.__file__ = str(path)
+        try:
+            # Not through Python's loader, whose bytecode cache takes an edit within one second, of the same length,
+            # for no edit.
+            exec(compile(text, str(path), "exec"), vars(module))
+        except Exception as error:  # a damaged file may fail in any way
+            finding = " ".join(f"{path} is damaged ({type(error).__name__}: {error})".split())
+            raise ModuleError(finding, _REMEDY) from error
         _require_complete(path, module)
-    except ModuleError:
-        del sys.modules[name]
-        raise
-    except Exception as error:  # a damaged file may fail in any way
-        del sys.modules[name]
-        finding = " ".join(f"{path} is damaged ({type(error).__name__}: {error})".split())
-        raise ModuleError(finding, _REMEDY) from error
-    return module
+
+
+__path__: list[str] = []
+"""Makes this module the package of all generated modules."""
+sys.meta_path.append(cast(Any, _ByName))
 
 
 def _require_complete(path: Path, module: ModuleType) -> None:
