@@ -74,7 +74,9 @@ class Control(Problem):
     `body_number()`, and which end conditions in `q.of(0)`, `q.of(1)`, ... tie together.
 
     `guess` maps coordinates, states and controls to expressions of parameters and time, from which the solver starts;
-    without it coordinates are interpolated linearly between their end values and controls are zero.
+    without it coordinates are interpolated linearly between their end values and controls are zero. `scale` maps
+    coordinates, momenta, states, controls and free parameters to their typical size, a positive number, where the
+    solver is not to find it by itself.
     """
 
     task: ClassVar[str] = "control"
@@ -91,6 +93,7 @@ class Control(Problem):
     periodic: Mapping[Any, Expression] | Sequence[Any] = ()
     bodies: int = 1
     guess: Mapping[Any, Expression] = field(default_factory=dict)
+    scale: Mapping[Any, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, init=False)

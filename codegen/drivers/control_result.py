@@ -80,15 +80,12 @@ def _is_accurate(module: ControlModule, grid: Grid, request: Request, attempt: C
         return False
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
     steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
-    return (
-        residual <= 10.0 * max(attempt.tolerance, rounding)
-        and stationarity <= 10.0 * max(attempt.tolerance * max(1.0, steepest), rounding)
+    return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= 10.0 * max(
+        attempt.tolerance * max(1.0, steepest), rounding
     )
 
 
-def _errors(
-    module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector, weight: float
-) -> tuple[float, float]:
+def _errors(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector, weight: float) -> tuple[float, float]:
     """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes."""
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     wrong = (
@@ -151,7 +148,9 @@ def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights
     jacobian, hessian = module.jacobian(grid, unknowns), module.hessian(grid, unknowns)
     equations = row_sums(jacobian, primal, dual.size)
     optimality = row_sums(hessian, primal, primal.size) + row_sums(jacobian, dual, primal.size, transposed=True)
-    return float(np.finfo(float).eps) * max(max_norm(weights[rows] * equations), max_norm(weights[columns] * optimality))
+    return float(np.finfo(float).eps) * max(
+        max_norm(weights[rows] * equations), max_norm(weights[columns] * optimality)
+    )
 
 
 def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> float:

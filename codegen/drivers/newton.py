@@ -16,8 +16,12 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     warm = request.guess is not None and request.near
     tolerance = TOLERANCE if request.tolerance is None else request.tolerance
     solution = module.solve(
-        steps=request.steps, guess=request.guess, warm=warm, tolerance=tolerance,
-        scaling=request.scaling, **_most_iterations(request)
+        steps=request.steps,
+        guess=request.guess,
+        warm=warm,
+        tolerance=tolerance,
+        scaling=request.scaling,
+        **_most_iterations(request),
     )
     return ControlAttempt(
         status=solution.status,

@@ -159,6 +159,7 @@ def _chain(
         terminal_cost=last.terminal_cost,
         phases=tuple(replace(model, **common) for model in models),
         jumps=tuple(_jump(entries) for entries in jumps),
+        scales=tuple(pair for model in models for pair in model.scales),
     )
 
 

@@ -62,9 +62,7 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
 
 def sizes_of_terms(grid, unknowns):
     """The same of a grid, in parts of sizes where it has them."""
-    return term_sizes(
-        unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier
-    )
+    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
 
 
 def is_solved(grid, point, tolerance):

@@ -26,7 +26,9 @@ def final_status(grid, guess, point, status):
     """
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
-    if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))):
+    if not point.error < np.inf or (
+        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+    ):
         return "non-finite"
     if SHARED and not least_duration(grid, own_values(grid, point.unknowns)) > 0.0:
         return "unbounded"
