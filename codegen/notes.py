@@ -17,6 +17,10 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
         verb = "follows from the others and was" if len(redundant) == 1 else "follow from the others and were"
         count = f"{len(redundant)} of {metadata['coupling_conditions']}"
         found.append(f"{count} conditions between bodies {verb} left out: {named}")
+    for condition, where in metadata.get("decided_conditions", ()):
+        found.append(
+            f"{shortened(condition)} holds with equality at the {where}, by what is prescribed there, and was left out"
+        )
     if unseen := metadata.get("unseen_controls", ()):
         found.append(
             f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "

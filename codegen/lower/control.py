@@ -70,6 +70,9 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     if redundant:
         entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
         entries.append(("redundant_conditions", repr(redundant)))
+    ends = (("start", program.start), ("end", program.end))
+    if decided := tuple((name, where) for where, end in ends for _, name in end.decided if name):
+        entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
     return entries
 
 

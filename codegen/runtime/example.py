@@ -104,6 +104,11 @@ def variable_bounds(grid):
     return np.full(grid.is_multiplier.size, -np.inf), np.full(grid.is_multiplier.size, np.inf)
 
 
+def with_pinned_values(grid, unknowns):
+    """Unknowns in which what boundary conditions fix has its values: they have."""
+    return unknowns
+
+
 def duration_of(grid, unknowns):
     """The length of the time interval."""
     return grid.steps * grid.h

@@ -22,9 +22,10 @@ from codegen.runtime.barrier import (
     push_inside,
 )
 from codegen.runtime.curvature import FLAT
+from codegen.runtime.example import TIED
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import multiplier_unknowns
-from codegen.runtime.limits import bounds_of
+from codegen.runtime.limits import bounds_of, with_tied_values
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_solved
@@ -98,6 +99,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     for attempt in (WARM if warm else COLD, *OTHERS):
         # Far from a solution duals of one serve better than the central path.
         inside = push_inside(lower, upper, primal, attempt.push)
+        if TIED:
+            inside = with_tied_values(grid, inside)  # what equals a shared unknown moves with it
         iterate = with_multipliers(search, inside, attempt.weight if attempt is WARM else None)
         status = "restored"
         if attempt.nearby and iterate.point.error < np.inf:

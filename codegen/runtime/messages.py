@@ -20,6 +20,7 @@ from codegen.runtime.example import (
     interval_gradient,
     metadata,
 )
+from codegen.runtime.frame import plain_grid
 from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.limits import at_limits, prescribed_beyond
 from codegen.runtime.point import evaluate
@@ -44,9 +45,8 @@ def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence."""
     status, error = final_status(grid, guess, point, status), point.error
     if SCALED and grid.sizes.size:
-        sizes = grid.sizes
-        grid, guess = grid._replace(sizes=sizes[:0], weight=1.0), guess * sizes
-        point = evaluate(grid, point.unknowns * sizes)
+        sizes, grid = grid.sizes, plain_grid(grid)
+        guess, point = guess * sizes, evaluate(grid, point.unknowns * sizes)
     if INEQUALITIES:
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:

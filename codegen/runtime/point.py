@@ -14,7 +14,8 @@ class Grid(NamedTuple):
     """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
-    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`.
+    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
+    `weight` times `sizes`, by which the gradient is multiplied. `bounds` of the unknowns, if known, are in the same parts.
     """
 
     steps: int
@@ -22,7 +23,9 @@ class Grid(NamedTuple):
     parameters: np.ndarray
     is_multiplier: np.ndarray
     sizes: np.ndarray
+    forces: np.ndarray
     weight: float
+    bounds: tuple
 
 
 class Point(NamedTuple):

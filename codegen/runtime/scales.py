@@ -19,6 +19,7 @@ from codegen.runtime.example import (
     variable_bounds,
     with_pinned_values,
 )
+from codegen.runtime.frame import NONE, plain_grid
 from codegen.runtime.messages import describe
 from codegen.runtime.newton_filter import minimise
 from codegen.runtime.point import evaluate
@@ -39,16 +40,15 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 
 
 def scaled_grid(grid, unknowns):
-    """The same grid with sizes of all unknowns and the weight of the cost, or as it is where all are ordinary."""
-    primal, sizes = np.where(grid.is_multiplier, 0.0, unknowns), np.empty(unknowns.size)
-    slopes = evaluate(grid, primal).gradient
+    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
+    sizes, bounds = np.empty(unknowns.size), (NONE, NONE)
     if INEQUALITIES:
-        lower, upper = variable_bounds(grid)
-    else:
-        lower = upper = slopes[:0]
-    kinds, rest = kinds_of(grid.steps), (grid.steps, grid.h, grid.parameters)
-    weight, extreme = fill_sizes(primal, slopes, lower, upper, kinds, *rest, sizes)
-    return grid._replace(sizes=sizes, weight=weight) if extreme > ORDINARY else grid
+        bounds = variable_bounds(grid)
+    weight, extreme = fill_sizes(unknowns, *bounds, kinds_of(grid.steps), grid.steps, grid.h, grid.parameters, sizes)
+    if not extreme > ORDINARY:
+        return grid._replace(bounds=bounds)
+    bounds = bounds[0] / sizes, bounds[1] / sizes
+    return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
 
 
 @lru_cache(maxsize=4)
@@ -67,6 +67,6 @@ def in_units(grid, point):
     if not grid.sizes.size:
         return point
     stationarity = point.stationarity / grid.weight
-    sizes, grid = grid.sizes, grid._replace(sizes=grid.sizes[:0], weight=1.0)
+    sizes, grid = grid.sizes, plain_grid(grid)
     point = evaluate(grid, with_pinned_values(grid, point.unknowns * sizes))
     return point._replace(stationarity=stationarity, error=max(point.residual, stationarity))

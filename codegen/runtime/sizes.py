@@ -31,12 +31,13 @@ from codegen.runtime.example import (
     interval_hessian,
     metadata,
 )
+from codegen.runtime.lagrangian import lagrangian_gradient
 from codegen.runtime.shared import read_shared
 
 CHANGE = 10.0  # of the scaled cost, at most, when one unknown changes by its size
 LOOSE = 1e-3  # a guess below this part of a bound says little about the size of an unknown
 DUST = 1e-6  # the same beside the other terms of every equation
-SAMPLES = 8  # intervals on which derivatives are looked at
+SAMPLES = 4  # intervals on which derivatives are looked at
 CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 
 KINDS = STRIDE + SHARED + COUPLINGS
@@ -53,19 +54,23 @@ GIVEN = np.array([metadata.get("scale", {}).get(name, 0.0) for name in NAMES])
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(unknowns, slopes, lower, upper, kinds, steps, h, parameters, sizes):
+def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
     """Fill in the size of every unknown; return the weight of the cost, and how far from one weights and sizes are."""
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
+    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
+    for i in range(kinds.size):
+        if not KIND_IS_MULTIPLIER[kinds[i]]:
+            primal[i] = unknowns[i]
+            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
+    lagrangian_gradient(primal, steps, h, parameters, slopes)
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
             rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
-        else:
-            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
     fit_bounds(lower, upper, kinds, size)
-    measure_intervals(unknowns, steps, h, parameters, tables)
+    measure_intervals(primal, steps, h, parameters, tables)
     if COUPLINGS:
         matrix = zero_matrix(ROOT, ROOT)
-        add_coupling_matrix(unknowns, parameters[0], 1.0, matrix)
+        add_coupling_matrix(primal, parameters[0], 1.0, matrix)
         first = kinds.size - ROOT
         for i in range(ROOT):
             for j in range(i + 1):

@@ -15,8 +15,8 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     """
     factors, equations = system
     if SCALED and grid.sizes.size:
-        unknowns, diagonal = unknowns * grid.sizes, diagonal / (grid.weight * grid.sizes**2)
-        gradient = None if gradient is None else gradient / (grid.weight * grid.sizes)
+        unknowns, diagonal = unknowns * grid.sizes, diagonal / (grid.forces * grid.sizes)
+        gradient = None if gradient is None else gradient / grid.forces
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
     regular, excess = factor(
         unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
@@ -35,7 +35,7 @@ def solve_kkt(grid, system, gradient, step, carried=False):
     That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
     if SCALED and grid.sizes.size:
-        gradient = gradient / (grid.weight * grid.sizes)
+        gradient = gradient / grid.forces
     if CARRIED:
         substitute(gradient, carried, grid.steps, *system[0], step)
     else:

@@ -38,7 +38,9 @@ class EndElement:
     `element` is the end's own share of the Lagrangian of the optimisation problem, in the symbols of the node (suffix
     `_k` at the start, `_k1` at the end) and of the shared unknowns; `cost` is what the discrete cost gains by it.
     `shared` fixes unknowns of the end node to shared ones (local index, index of the shared unknown, offset).
-    `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative.
+    `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative. What is given or
+    determined at this end has no bounds there: `decided` names, in pairs, an unknown of the node or a slack of the
+    interval beside it, and the condition on whose limit it lies, "" where it does not.
     """
 
     pins: tuple[tuple[int, Expr], ...]
@@ -47,6 +49,7 @@ class EndElement:
     cost: Expr = S.Zero
     shared: tuple[tuple[int, int, Expr], ...] = ()
     slacks: tuple[tuple[int, int], ...] = ()
+    decided: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
