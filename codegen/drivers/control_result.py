@@ -12,8 +12,8 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
     """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
     metadata, unknowns, grid = module.metadata, attempt.unknowns, module.make_grid(request.steps)
     residual, stationarity = _errors(module, grid, unknowns, np.ones(unknowns.size), 1.0)
-    status, message = attempt.status, attempt.message
-    if status == "solved" and not _is_accurate(module, grid, request, attempt):
+    status, message, scaled = attempt.status, attempt.message, _scaled_grid(module, grid, request)
+    if status == "solved" and not _is_accurate(module, scaled, attempt):
         status = "inaccurate"
         message = (
             f"{driver} reported success, but the discrete equations have residual {residual:.1e} and the optimality "
@@ -35,7 +35,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         steps=request.steps,
         status=status,
         message=message,
-        cost=_cost(module, grid, unknowns, status == "solved"),
+        cost=_cost(module, scaled, unknowns) if status == "solved" else float(module.cost(grid, unknowns)),
         residual=residual,
         stationarity=stationarity,
         iterations=attempt.iterations,
@@ -59,22 +59,26 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
     )
 
 
-def _cost(module: ControlModule, grid: Grid, unknowns: Vector, solved: bool) -> float:
-    """The discrete cost; of a solution to second order in the residuals, by the multipliers, which are their price."""
-    cost = float(module.cost(grid, unknowns))
-    if not solved:
-        return cost
-    return cost + float(unknowns[module.multiplier_unknowns(grid)] @ module.constraints(grid, unknowns))
+def _scaled_grid(module: ControlModule, grid: Grid, request: Request) -> Grid:
+    """The grid with the sizes in whose parts the generated solver works from the guess that was asked for."""
+    if request.scaling == "none":
+        return grid
+    guess = module.initial_guess(grid) if request.guess is None else request.guess
+    return module.scaled_grid(grid, module.with_pinned_values(grid, guess))
 
 
-def _is_accurate(module: ControlModule, grid: Grid, request: Request, attempt: ControlAttempt) -> bool:
+def _cost(module: ControlModule, scaled: Grid, unknowns: Vector) -> float:
+    """The discrete cost of a solution, corrected by what residuals and distances to bounds are worth."""
+    own = unknowns / scaled.sizes if scaled.sizes.size else unknowns
+    return module.corrected_cost(scaled, module.evaluate(scaled, own))
+
+
+def _is_accurate(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -> bool:
     """Whether residual and stationarity, in the solver's scales, are as small as the driver promised, or rounding."""
-    unknowns, sizes, weight = attempt.unknowns, np.ones(attempt.unknowns.size), 1.0
-    if request.scaling == "auto" and hasattr(module, "scaled_grid"):
-        guess = module.initial_guess(grid) if request.guess is None else request.guess
-        scaled = module.scaled_grid(grid, module.with_pinned_values(grid, guess))
-        if scaled.sizes.size:
-            sizes, weight = scaled.sizes, scaled.weight
+    unknowns, sizes, weight = attempt.unknowns, np.ones(attempt.unknowns.size), scaled.weight
+    grid = module.plain_grid(scaled)
+    if scaled.sizes.size:
+        sizes = scaled.sizes
     residual, stationarity = _errors(module, grid, unknowns, sizes, weight)
     if not np.isfinite(residual + stationarity):
         return False

@@ -23,7 +23,7 @@ COUPLING_PLACES = np.zeros((0, 0), np.int64)
 HESSIAN_ROWS = np.array([0, 1, 2, 2, 3, 3, 3, 4, 4, 4])
 HESSIAN_COLUMNS = np.array([0, 0, 1, 2, 0, 1, 3, 0, 2, 3])
 START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLUMNS = np.zeros(0, np.int64)
-metadata = {"node": ("q", "lambda_q"), "interval": ("u",), "shared": (), "meanings": {}, "parameters": {}}
+metadata: dict[str, Any] = {"node": ("q", "lambda_q"), "interval": ("u",), "shared": (), "meanings": {}, "parameters": {}}
 
 
 @njit(error_model="numpy")

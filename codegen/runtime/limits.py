@@ -14,7 +14,7 @@ def bounds_of(grid):
 
 
 def with_tied_values(grid, unknowns):
-    """A copy of the unknowns in which prescribed values, and those that equal shared unknowns, are what they must be."""
+    """A copy of the unknowns with prescribed values, and with what equals a shared unknown, as they must be."""
     if grid.sizes.size:
         return with_pinned_values(grid, unknowns * grid.sizes) / grid.sizes
     return with_pinned_values(grid, unknowns)

@@ -15,7 +15,7 @@ class Grid(NamedTuple):
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
     Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
-    `weight` times `sizes`, by which the gradient is multiplied. `bounds` of the unknowns, if known, are in the same parts.
+    `weight` times `sizes`, by which the gradient is multiplied. `bounds` of the unknowns, if known, are in parts of them.
     """
 
     steps: int
@@ -25,7 +25,7 @@ class Grid(NamedTuple):
     sizes: np.ndarray
     forces: np.ndarray
     weight: float
-    bounds: tuple
+    bounds: tuple[np.ndarray, ...]
 
 
 class Point(NamedTuple):
@@ -56,12 +56,12 @@ def evaluate(grid, unknowns):
     )
 
 
-def corrected_cost(grid, point):
+def lagrangian(grid, point):
     """The cost where the equations hold exactly, to first order: what is left of them costs multipliers times residual.
 
-    This is the value of the Lagrangian, whose error at a stationary point is of second order.
+    The error of the Lagrangian's value is of second order.
     """
-    return float(point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier])
+    return point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier]
 
 
 @njit(cache=True, error_model="numpy")

@@ -22,10 +22,12 @@ from codegen.runtime.example import (
 from codegen.runtime.frame import NONE, plain_grid
 from codegen.runtime.messages import describe
 from codegen.runtime.newton_filter import minimise
-from codegen.runtime.point import evaluate
+from codegen.runtime.limits import bounds_of
+from codegen.runtime.point import evaluate, lagrangian
 from codegen.runtime.sizes import fill_sizes
 
 ORDINARY = 1e3  # sizes between its inverse and it need no scaling
+COARSE = 100.0  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -36,7 +38,32 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         grid = scaled_grid(grid, unknowns)
     start = unknowns / grid.sizes if grid.sizes.size else unknowns
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    return *describe(grid, start, point, status), in_units(grid, point), iterations
+    if grid.sizes.size and status == "solved":
+        grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
+        iterations += further
+    status, message = describe(grid, start, point, status)
+    cost = corrected_cost(grid, point) if status == "solved" else point.cost / grid.weight
+    return status, message, in_units(grid, point)._replace(cost=cost), iterations
+
+
+def refined(grid, start, point, tolerance, max_iterations, log):
+    """(grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
+
+    Where equations or the cost were far steeper at the guess, the tolerance means little, and the search goes on.
+    """
+    total = 0
+    while total < max_iterations:
+        unknowns = point.unknowns * grid.sizes
+        finer = scaled_grid(plain_grid(grid), unknowns)
+        if not finer.sizes.size or not (finer.forces > COARSE * grid.forces).any():
+            break
+        begin = unknowns / finer.sizes
+        status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
+        total += iterations
+        if status != "solved":
+            break
+        grid, start, point = finer, begin, better
+    return grid, start, point, total
 
 
 def scaled_grid(grid, unknowns):
@@ -47,8 +74,30 @@ def scaled_grid(grid, unknowns):
     weight, extreme = fill_sizes(unknowns, *bounds, kinds_of(grid.steps), grid.steps, grid.h, grid.parameters, sizes)
     if not extreme > ORDINARY:
         return grid._replace(bounds=bounds)
-    bounds = bounds[0] / sizes, bounds[1] / sizes
+    if INEQUALITIES:
+        bounds = bounds[0] / sizes, bounds[1] / sizes
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
+
+
+def corrected_cost(grid, point):
+    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
+    if INEQUALITIES:
+        return float(lagrangian(grid, point) - remaining_gap(grid, point)) / grid.weight
+    else:
+        return float(lagrangian(grid, point)) / grid.weight
+
+
+if INEQUALITIES:
+
+    def remaining_gap(grid, point):
+        """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
+        total = 0.0
+        for side, bound in zip((1.0, -1.0), bounds_of(grid), strict=True):
+            place = np.flatnonzero(np.isfinite(bound))
+            dual, distance = side * point.gradient[place], side * (point.unknowns[place] - bound[place])
+            active = np.maximum(dual, 0.0) / (np.abs(dual) + np.abs(distance) + 1e-300)
+            total += (dual * distance) @ active
+        return total
 
 
 @lru_cache(maxsize=4)

@@ -34,7 +34,7 @@ from codegen.runtime.example import (
 from codegen.runtime.lagrangian import lagrangian_gradient
 from codegen.runtime.shared import read_shared
 
-CHANGE = 10.0  # of the scaled cost, at most, when one unknown changes by its size
+CHANGE = 8.0  # of the scaled cost, at most, when one unknown changes by its size
 LOOSE = 1e-3  # a guess below this part of a bound says little about the size of an unknown
 DUST = 1e-6  # the same beside the other terms of every equation
 SAMPLES = 4  # intervals on which derivatives are looked at
@@ -50,7 +50,8 @@ KIND_IS_MULTIPLIER = np.concatenate(
 # Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
 NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
 NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
-GIVEN = np.array([metadata.get("scale", {}).get(name, 0.0) for name in NAMES])
+SCALE = metadata.get("scale", {})
+GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
 
 
 @njit(cache=True, error_model="numpy")

@@ -51,11 +51,6 @@ def compare(name: str, factor: float, scaling: str, folder: Path) -> int:
     path.write_text(text, encoding="utf-8")
     module, steps, failures = compiled(path), GALLERY[name].steps, 0
     own = module.solve(steps, scaling=scaling)
-    if os.environ.get("ALWAYS"):
-        for o in (1e6, 1e3, 1e2, 10, 1.0):
-            module.ORDINARY = o
-            a = module.solve(steps, scaling="auto")
-            print("      ORD", o, a.status, a.cost, a.iterations)
     print(
         f"{name:24s} N = {steps:3d}  {own.status:15s} cost {own.cost:<18.12g} {own.iterations:4d} iterations",
         flush=True,
