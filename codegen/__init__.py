@@ -11,7 +11,7 @@ _HOMES = {
     **dict.fromkeys(["Control", "Phases", "Simulate"], "codegen.problem"),
     **dict.fromkeys(
         "body_number canonical_pair canonical_pairs control controls coordinate coordinates free_parameter parameter "
-        "parameters states time".split(),
+        "parameters state states time".split(),
         "codegen.symbols",
     ),
     **dict.fromkeys(["Connect", "Pairwise", "particles"], "codegen.pairwise"),
@@ -41,6 +41,7 @@ __all__ = [
     "parameter",
     "parameters",
     "particles",
+    "state",
     "states",
     "time",
     "together",
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
         free_parameter,
         parameter,
         parameters,
+        state,
         states,
         time,
     )

@@ -95,7 +95,7 @@ def build(
     no_compile: Annotated[bool, typer.Option("--no-compile", help="Leave compilation to the first solve.")] = False,
 ) -> None:
     """Derive and write the module that solves a problem, and compile it."""
-    from codegen import output
+    from codegen import notes, output
 
     output.require_folder(out, "--out", may_be_made=True)
     begin = time.perf_counter()
@@ -113,10 +113,12 @@ def build(
                 made = _build(problem, set_, scheme, method, controls, out)
             with working("Compiling"):
                 drivers.prepare(made.path, processes)
-        machine_code.tell_failure(processes)
+        machine_code.tell(processes)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
     typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")
+    for note in notes.notes_of_file(made.path):
+        typer.echo(f"codegen: note: {note}", err=True)
 
 
 @main.command()

@@ -7,7 +7,6 @@ section 1.4.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -15,6 +14,7 @@ import sympy
 from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
 from codegen import expressions
+from codegen.differentiate.zeros import identically_zero
 from codegen.errors import BoundaryError, DegenerateError, SymbolError
 from codegen.model import Boundary, Model
 
@@ -42,6 +42,23 @@ def lagrangian_form(model: Model) -> Model:
     when a fixed end momentum does not determine its velocity.
     """
     return model if model.form == "lagrangian" else _transformed(model, "lagrangian")
+
+
+def in_phase_space(model: Model) -> Model:
+    """Return a Lagrangian model with momenta as its rates and with its ends in them, but with no function of these.
+
+    This is all of the Hamiltonian form that does not want p = dL/dv to be solved for v. Raises SymbolError and
+    BoundaryError as `hamiltonian_form` does.
+    """
+    conjugates, gradient = conjugate_symbols(model), _gradient(model.function, model.rates)
+    return replace(
+        model,
+        form="hamiltonian",
+        rates=conjugates,
+        function=sympy.S.Zero,
+        start=_boundary(model, "start", model.start, sympy.S.Zero, gradient, conjugates),
+        end=model.end and _boundary(model, "end", model.end, model.duration, gradient, conjugates),
+    )
 
 
 def momentum_of_velocity(model: Model) -> tuple[sympy.Expr, ...]:
@@ -101,24 +118,14 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
         values = sympy.Matrix([right[row] for row in rows])
         if len(rows) <= _ADJUGATE_LIMIT:
             determinant = _simplified_entry(part.det(method="berkowitz"))
-            if vanishes(determinant):
+            if identically_zero(determinant):
                 raise DegenerateError(f"a linear system is singular in row {rows[0] + 1}", "check that it is regular")
             found = part.adjugate() * values / determinant
         else:
-            found = part.LUsolve(values, iszerofunc=vanishes)
+            found = part.LUsolve(values, iszerofunc=identically_zero)
         for row, value in zip(rows, found, strict=True):
             solution[row] = value
     return tuple(solution)
-
-
-def vanishes(expression: sympy.Expr) -> bool:
-    """Whether an expression is zero everywhere, decided at random points where sympy does not know."""
-    if expression.is_zero is not None:
-        return bool(expression.is_zero)
-    points = itertools.islice(expressions.trial_points(expression.free_symbols, {}, {}), 8)
-    values = (expressions.number_at(expression, point) for point in points)
-    # evalf raises its precision until 15 digits are right, so what cancels comes out far below any true value.
-    return all(value is None or abs(value) < 1e-25 for value in values)
 
 
 def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
@@ -157,7 +164,7 @@ def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr,
     """Return y.x - f(x) and x(y), where f is the model's function, x its rates, and y = df/dx the `conjugates`."""
     function, rates = model.function, model.rates
     hessian = sympy.hessian(function, rates)
-    null = expressions.null_direction(hessian, _trial_points(model))
+    null = expressions.null_direction(expressions.values_at(hessian, point) for point in _trial_points(model))
     if null is not None:
         names = " ".join(str(y) for y, weight in zip(conjugates, null, strict=True) if abs(weight) > 1e-6)
         raise DegenerateError(

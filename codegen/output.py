@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codegen.errors import ArgumentError
+from codegen.files import replacing
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -46,32 +45,6 @@ def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None
     except OSError as error:
         finding = f"{option}: nothing can be written to {folder} ({error.strerror})"
         raise ArgumentError(finding, "choose another folder") from error
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary file in the same folder that takes the name of `path` when the block ends without error.
-
-    ArgumentError when the file system refuses.
-    """
-    try:
-        handle, name = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix)
-        os.close(handle)
-        temporary = Path(name)
-        try:
-            yield temporary
-            temporary.chmod(0o644)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise ArgumentError(f"{path} cannot be written ({error.strerror})", "choose another place") from error
-
-
-def write_text(path: Path, text: str) -> None:
-    """Replace a file as a whole; ArgumentError when the file system refuses."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def as_record(result: Result, build: float, load: float) -> dict[str, Any]:

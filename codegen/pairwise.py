@@ -42,8 +42,6 @@ def particles(coordinates: str, momenta: str, own: str = "") -> tuple[Particle, 
         raise SymbolError(f"{len(qs)} coordinates but {len(ps)} momenta", "give one momentum for each coordinate")
     names = [*qs, *ps, *parameters]
     for name in names:
-        if name in ("row", "half"):
-            raise SymbolError(f"{name!r} is reserved for generated code", "choose another name")
         if names.count(name) > 1:
             raise SymbolError(f"two quantities of a particle are called {name}", "give one of them another name")
 

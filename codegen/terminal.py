@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from codegen.errors import INTERRUPTED, CodegenError, one_line
+from codegen.files import is_refusal, refused
 
 FILE_WIDTH = 120
 """Characters of a line where the output is no terminal."""
@@ -45,6 +46,8 @@ def _described(error: Exception) -> tuple[int, str]:
     if hasattr(error, "format_message"):  # a usage error of typer, whose class moved between versions
         command = getattr(getattr(error, "ctx", None), "command_path", "codegen")
         return 2, one_line(f"{error.format_message().rstrip('.')}; see {command} --help")
+    if isinstance(error, OSError) and is_refusal(error):
+        return 2, one_line(str(refused(error, error.filename or "the output")))
     if isinstance(error, MemoryError):
         return 2, "there is not enough memory; take fewer --steps, or a larger --every"
     if type(error).__name__ == "Abort":

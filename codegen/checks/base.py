@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 from codegen.compiler import Choices
+from codegen.mangling import plain
 from codegen.model import Model
 from codegen.schemes import Scheme
 from codegen.transcribe.program import ControlProgram, StepProgram
@@ -27,6 +28,11 @@ class Finding:
     passed: bool
     detail: str
     applies: bool = True
+
+    def __post_init__(self) -> None:
+        """Say names as the problem's author wrote them."""
+        object.__setattr__(self, "subject", plain(self.subject))
+        object.__setattr__(self, "detail", plain(self.detail))
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,20 @@ functions beside that of their callers (see `linking`).
 from __future__ import annotations
 
 import gc
+import hashlib
+import io
 import os
 import select
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from codegen.drivers.processes import UNFINISHED
+from codegen.files import replacing
 from codegen.loading import GeneratedModule, load
 
 
@@ -86,13 +89,14 @@ def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> l
     bounds = module.finite_bounds(*module.variable_bounds(grid))
     distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
     duals, result = np.ones(distance.size), np.empty(distance.size)
-    barrier = grid.is_multiplier, *bounds[::2], distance, duals, 1.0
+    places = bounds.place, bounds.side, distance
+    barrier = grid.is_multiplier, *places, duals, 1.0
     return [
-        lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *bounds, distance, duals),
+        lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *places, duals),
         lambda: module.measure_step(unknowns, gradient, step, *barrier, 0.99, result),
         lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
         lambda: module.move_duals(duals, duals, 1.0, distance, 1.0, result),
-        lambda: module.moved(grid, bounds, unknowns, step, 0.0),
+        lambda: module.move(unknowns, step, 0.0, *places, np.empty_like(step), result),
     ]
 
 
@@ -199,7 +203,9 @@ def main(share: str) -> int:
     path = os.fsdecode(sys.stdin.buffer.read())
     if not path:
         return 0
-    module = load(Path(path))
+    with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
+        module = load(Path(path))
+    os.write(sys.stdout.fileno(), said.getvalue().encode())
     undo()
     if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
         compile_for_callers(module)
@@ -252,8 +258,18 @@ def failed(error: Exception) -> int:
 
 
 def status_of(module: Any) -> int:
-    """The exit status of a process that has compiled its share of a module."""
+    """Have machine code carry its digest; the exit status of a process that has compiled its share of a module."""
+    seal(module)
     return UNFINISHED if module.metadata["task"] == "connect" else 0
+
+
+def seal(module: Any) -> None:
+    """Write the digest of each file of machine code behind its end, where numba does not read, if it is not there."""
+    for file in module.kept_code(vars(module).values()):
+        data = file.read_bytes()
+        if module.SEAL not in data:
+            with replacing(file) as temporary:
+                temporary.write_bytes(data + module.SEAL + hashlib.sha256(data).digest())
 
 
 def _nothing(x: Any) -> Any:

@@ -24,6 +24,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
     elif status != "solved" and driver != "newton":
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
+    cost = _cost(module, scaled, unknowns) if status == "solved" else float(module.cost(grid, unknowns))
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
     return Result(
         problem=metadata["problem"],
@@ -35,7 +36,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         steps=request.steps,
         status=status,
         message=message,
-        cost=_cost(module, scaled, unknowns) if status == "solved" else float(module.cost(grid, unknowns)),
+        cost=cost,
         residual=residual,
         stationarity=stationarity,
         iterations=attempt.iterations,
@@ -49,6 +50,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         unknowns=unknowns,
         names=component_names(metadata),
         summary={
+            **({"maximum": -cost} if metadata.get("maximised") else {}),
             "duration": float(t[-1] - t[0]),
             "final_state_miss": _final_state_miss(module, grid, unknowns),
             "largest_control": max_norm(u),

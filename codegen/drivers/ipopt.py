@@ -16,7 +16,7 @@ from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, Vector
 
 TOLERANCE = 1e-8
-MAX_ITERATIONS = 1000
+MAX_ITERATIONS = 3000
 
 _STATUSES = {0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", -1: "iteration limit", -13: "non-finite"}
 """IPOPT's return codes; what is missing here counts as stalled."""

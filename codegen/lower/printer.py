@@ -62,6 +62,11 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
             return root if exponent == sympy.Rational(1, 2) else f"{root}**({exponent.p})"
         return str(super()._print_Pow(expr, rational=rational))
 
+    def _print_Piecewise(self, expr: Any) -> str:
+        """Where no condition holds there is no number, which sympy writes as None."""
+        text = str(super()._print_Piecewise(expr))
+        return text.removesuffix("None)") + "math.nan)" if text.endswith(" else None)") else text
+
     def _print_sign(self, expr: Any) -> str:
         return f"np.sign({self._print(expr.args[0])})"
 

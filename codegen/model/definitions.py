@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import sympy
 
 from codegen.drawing import Item
+from codegen.model.relations import short
 
 
 @dataclass(frozen=True)
@@ -19,11 +20,17 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Condition:
-    """An expression that must vanish, or (`equality` false) must not be positive; `name` says it as the author did."""
+    """An expression that must vanish, or (`equality` false) must not be positive.
+
+    `name` is what its author called it, or else the condition as it was written, which messages shorten.
+    """
 
     name: str
     expression: sympy.Expr
     equality: bool = True
+
+    def __str__(self) -> str:
+        return short(self.name)
 
 
 @dataclass(frozen=True)
@@ -64,12 +71,14 @@ class Model:
     `path` holds at every time and may depend on coordinates, rates, controls, time and parameters; bounds on
     velocities arrive there as well. `start_conditions` and `end_conditions` are conditions on coordinates and rates of
     one end, beside the values of `start` and `end`. `terminal_cost` is added to the integral of `cost` and depends on
-    coordinates and rates at the end and on parameters. `holonomic` constraints c(q) = 0 hold at every time.
+    coordinates and rates at the end and on parameters; both are negated where the author asked for a greatest value,
+    which `maximised` says. `holonomic` constraints c(q) = 0 hold at every time.
     `periodic` gives pairs (coordinate or rate, shift): its value at the end is that at the start plus the shift.
 
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
     number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
-    of `end_values` and parameters. `scales` are the typical sizes of unknowns that the author knows. The duration may depend on free parameters. `drawing` is for pictures alone.
+    of `end_values` and parameters. The duration may depend on free parameters. `scales` are typical sizes of unknowns
+    that the author knows. `drawing` is for pictures alone.
 
     A problem of several phases has a model for each in `phases`; with P of them, the P - 1 `jumps` give pairs
     (coordinate or rate, value after the switch in terms of those before). The model itself then holds what belongs to
@@ -101,6 +110,7 @@ class Model:
     start_conditions: tuple[Condition, ...] = ()
     end_conditions: tuple[Condition, ...] = ()
     terminal_cost: sympy.Expr = sympy.S.Zero
+    maximised: bool = False
     holonomic: tuple[sympy.Expr, ...] = ()
     periodic: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
     free_parameters: tuple[FreeParameter, ...] = ()
@@ -112,6 +122,7 @@ class Model:
     phases: tuple[Model, ...] = ()
     jumps: tuple[tuple[tuple[sympy.Symbol, sympy.Expr], ...], ...] = ()
     scales: tuple[tuple[sympy.Symbol, float], ...] = ()
+    unused: tuple[str, ...] = ()
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:

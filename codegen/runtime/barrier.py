@@ -4,6 +4,9 @@ Every finite bound is one entry of flat arrays: `place` of its unknown x, its `v
 lower and -1 for an upper bound. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
 gradient - s z = 0 and z d = mu. Eliminating the change of z = mu / d - z - (z / d) s dx from Newton's equations leaves
 z / d on the diagonal and gradient - mu s / d on the right; see equations (11) and (13) of Waechter and Biegler (2006).
+Distances are moved along with the unknowns instead of being computed anew, because close to a bound rounding would
+leave nothing of a difference. Bounds are relaxed, so that equations may force unknowns onto them: by little, which goes
+to rounding level with the weight of the barrier.
 """
 
 from typing import NamedTuple
@@ -12,6 +15,10 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.descent import slope_of
+
+
+RELAXED = 1e-8, 1e-12  # greatest and least relaxation of a bound, relative to its value where that exceeds one
+PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
 
 
 class Bounds(NamedTuple):
@@ -30,6 +37,14 @@ def finite_bounds(lower, upper):
     return Bounds(np.concatenate([below, above]), np.concatenate([lower[below], upper[above]]), side)
 
 
+def relaxation(bounds, mu):
+    """How much farther away bounds are taken to be while the barrier's weight is mu.
+
+    Where equations hold an unknown on its bound, its dual is mu / relaxation: it stays moderate for every mu.
+    """
+    return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu)) * np.maximum(1.0, np.abs(bounds.value))
+
+
 def push_inside(lower, upper, unknowns, push):
     """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
     width = push * (upper - lower)
@@ -41,39 +56,34 @@ def push_inside(lower, upper, unknowns, push):
 
 
 @njit(cache=True, error_model="numpy")
-def move(unknowns, step, length, place, value, side, trial, distance):
-    """Fill `trial` with unknowns + length * step and `distance`; return the sum of the logarithms of distances.
+def move(unknowns, step, length, place, side, distance, trial, moved):
+    """Fill `trial` with unknowns + length * step, and `moved` with its distances; return the sum of their logarithms.
 
-    Rounding must not put an unknown on its bound: it keeps at least one unit in the last place.
+    Rounding must not make a distance vanish.
     """
     for i in range(unknowns.size):
         trial[i] = unknowns[i] + length * step[i]
     logarithms = 0.0
     for j in range(place.size):
-        i = place[j]
-        d = side[j] * (trial[i] - value[j])
-        if not d > 0.0:
-            trial[i] = value[j] + side[j] * max(2.3e-16 * abs(value[j]), 1e-300)
-            d = side[j] * (trial[i] - value[j])
-        distance[j] = d
-        logarithms += np.log(d)
+        d = distance[j] + side[j] * (length * step[place[j]])
+        moved[j] = d if d > 1e-16 * distance[j] else 1e-16 * distance[j]
+        logarithms += np.log(moved[j])
     return logarithms
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals):
-    """Max-norm of the stationarity, sum of complementarities z d beyond rounding, least and largest z d, and sizes.
+def measure_optimality(gradient, unknowns, is_multiplier, place, side, distance, duals):
+    """Max-norm of the stationarity, sum of complementarities z d, least and largest z d, and sizes.
 
     The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
-    excess, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
+    total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
     for j in range(place.size):
         stationary[place[j]] -= side[j] * duals[j]
         product = duals[j] * distance[j]
         lowest, highest = min(lowest, product), max(highest, product)
-        if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
-            excess += product
+        total += product
         size += duals[j]
     stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
     for i in range(gradient.size):
@@ -84,7 +94,7 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
             stationarity = max(stationarity, abs(stationary[i]))
             largest = max(largest, abs(unknowns[i]))
     mean = (multipliers + size) / max(count + place.size, 1)
-    return stationarity, excess, lowest, highest, mean, size / max(place.size, 1), largest
+    return stationarity, total, lowest, highest, mean, size / max(place.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")

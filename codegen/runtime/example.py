@@ -4,6 +4,8 @@ Variational midpoint rule, unknowns (q, lambda) on nodes and u on intervals; par
 v(0), q(T), v(T). Exists so that the files of this folder can be imported and tested; never included anywhere.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -23,7 +25,8 @@ COUPLING_PLACES = np.zeros((0, 0), np.int64)
 HESSIAN_ROWS = np.array([0, 1, 2, 2, 3, 3, 3, 4, 4, 4])
 HESSIAN_COLUMNS = np.array([0, 0, 1, 2, 0, 1, 3, 0, 2, 3])
 START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLUMNS = np.zeros(0, np.int64)
-metadata: dict[str, Any] = {"node": ("q", "lambda_q"), "interval": ("u",), "shared": (), "meanings": {}, "parameters": {}}
+metadata: dict[str, Any] = {"node": ("q", "lambda_q"), "interval": ("u",), "shared": (), "free_parameters": ()}
+metadata |= {"meanings": {}, "parameters": {}}
 
 
 @njit(error_model="numpy")
@@ -99,14 +102,14 @@ def phase_durations(grid, unknowns):
     return np.zeros(0)
 
 
+def with_pinned_values(grid, unknowns):
+    """No unknown equals another one."""
+    return unknowns
+
+
 def variable_bounds(grid):
     """Nothing is bounded."""
     return np.full(grid.is_multiplier.size, -np.inf), np.full(grid.is_multiplier.size, np.inf)
-
-
-def with_pinned_values(grid, unknowns):
-    """Unknowns in which what boundary conditions fix has its values: they have."""
-    return unknowns
 
 
 def duration_of(grid, unknowns):

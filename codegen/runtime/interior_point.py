@@ -20,8 +20,9 @@ from codegen.runtime.barrier import (
     move,
     move_duals,
     push_inside,
+    relaxation,
 )
-from codegen.runtime.curvature import FLAT
+from codegen.runtime.curvature import ESCAPES, FLAT, LEFT, is_below, steps_aside
 from codegen.runtime.example import TIED
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import multiplier_unknowns
@@ -35,6 +36,7 @@ LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
 UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+PATIENCE = 8  # iterations with the least weight of the barrier before a larger one has to do
 
 
 class Attempt(NamedTuple):
@@ -64,12 +66,16 @@ class Iterate(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers."""
+    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers.
+
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound.
+    """
 
     grid: NamedTuple
     bounds: NamedTuple
     system: tuple[NamedTuple, int]
     equations: np.ndarray
+    box: tuple[np.ndarray, np.ndarray]
 
 
 class Step(NamedTuple):
@@ -94,73 +100,169 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     `max_iterations` is for all of them together; steps of the restoration are not counted.
     """
     lower, upper = bounds_of(grid)
-    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid), multiplier_unknowns(grid))
+    bounds, box = finite_bounds(lower, upper), (lower, upper)
+    search = Search(grid, bounds, allocate_system(grid), multiplier_unknowns(grid), box)
     primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
     for attempt in (WARM if warm else COLD, *OTHERS):
         # Far from a solution duals of one serve better than the central path.
-        inside = push_inside(lower, upper, primal, attempt.push)
-        if TIED:
-            inside = with_tied_values(grid, inside)  # what equals a shared unknown moves with it
-        iterate = with_multipliers(search, inside, attempt.weight if attempt is WARM else None)
+        iterate = begin(search, primal, attempt, central=attempt is WARM)
         status = "restored"
         if attempt.nearby and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
+        point = iterate.point
         if status == "restored":
-            status, point, iterations = descend(search, iterate, attempt, tolerance, max_iterations - total, log)
+            status, point, iterations = leave_saddles(search, iterate, attempt, tolerance, max_iterations - total, log)
             total += iterations
             first = first or (status, point)
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
-    return *((status, point) if status == "solved" else first), total
+    status, point = (status, point) if status == "solved" else first
+    return status, within_bounds(search, point, tolerance), total
+
+
+def within_bounds(search, point, tolerance):
+    """The point with what lies beyond a bound, by its relaxation, on the bound, unless equations then fail to hold."""
+    grid, (lower, upper) = search.grid, search.box
+    unknowns = np.minimum(np.maximum(point.unknowns, lower), upper)
+    if TIED:
+        unknowns = with_tied_values(grid, unknowns)
+    if not point.error < np.inf or (unknowns == point.unknowns).all():
+        return point
+    inside, stationarity = evaluate(grid, unknowns), point.stationarity  # with the duals of bounds
+    if not inside.residual <= max(tolerance, 2.0 * point.residual):
+        return point
+    return inside._replace(stationarity=stationarity, error=max(inside.residual, stationarity))
+
+
+def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
+    """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
+
+    Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
+    """
+    status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
+    failed, escapes = False, 0
+    while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        for beside in neighbours(search, saddle, attempt, escapes):
+            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
+            total += iterations
+            if ended in LEFT and is_below(other.point, saddle.point):
+                status, saddle = ended, other
+                break
+            failed = failed or ended not in LEFT
+        escapes += 1
+    return "solved" if status == "saddle point" and escapes == ESCAPES and not failed else status, saddle.point, total
+
+
+def neighbours(search, saddle, attempt, escapes):
+    """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
+    unknowns, bounds = saddle.point.unknowns, search.bounds
+    curvature = np.zeros(unknowns.size)
+    np.add.at(curvature, bounds.place, saddle.duals / saddle.distance)
+    for step in steps_aside(search.grid, unknowns, curvature, escapes):
+        yield begin(search, primal_part(search.grid, unknowns + step), attempt)
+
+
+def primal_part(grid, unknowns):
+    """Unknowns without their multipliers, which are zero."""
+    return np.where(grid.is_multiplier, 0.0, unknowns)
 
 
 def descend(search, iterate, attempt, tolerance, max_iterations, log):
-    """Lower the barrier's weight and follow the minima; return (status, point, iterations)."""
+    """Lower the barrier's weight and follow the minima; return (status, iterate, iterations).
+
+    The cost is off by the sum of all complementarities, for which the weight ends so low that it is below the
+    tolerance. Where rounding does not allow that, the tolerance holds for each of them, as it does in (5), and the
+    optimality conditions are relative to the multipliers.
+    """
     grid, mu = search.grid, attempt.weight
-    # The cost is off by the sum of all complementarities, which ends below the tolerance.
-    least = tolerance / max(10.0, 2.0 * search.bounds.place.size)
+    sound, least = tolerance / 10.0, tolerance / max(10.0, 2.0 * search.bounds.place.size)
     first = max(1.0, iterate.point.violation)
     small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
-    shift, last_shift, length = 0.0, 0.0, 0.0
+    shift, last_shift, length, at_least, fallback = 0.0, 0.0, 0.0, 0, None
     for iteration in range(max_iterations + 1):
-        point, duals = iterate.point, iterate.duals
-        measured = measure_optimality(
-            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
-        )
-        error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
-        point = point._replace(stationarity=measured[0], error=error)  # duals of bounds take part in the stationarity
+        iterate, measured = measured_iterate(search, iterate)
+        point = iterate.point
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
         if not point.error < np.inf:
-            return "non-finite", point, iteration
-        if measured[1] <= tolerance and is_solved(grid, point, tolerance):
+            return "non-finite", iterate, iteration
+        closed = measured[1] <= tolerance and is_solved(grid, point, tolerance)
+        if closed or (at_least > PATIENCE and is_acceptable(grid, point, measured, tolerance)):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift > 0.0
             minimum = not doubtful or is_minimum(search, iterate, tolerance)
-            return ("solved" if minimum else "saddle point"), point, iteration
+            return ("solved" if minimum else "saddle point"), iterate, iteration
         if is_boundless(point, measured[6]):
-            return "unbounded", point, iteration
+            return "unbounded", iterate, iteration
         if iteration == max_iterations:
             break
-        while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
+        before = mu
+        while mu > least and at_least <= PATIENCE and barrier_error(point, measured, mu) <= 10.0 * mu:
             # Newton's steps converge quadratically once the barrier is weak, and its weight may tend to zero as fast.
             mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
-            filtered = filtered[:1]
+        if mu < before:
+            filtered, fallback = filtered[:1], (iterate, before)
+            iterate = tightened(search, iterate, before, mu)
         step = regularised_step(search, iterate, mu, last_shift)
+        trial, at_least = None, at_least + (mu == least)
+        if step is not None:
+            shift, last_shift = step.shift, step.shift or last_shift
+            trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
+        if fallback is not None and mu <= sound and (trial is None or at_least == PATIENCE):
+            if is_acceptable(grid, point, measured, tolerance):
+                return "solved", iterate, iteration
+            # So low a weight is beyond rounding: the tolerance for each complementarity is what can be had.
+            iterate, before = fallback
+            iterate, mu = tightened(search, iterate, before, sound), sound
+            fallback, at_least, filtered = None, PATIENCE + 1, filtered[:1]
+            continue
         if step is None:
-            return "rank-deficient", point, iteration
-        shift, last_shift = step.shift, step.shift or last_shift
-        trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
+            return "rank-deficient", iterate, iteration
         if trial is None:
             if is_rounding(grid, point):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
                 closed = measured[1] <= tolerance * search.bounds.place.size
-                return ("solved" if closed else "stalled"), point, iteration
+                return ("solved" if closed else "stalled"), iterate, iteration
             filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
             status, trial = restored(search, iterate, mu, 0.9, filtered)
             if status != "restored":
-                return status, point, iteration
+                return status, trial if status == "infeasible" else iterate, iteration
         iterate = trial
-    return "iteration limit", point, max_iterations
+    return "iteration limit", iterate, max_iterations
+
+
+def measured_iterate(search, iterate):
+    """The iterate with the duals of bounds taking part in its stationarity, and what measure_optimality says."""
+    point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
+    measured = measure_optimality(
+        point.gradient, point.unknowns, is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals
+    )
+    error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
+    return iterate._replace(point=point._replace(stationarity=measured[0], error=error)), measured
+
+
+def is_acceptable(grid, point, measured, tolerance):
+    """Whether a point is optimal to the tolerance, with complementarities one by one and scaled multipliers (5)."""
+    _, _, _, highest, mean, mean_dual, _ = measured
+    scaled = point.stationarity / (max(100.0, mean) / 100.0)
+    if highest / (max(100.0, mean_dual) / 100.0) > tolerance:
+        return False
+    return is_solved(grid, point._replace(stationarity=scaled, error=max(point.residual, scaled)), tolerance)
+
+
+def tightened(search, iterate, before, mu):
+    """The iterate with its bounds relaxed as it belongs to a lower weight; what is then outside moves inside."""
+    bounds = search.bounds
+    relaxed = relaxation(bounds, mu)
+    distance = iterate.distance - (relaxation(bounds, before) - relaxed)
+    outside = np.flatnonzero(distance < 0.1 * relaxed)
+    if not outside.size:
+        return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
+    unknowns = iterate.point.unknowns.copy()
+    unknowns[bounds.place[outside]] += bounds.side[outside] * (0.1 * relaxed - distance)[outside]
+    distance[outside] = 0.1 * relaxed[outside]
+    if TIED:
+        unknowns = with_tied_values(search.grid, unknowns)
+    return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
 
 
 def is_minimum(search, iterate, tolerance):
@@ -168,29 +270,34 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     shift = max(FLAT, 100.0 * tolerance)
     point, (diagonal, unused) = iterate.point, np.empty((2, iterate.point.unknowns.size))
-    barrier = grid.is_multiplier, *bounds[::2], iterate.distance, iterate.duals, 0.0
+    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, 0.0
     add_barrier(point.gradient, *barrier, shift, FLAT, unused, diagonal)
     return factor_kkt(grid, point.unknowns, 1.0, diagonal, system) == 0
 
 
-def with_multipliers(search, unknowns, mu):
-    """An iterate at primal unknowns inside their bounds, with multipliers by least squares.
+def begin(search, unknowns, attempt, central=False):
+    """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
+    bounds, mu = search.bounds, attempt.weight
+    unknowns = push_inside(*search.box, unknowns, attempt.push)
+    if TIED:
+        unknowns = with_tied_values(search.grid, unknowns)  # nodes move with the shared unknowns that they equal
+    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(bounds, mu)
+    return with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3) if central else None)
 
-    Duals of the bounds lie on the central path of weight mu, or are one where that is None.
-    """
-    unknowns, distance = np.array(unknowns), np.empty(search.bounds.place.size)
-    logarithms = move(unknowns, unknowns, 0.0, *search.bounds, unknowns, distance)
-    duals = np.ones(distance.size) if mu is None else np.minimum(mu / distance, 1e3)
+
+def with_multipliers(search, unknowns, distance, duals=None):
+    """An iterate at primal unknowns and their distances, with multipliers by least squares, and duals, or ones."""
+    duals = np.ones(distance.size) if duals is None else duals
     unknowns = guess_multipliers(search, unknowns, duals)
-    return Iterate(evaluate(search.grid, unknowns), distance, logarithms, duals)
+    return Iterate(evaluate(search.grid, unknowns), distance, np.log(distance).sum(), duals)
 
 
 def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)
@@ -217,7 +324,7 @@ def barrier_error(point, measured, mu):
 
 def regularised_step(search, iterate, mu, last_shift):
     """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
@@ -243,7 +350,6 @@ def regularised_step(search, iterate, mu, last_shift):
 
 def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-    grid, bounds, *_ = search
     violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
 
     def accepted(trial, length):
@@ -261,7 +367,7 @@ def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
 
     length = step.longest
     while length > shortest:
-        trial = moved(grid, bounds, iterate.point.unknowns, step.primal, length)
+        trial = moved(search, iterate, step.primal, length)
         if not accepted(trial, length):
             worse = length == step.longest and trial[0].violation >= violation
             trial = corrected(search, iterate, step, mu, trial, accepted) if worse else None
@@ -273,16 +379,17 @@ def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     return None, length
 
 
-def moved(grid, bounds, unknowns, step, length):
+def moved(search, iterate, step, length):
     """Point, distances and sum of their logarithms after a step of some length."""
-    trial, distance = np.empty_like(unknowns), np.empty(bounds.place.size)
-    logarithms = move(unknowns, step, length, *bounds, trial, distance)
-    return evaluate(grid, trial), distance, logarithms
+    unknowns, bounds = iterate.point.unknowns, search.bounds
+    trial, distance = np.empty_like(unknowns), np.empty_like(iterate.distance)
+    logarithms = move(unknowns, step, length, bounds.place, bounds.side, iterate.distance, trial, distance)
+    return evaluate(search.grid, trial), distance, logarithms
 
 
 def corrected(search, iterate, step, mu, trial, accepted):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
     barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
@@ -293,7 +400,7 @@ def corrected(search, iterate, step, mu, trial, accepted):
         if not np.isfinite(correction).all():
             return None
         _, length, _ = measure_step(iterate.point.unknowns, right, correction, *barrier, max(0.99, 1.0 - mu), unused)
-        trial = moved(grid, bounds, iterate.point.unknowns, correction, length)
+        trial = moved(search, iterate, correction, length)
         if accepted(trial, step.longest):
             return trial
         if not trial[0].violation < 0.99 * last:
@@ -308,5 +415,6 @@ def restored(search, iterate, mu, reduction, filtered):
     def is_acceptable(point, logarithms):
         return acceptable(point.violation, point.cost - mu * logarithms, filtered)
 
-    status, unknowns = restore(search, iterate, reduction, is_acceptable)
-    return status, with_multipliers(search, np.where(search.grid.is_multiplier, 0.0, unknowns), mu)
+    status, unknowns, distance = restore(search, iterate, reduction, is_acceptable)
+    unknowns = primal_part(search.grid, unknowns)
+    return status, with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3))

@@ -38,6 +38,7 @@ REMEDIES = {
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
 }
+LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
@@ -94,7 +95,7 @@ def violated(grid, point):
         for place in columns[at_limits(grid, point.unknowns)[columns]]:
             name = local_name(grid, place)
             meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
-            names[meaning.removesuffix(" of an interval")] = None
+            names[shortened(meaning.removesuffix(" of an interval"))] = None
         if names:
             text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
@@ -199,20 +200,39 @@ def kernel_name(grid, place):
 
 
 def unknown_name(grid, unknowns, place):
-    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`."""
-    return f"{local_name(grid, place)}{whereabouts(grid, unknowns, place)}"
+    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, "")
+    where = whereabouts(grid, unknowns, place)
+    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
 def equation_name(grid, unknowns, place):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
     name = local_name(grid, place)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    where = whereabouts(grid, unknowns, place)
+    return placed(meaning, whereabouts(grid, unknowns, place))
+
+
+def placed(meaning, where):
+    """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
+    for tail in (" at the start", " at the end", " of an interval", ""):
+        if meaning.endswith(tail):
+            condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
+            if tail != " of an interval":
+                condition, at, inside = meaning.removesuffix(tail), "", ""
+            meaning = f"{shortened(condition)}{at}{inside}{tail}"
+            break
     if meaning.endswith(" of an interval"):
         return meaning.removesuffix("an interval") + where.removeprefix(" on ")
     if meaning.endswith((" at the start", " at the end")):
         return meaning + where.partition(")")[2]
     return meaning + where
+
+
+def shortened(text):
+    """The beginning of a long text."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
 def local_name(grid, place):

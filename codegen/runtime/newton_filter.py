@@ -11,7 +11,7 @@ import numpy as np
 
 from codegen.runtime.apart import allocate_system
 from codegen.runtime.system import factor_kkt, is_factored, solve_kkt
-from codegen.runtime.curvature import FLAT
+from codegen.runtime.curvature import ESCAPES, FLAT, LEFT, is_below, steps_aside
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import layout
@@ -23,6 +23,7 @@ SHORTEST_STEP = 1e-10
 RESTORATION_STEPS = 50
 GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
 NEARBY = 1e-2  # part of the guess's violation that is left where a search begins nearby
+NEARBY_ITERATIONS = 100  # for that search, and half of what is allowed at most
 SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
 
 
@@ -42,7 +43,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
     Where the guess violates the equations grossly, the search begins at a point near it that nearly obeys them: a full
-    Newton step, which knows of no distance, would leave for another optimum. If half of the iterations do not solve
+    Newton step, which knows of no distance, would leave for another optimum. If so many iterations do not solve
     the problem from there, the search begins at the guess itself, and how that ends is reported. `warm` has no
     effect: Newton's method needs no telling. A row (cost, residual, stationarity, Hessian's shift, step length) is
     appended to `log` at every iterate; steps of the restoration are not counted.
@@ -52,11 +53,32 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     if guess.error < np.inf and is_gross(grid, guess):
         near = restore(grid, guess, NEARBY, [], system)
         if near is not None:
-            status, point, total = descend(grid, near, tolerance, max_iterations // 2, log, system)
+            limit = min(max_iterations // 2, NEARBY_ITERATIONS)
+            status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
             if status == "solved":
                 return status, point, total
-    status, point, iterations = descend(grid, guess, tolerance, max_iterations - total, log, system)
+    status, point, iterations = leave_saddles(grid, guess, tolerance, max_iterations - total, log, system)
     return status, point, total + iterations
+
+
+def leave_saddles(grid, guess, tolerance, max_iterations, log, system):
+    """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
+
+    Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
+    """
+    status, saddle, total = descend(grid, guess, tolerance, max_iterations, log, system)
+    failed, escapes = False, 0
+    while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        for step in steps_aside(grid, saddle.unknowns, 0.0, escapes):
+            beside = without_multipliers(grid, saddle.unknowns + step)
+            ended, point, iterations = descend(grid, beside, tolerance, max_iterations - total, log, system)
+            total += iterations
+            if ended in LEFT and is_below(point, saddle):
+                status, saddle = ended, point
+                break
+            failed = failed or ended not in LEFT
+        escapes += 1
+    return "solved" if status == "saddle point" and escapes == ESCAPES and not failed else status, saddle, total
 
 
 def is_gross(grid, point):

@@ -16,9 +16,9 @@ RESTORATION_STEPS = 200
 
 
 def restore(search, iterate, reduction, is_acceptable):
-    """("restored", unknowns) with primal unknowns that the filter accepts, or (what went wrong, the last unknowns).
+    """("restored", unknowns, distances) that the filter accepts, or (what went wrong, and the last ones).
 
-    When restored, their violation is at most `reduction` times the first.
+    When restored, the violation is at most `reduction` times the first.
     """
     grid, bounds, *_ = search
     unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
@@ -29,16 +29,16 @@ def restore(search, iterate, reduction, is_acceptable):
         pull = attraction(grid, point)
         error = restoration_error(grid, bounds, pull, distance, duals)
         if error <= 1e-8 * point.residual:
-            return "infeasible", point.unknowns
+            return "infeasible", point.unknowns, distance
         while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
             nu = max(1e-14, min(0.2 * nu, nu**1.5))
         taken = damped_step(search, point, pull, distance, logarithms, duals, nu, damping)
         if taken is None:
-            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), point.unknowns
+            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), point.unknowns, distance
         (point, distance, logarithms), duals, damping = taken
         if point.violation <= reduction * first and is_acceptable(point, logarithms):
-            return "restored", point.unknowns
-    return "stalled", point.unknowns
+            return "restored", point.unknowns, distance
+    return "stalled", point.unknowns, distance
 
 
 def attraction(grid, point):
@@ -57,7 +57,7 @@ def restoration_error(grid, bounds, pull, distance, duals):
 
 def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
-    grid, bounds, system, equations = search
+    grid, bounds, system, equations, _ = search
     size = point.unknowns.size
     diagonal, step, slopes = np.empty(size), np.empty(size), np.empty(size)
     dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
@@ -72,7 +72,7 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
             step[grid.is_multiplier] = 0.0
             _, length, dual_length = measure_step(point.unknowns, slopes, step, *barrier, 0.99, dual_step)
             unknowns, new_distance = np.empty(size), np.empty_like(distance)
-            new_logarithms = move(point.unknowns, step, length, *bounds, unknowns, new_distance)
+            new_logarithms = move(point.unknowns, step, length, *bounds[::2], distance, unknowns, new_distance)
             trial = evaluate(grid, unknowns)
             lowered = sum_of_squares(grid, trial) - nu * new_logarithms
             if trial.error < np.inf and lowered <= merit + 1e-4 * length * min(0.0, slopes @ step):

@@ -15,17 +15,17 @@ from dense_problem import INFINITY, Dense, Motion, Point, transcribe
 from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, T, nlp, u, v, x1, x2, x3
 from sympy import exp, log, symbols
 
-from codegen.runtime import barrier, filter, interior_point, restoration
+from codegen.runtime import barrier, curvature, filter, interior_point, restoration
 
 
 @pytest.fixture(scope="module", autouse=True)
 def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (barrier, filter, interior_point, restoration):
+        for module in (barrier, curvature, filter, interior_point, restoration):
             for name in set(vars(module)) & {
-                "allocate_system", "evaluate", "factor_kkt", "is_rounding", "is_solved", "multiplier_unknowns",
-                "bounds_of", "solve_kkt",
+                "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved",
+                "bounds_of", "multiplier_unknowns", "solve_kkt",
             }:  # fmt: skip
                 patch.setattr(module, name, getattr(dense_problem, name))
         yield
@@ -168,9 +168,12 @@ def test_iteration_limit() -> None:
     assert (point.unknowns >= grid.lower).all()
 
 
-def test_saddle_point_at_the_start() -> None:
-    assert solve(nlp((0, 0), x1**2 - x2**2 + x2**4))[0] == "saddle point"
+def test_saddle_point_at_the_start_is_left() -> None:
     assert solve(nlp((0, 0), x1**2 + x2**2))[0] == "solved"
+    status, point, _ = solve(nlp((0, 0), x1**2 - x2**2 + x2**4))
+    assert status == "solved"
+    assert point.cost == pytest.approx(-0.25)
+    assert solve(nlp((0, 0), x1**2 - x2**2))[0] == "unbounded"
     status, point, _ = solve(nlp((0, 0.1), x1**2 - x2**2 + x2**4))
     assert status == "solved"
     assert point.cost == pytest.approx(-0.25)
@@ -195,12 +198,19 @@ def test_warm_start_takes_fewer_iterations() -> None:
 
 
 def test_unknowns_stay_inside_in_spite_of_rounding() -> None:
-    bounds = np.array([0, 0]), np.array([1.0, 3.0]), np.array([1.0, -1.0])
+    place, side = np.array([0, 0]), np.array([1.0, -1.0])
     trial, distance = np.empty(1), np.empty(2)
-    for step in (-1.0, 1.0):  # from 2 to either bound
-        barrier.move(np.array([2.0]), np.array([step]), 1.0, *bounds, trial, distance)
-        assert 1.0 < trial[0] < 3.0
+    for step in (-1.0, 1.0):  # from 2 to either bound, 1 or 3
+        barrier.move(np.array([2.0]), np.array([step]), 1.0, place, side, np.ones(2), trial, distance)
+        assert trial[0] == 2.0 + step
         assert (distance > 0.0).all()
+
+
+def test_distances_are_finer_than_the_rounding_of_unknowns() -> None:
+    """Half of the distance 1e-18 to the bound 1 remains where the unknown itself cannot be told from the bound."""
+    trial, distance = np.empty(1), np.empty(1)
+    barrier.move(np.ones(1), np.array([-1e-18]), 0.5, np.zeros(1, int), np.ones(1), np.array([1e-18]), trial, distance)
+    assert (trial[0], distance[0]) == (1.0, 5e-19)
 
 
 def test_start_is_pushed_inside() -> None:
