@@ -119,7 +119,8 @@ def gallery_problem(name: str) -> Control | Phases:
     """A problem of the gallery in units whose factors are parameters."""
     units = GALLERY[name]
     specification = importlib.util.spec_from_file_location(name, PROBLEMS / f"{name}.py")
-    assert specification is not None and specification.loader is not None
+    assert specification is not None
+    assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return in_units(module.problem(**units.arguments), units)

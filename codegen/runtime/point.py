@@ -15,7 +15,7 @@ class Grid(NamedTuple):
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
     Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
-    `weight` times `sizes`, by which the gradient is multiplied. `bounds` of the unknowns, if known, are in parts of them.
+    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
     """
 
     steps: int

@@ -27,7 +27,7 @@ from codegen.runtime.point import evaluate, lagrangian
 from codegen.runtime.sizes import fill_sizes
 
 ORDINARY = 1e3  # sizes between its inverse and it need no scaling
-COARSE = 100.0  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
+COARSE = 1e3  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
