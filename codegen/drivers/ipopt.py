@@ -17,8 +17,14 @@ from codegen.loading import ControlModule, Vector
 
 TOLERANCE = 1e-8
 MAX_ITERATIONS = 3000
+LONGEST = 1e20  # seconds of the processor, IPOPT's own
+OTHER = "try driver newton"
+REMEDIES = {"iteration limit": f"raise max_iterations, or {OTHER}", "time limit": f"raise time_limit, or {OTHER}"}
 
-_STATUSES = {0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", -1: "iteration limit", -13: "non-finite"}
+_STATUSES = {
+    0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", -1: "iteration limit", -4: "time limit",
+    -13: "non-finite",
+}  # fmt: skip
 """IPOPT's return codes; what is missing here counts as stalled."""
 
 
@@ -42,6 +48,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             "sb": "yes",
             "tol": tolerance,
             "max_iter": request.max_iterations or MAX_ITERATIONS,
+            "max_cpu_time": min(request.time_limit, LONGEST),
         }
         options |= {"bound_relax_factor": 0.0, "nlp_scaling_method": "none"}
         for name, value in options.items():
@@ -51,7 +58,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     message = (
         f"IPOPT found a local minimum in {callbacks.iterations} iterations"
         if status == "solved"
-        else f"{status}: IPOPT gave up after {callbacks.iterations} iterations; try --driver newton"
+        else f"{status}: IPOPT gave up after {callbacks.iterations} iterations; {REMEDIES.get(status, OTHER)}"
     )
     return ControlAttempt(status, message, callbacks.iterations, problem.unknowns(x, details["mult_g"]), 10 * tolerance)
 

@@ -181,7 +181,8 @@ def slack_bounds(program: ControlProgram) -> list[Line]:
     lines = []
     first = len(program.interval) + len(program.controls)
     for j, slack in enumerate(program.slacks):
-        lines.append(Line(f"lower_intervals[..., {first + j}]", "0.0", slack.name))
+        assert slack.lower is not None, "a slack has a least value"
+        lines.append(Line(f"lower_intervals[..., {first + j}]", array_code(slack.lower), slack.name))
     for node, end in (("0", program.start), ("-1", program.end)):
         lines += [Line(f"lower_nodes[:, {node}, {i}]", "0.0", program.node[i].name) for i, _ in end.slacks]
         lines += [line for name, _ in end.decided for line in _without_bounds(program, end, node, name)]

@@ -193,6 +193,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             return ("solved" if minimum else "saddle point"), iterate, iteration
         if is_boundless(point, measured[6]):
             return "unbounded", iterate, iteration
+        if log.is_late():
+            return "time limit", iterate, iteration
         if iteration == max_iterations:
             break
         before = mu

@@ -36,8 +36,13 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     if scaling == "auto":
         grid = scaled_grid(grid, unknowns)
-    start = unknowns / grid.sizes if grid.sizes.size else unknowns
+    start, log.weight = unknowns / grid.sizes if grid.sizes.size else unknowns, grid.weight
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
+    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite"):
+        # Sizes come from the guess, and may be far from those of the solution.
+        grid, start, log.weight = plain_grid(grid), unknowns, 1.0
+        status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
+        iterations += further
     if grid.sizes.size and status == "solved":
         grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
@@ -57,7 +62,7 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         finer = scaled_grid(plain_grid(grid), unknowns)
         if not finer.sizes.size or not (finer.forces > COARSE * grid.forces).any():
             break
-        begin = unknowns / finer.sizes
+        begin, log.weight = unknowns / finer.sizes, finer.weight
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":

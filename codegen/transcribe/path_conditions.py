@@ -17,13 +17,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import sympy
-from sympy import Expr, S, Symbol
+from sympy import Expr, Rational, S, Symbol
 
 from codegen.discretise import STEP, PathValue, at_nodes
 from codegen.model import Boundary, Condition, Model
 from codegen.transcribe.forms import occurring, same_after
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.program import Unknown
+
+YIELDING = Rational(1, 10**8)
+"""By how much nodes may violate what holds inside intervals as well.
+
+Where a motion rests on a curved limit, both are met, and multipliers are not unique. The cost has its weight inside the
+intervals: with multipliers there, and none at nodes, the Hessian of the Lagrangian is that of a minimum.
+"""
 
 
 @dataclass(frozen=True)
@@ -87,7 +94,9 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
         (y,) = symbols([multipliers[-1].name], "_k")
         term, left_side = value.value, "0"
         if not condition.equality:
-            slacks.append(Unknown(names.numbered("s"), f"slack of {where}", lower=S.Zero))
+            yields = value.condition in {other.condition for other in values if other.place != value.place}
+            least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
+            slacks.append(Unknown(names.numbered("s"), f"slack of {where}", lower=least))
             places.append(first + len(multipliers) - 1)
             (s,) = symbols([slacks[-1].name], "_k")
             term += s
