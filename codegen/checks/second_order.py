@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.transcribe.program import ControlProgram
 
-_STRICT, _ROUNDING = 1e-12, 1e-9
-"""Parts of the second derivatives: a curvature above the first is positive, one above minus the second not negative."""
+_NOTHING = (1e-9, 1e-8, 1e-7)
+"""Parts of the second derivatives below which a curvature may be rounding of the elimination."""
 _HELD = 1.0
 """From here on z / distance counts as holding an unknown; inside the bounds it is as small as the tolerance."""
 
@@ -60,11 +60,12 @@ def _judged(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDA
     if excess == 0 and module.factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
         return True, f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     # Where a symmetry moves an optimum to another one, the curvature is zero along it, and its sign is rounding.
-    if module.factor_kkt(grid, unknowns, 1.0, diagonal + _ROUNDING * sizes, system) == 0:
-        return (
-            True,
-            f"a minimum up to rounding, not isolated: curvatures are above -{_ROUNDING:g} of their terms",
-        )
+    for part in _NOTHING:
+        if module.factor_kkt(grid, unknowns, 1.0, diagonal + part * sizes, system) == 0:
+            return (
+                True,
+                f"a minimum, isolated or not: a curvature is zero up to rounding, above -{part:g} of its terms",
+            )
     if excess is not None and excess > 0:
         return False, f"no minimum: the cost decreases to second order in {excess} or more independent directions"
     return False, "undecided: the KKT matrix is singular"

