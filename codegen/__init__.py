@@ -14,7 +14,7 @@ _HOMES = {
         "parameters state states time".split(),
         "codegen.symbols",
     ),
-    **dict.fromkeys(["Connect", "Pairwise", "particles"], "codegen.pairwise"),
+    **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.pairwise"),
     **dict.fromkeys(["Points"], "codegen.points"),
     **dict.fromkeys(["together"], "codegen.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
@@ -40,6 +40,7 @@ __all__ = [
     "load",
     "parameter",
     "parameters",
+    "particle",
     "particles",
     "state",
     "states",
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
     from codegen.bodies import together
     from codegen.compiler import build
     from codegen.loading import load
-    from codegen.pairwise import Connect, Pairwise, particles
+    from codegen.pairwise import Connect, Pairwise, particle, particles
     from codegen.points import Points
     from codegen.problem import Control, Phases, Simulate
     from codegen.symbols import (

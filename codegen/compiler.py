@@ -84,7 +84,7 @@ def build(
     for key, value in arguments.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
-    choices = Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
+    choices = chosen(scheme, method, controls, general)
     store = _store(path, arguments, choices)
     kept_text = _kept_text(store)
     name, cached, text = store.stem, bool(kept_text), kept_text or generate(path, arguments, choices)
@@ -104,7 +104,14 @@ def build(
 
 def stored(path: Path, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
     """Where the cache keeps the module of a problem file once it has been built."""
-    return _store(path, arguments, Choices(None if scheme == DEFAULT_SCHEME else scheme))
+    return _store(path, arguments, chosen(scheme))
+
+
+def chosen(
+    scheme: str | None = None, method: str | None = None, controls: str = "interval", general: bool = False
+) -> Choices:
+    """What a user chooses, in the form in which a module records it: the default scheme needs no name."""
+    return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
 
 
 def _store(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:

@@ -27,6 +27,7 @@ _NAME = "@@digest@@"
 """Where a text's own name comes, which depends on all the rest of the text."""
 _IDENTITY = re.compile(r'^_IDENTITY = "codegen_\w+?_([0-9a-f]{16})"$', re.MULTILINE)
 """The line that tells it."""
+_SPECIAL = ("polygamma", "sinc_derivative")
 
 
 def render(module: Module, origin: Origin) -> str:
@@ -41,13 +42,16 @@ def render(module: Module, origin: Origin) -> str:
     )
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
+    # Functions that kernels call and Python does not have: a file for each.
+    special = tuple(name for name in _SPECIAL if f"{name}(" in repr(module) or f"{name})(" in repr(module))
+    runtime = (*special, *module.runtime)
     names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
     values |= {
         "description": (*module.description, *told_arguments(names)),
-        "numba_names": numba_names(module.runtime),
-        "runtime": runtime_source(module.runtime, module.sizes),
+        "numba_names": numba_names(runtime),
+        "runtime": runtime_source(runtime, module.sizes),
         "kept_code": runtime_source(("kept_code",)),
-        "imports": standard_imports(module.runtime),
+        "imports": standard_imports(runtime),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],

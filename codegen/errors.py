@@ -51,6 +51,10 @@ class DegenerateError(CodegenError):
     """A Legendre transform does not exist because velocities (or momenta) cannot be solved for."""
 
 
+class SizeError(CodegenError):
+    """A problem is too large for what is to be derived from it."""
+
+
 class BoundaryError(CodegenError):
     """The boundary conditions do not fit the coordinates of the problem."""
 

@@ -12,6 +12,7 @@ import numpy as np
 import sympy
 from sympy.core.function import AppliedUndef
 
+from codegen import special_functions
 from codegen.differentiate.zeros import identically_zero
 from codegen.errors import ExpressionError
 
@@ -19,6 +20,7 @@ PRINTABLE = (
     *(sympy.sin, sympy.cos, sympy.tan, sympy.asin, sympy.acos, sympy.atan, sympy.atan2),
     *(sympy.sinh, sympy.cosh, sympy.tanh, sympy.asinh, sympy.acosh, sympy.atanh),
     *(sympy.exp, sympy.log, sympy.Abs, sympy.Min, sympy.Max, sympy.Piecewise),
+    *(sympy.erf, sympy.erfc, special_functions.gamma, special_functions.lgamma, special_functions.OrderedBase),
 )
 """Functions that the printer knows how to write as numba code."""
 
@@ -44,7 +46,7 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is a {type(value).__name__}", "give one sympy expression or number") from None
     if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise ExpressionError(f"{what} is a {type(expression).__name__}", "give one scalar expression")
-    expression = with_exponents_together(expression)
+    expression = special_functions.rewritten(with_exponents_together(expression), what)
     for atom in sorted(expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity), key=str):
         if not atom.is_finite or not (atom.is_zero or sys.float_info.min <= abs(atom) <= sys.float_info.max):
             number = sympy.N(atom, 15) if atom.is_finite else atom
@@ -54,8 +56,7 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is complex", "use real expressions")
     for part in sympy.preorder_traversal(expression):
         if isinstance(part, AppliedUndef) or not isinstance(part, (*_ARITHMETIC, *PRINTABLE)):
-            name = part.func.__name__
-            raise ExpressionError(f"{what} uses {name}, which cannot be printed", "use elementary functions")
+            raise special_functions.refusal(part, what)
     return expression
 
 

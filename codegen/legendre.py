@@ -12,16 +12,21 @@ from dataclasses import replace
 
 import sympy
 from sympy.functions.elementary.trigonometric import TrigonometricFunction
+from sympy.simplify.fu import TR8
 
 from codegen import expressions
 from codegen.differentiate.zeros import identically_zero
-from codegen.errors import BoundaryError, DegenerateError, SymbolError
+from codegen.errors import BoundaryError, DegenerateError, SizeError, SymbolError
 from codegen.model import Boundary, Model
 
 _ADJUGATE_LIMIT = 3
 """Up to this size the adjugate over the determinant is shorter than the nested fractions of an elimination."""
 _SIMPLIFY_LIMIT = 150
 """Operation count up to which sympy's simplifications are affordable."""
+_TRIGSIMP_LIMIT = 40
+"""The same for all of its trigonometric rules, of which otherwise one is used: products as sums of cosines."""
+_WRITTEN_LIMIT = 100_000
+"""Operations of an inverse matrix up to which it is written out."""
 
 
 def hamiltonian_form(model: Model) -> Model:
@@ -108,8 +113,9 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
 
     A block is the set of unknowns that its entries couple, so a diagonal matrix costs one division an unknown and
     the expressions stay small. Entries are simplified first, because a zero that is not seen joins two blocks.
-    Raises DegenerateError, naming the first row, when a block is singular.
+    Raises DegenerateError, naming the first row, when a block is singular, and SizeError when one is too large.
     """
+    _require_affordable(matrix)
     matrix = matrix.applyfunc(_simplified_entry)
     solution = [sympy.S.Zero] * len(right)
     for block in matrix.connected_components():
@@ -128,6 +134,30 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
     return tuple(solution)
 
 
+def _require_affordable(matrix: sympy.Matrix) -> None:
+    """Refuse an inverse that would be too long when it is written out, before hours go into it."""
+    if _written_out(matrix) <= _WRITTEN_LIMIT:
+        return
+    matrix = matrix.applyfunc(lambda entry: sympy.S.Zero if identically_zero(entry) else entry)
+    for block in matrix.connected_components():
+        rows = sorted(block)
+        operations = _written_out(matrix.extract(rows, rows))
+        if operations > _WRITTEN_LIMIT:
+            quantities = ", ".join(sorted(map(str, matrix.free_symbols)))
+            raise SizeError(
+                f"the inverse of a matrix that couples {len(rows)} coordinates would have about {operations:.0e} "
+                f"operations in {quantities}",
+                "use --method variational, which needs no inverse, or coordinates that the kinetic energy couples less",
+            )
+
+
+def _written_out(matrix: sympy.Matrix) -> float:
+    """About how many operations an inverse has, of which every row of an elimination quadruples the terms."""
+    if matrix.rows <= _ADJUGATE_LIMIT:
+        return 0.0
+    return float(4**matrix.rows * sum(int(entry.count_ops()) for entry in matrix) / matrix.rows**2)
+
+
 def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
     """Expand a matrix entry, and use cos^2 + sin^2 = 1 where it occurs; a cheap step that exposes zeros."""
     if entry.count_ops() > _SIMPLIFY_LIMIT:
@@ -135,7 +165,7 @@ def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
     expanded = sympy.expand(entry)
     candidates = [entry, expanded]
     if expanded.has(TrigonometricFunction) and expanded.count_ops() < _SIMPLIFY_LIMIT:
-        candidates.append(sympy.trigsimp(expanded))
+        candidates.append(sympy.trigsimp(expanded) if expanded.count_ops() < _TRIGSIMP_LIMIT else TR8(expanded))
     return min(candidates, key=lambda candidate: candidate.count_ops())
 
 

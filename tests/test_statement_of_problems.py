@@ -8,9 +8,25 @@ import pytest
 import sympy
 from typer.testing import CliRunner
 
-from codegen import Control, Phases, control, errors, free_parameter, parameters, state, states, time, together
+from codegen import (
+    Control,
+    Pairwise,
+    Phases,
+    Simulate,
+    control,
+    errors,
+    free_parameter,
+    parameters,
+    particle,
+    particles,
+    state,
+    states,
+    time,
+    together,
+)
 from codegen.cli import main
 from codegen.model import normalise
+from codegen.model.pairwise import normalise_pairwise
 
 FILE = '''"""Push a mass and keep its reserve (a test)."""
 from codegen import *
@@ -153,3 +169,15 @@ def test_singular_and_plural_declare_the_same_kind():
     x, (y, z) = state("x"), states("y z")
     assert type(x) is type(y) is type(z)
     assert (x.name, y.name, z.name) == ("x", "y", "z")
+
+
+def test_one_particle_and_a_function_of_two():
+    def made(system, one):
+        problem = Simulate(hamiltonian=system, duration=1, start={one.q[0]: [0, 1], one.p[0]: [0, 0]}, steps=4)
+        return normalise_pairwise(problem, (), "springs", "Springs")
+
+    i, j = particles("x", "p")
+    both = made(Pairwise((i, j), self_term=i.p[0] ** 2 / 2, pair_term=(i.q[0] - j.q[0]) ** 2), i)
+    one = particle("x", "p")
+    alone = made(Pairwise(one, self_term=one.p[0] ** 2 / 2, pair_term=lambda a, b: (a.q[0] - b.q[0]) ** 2), one)
+    assert both == alone

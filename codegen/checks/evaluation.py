@@ -44,15 +44,24 @@ def symbols_of(values: Sequence[Expr], *more: Sequence[Symbol]) -> list[Symbol]:
 
 
 def random_points(
-    values: Sequence[Expr], symbols: Sequence[Symbol], defaults: Point, count: int = 3, seed: int = _SEED
+    values: Sequence[Expr],
+    symbols: Sequence[Symbol],
+    defaults: Point,
+    count: int = 3,
+    seed: int = _SEED,
+    likely: Iterable[Point] = (),
 ) -> list[dict[Symbol, float]]:
     """Seeded random points at which all values are real and finite; parameters are drawn about their defaults.
 
-    Raises NumericsError when hardly any point is in the domain of the expressions.
+    Of the points that are `likely` those come first that have values, but one point at least is random. Raises
+    NumericsError when hardly any point is in the domain of the expressions.
     """
     generator = np.random.default_rng(seed)
     function = function_of(symbols, values)
     points: list[dict[Symbol, float]] = []
+    for point in likely:
+        if len(points) < count - 1 and _has_value(function, [point[symbol] for symbol in symbols]):
+            points.append({symbol: point[symbol] for symbol in symbols})
     for _ in range(_ATTEMPTS):
         drawn = {symbol: float(generator.uniform(0.4, 1.6)) for symbol in symbols}
         drawn |= {symbol: value * drawn[symbol] for symbol, value in defaults.items() if symbol in drawn and value}

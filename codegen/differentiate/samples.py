@@ -12,10 +12,9 @@ from sympy import Expr, Symbol
 from codegen.differentiate.adjoint import accumulate
 from codegen.differentiate.graph import Graph
 from codegen.differentiate.straight_line import straight_line
+from codegen.differentiate.zeros import vanishing
 
 _DIGITS = 100
-_NOTHING = 1e-90
-"""What is left where terms of ordinary size cancel."""
 _FUNCTIONS = {"Heaviside": lambda x: (1 + mpmath.sign(x)) / 2, "DiracDelta": lambda *_: mpmath.mpf(0)}
 
 
@@ -28,7 +27,9 @@ def hessian_samples(
     """
     graph = Graph(variables)
     found = accumulate(graph, graph.of(function), range(len(variables))).second
-    entries = {pair: node for pair, node in found.items() if max(pair) < len(variables)}
+    inside = {pair: node for pair, node in found.items() if max(pair) < len(variables)}
+    absent = vanishing(graph, inside.values())
+    entries = {pair: node for pair, node in inside.items() if node not in absent}
     names = (sympy.Dummy() for _ in iter(int, 1))
     program = straight_line(graph, list(entries.values()), names)
     symbols = sorted(function.free_symbols, key=lambda symbol: symbol.name)
@@ -44,5 +45,5 @@ def hessian_samples(
                 continue
         matrix = np.zeros((len(variables), len(variables)))
         for (row, column), number in zip(entries, numbers, strict=True):
-            matrix[row, column] = matrix[column, row] = number if abs(number) > _NOTHING else 0.0
+            matrix[row, column] = matrix[column, row] = number
         yield matrix if np.all(np.isfinite(matrix)) else None

@@ -232,7 +232,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(("shared",) if program.shared else ()),
         *(("equal_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),
-        "lagrangian", "norms", "point", "elements",
+        "iterates", "lagrangian", "norms", "point", "elements",
         "ends_curved" if layout.is_curved(derivatives) else "ends_flat",
         "symmetric",
         *(condensed if derivatives.condensed else ("element_kept",)),

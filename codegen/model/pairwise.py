@@ -98,16 +98,16 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
     if not isinstance(problem, (Connect, Simulate)):
         raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
-    terms = {"pair_term": expressions.checked(system.pair_term, "pair_term")}
+    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
     if system.self_term is not None:
         terms["self_term"] = expressions.checked(system.self_term, "self_term")
     terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
     duration = expressions.checked(problem.duration, "duration")
-    _require_symbols({**terms, "duration": duration}, system.particles, declared)
+    _require_symbols({**terms, "duration": duration}, system.pair, declared)
     inside = set().union(*(e.free_symbols for e in (*terms.values(), duration)))
     parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)
-    plain = _plain_symbols(system.particles, parameters, problem.task)
-    first, second = (_place(one, plain) for one in system.particles)
+    plain = _plain_symbols(system.pair, parameters, problem.task)
+    first, second = (_place(one, plain) for one in system.pair)
     pair = expressions.tidied(terms["pair_term"].xreplace(plain))
     self_term = expressions.tidied(terms["self_term"].xreplace(plain)) if "self_term" in terms else None
     _require_scope(pair, self_term, first, second)
@@ -119,7 +119,7 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         momenta = dict(zip(second.p, first.p, strict=True))
         self_term = limit.xreplace(own | momenta) / 2
     domain = tuple(expressions.tidied(terms[f"domain[{k}]"].xreplace(plain)) for k in range(len(system.domain)))
-    start, own_values = _particles_at_start(problem, system.particles[0]) if isinstance(problem, Simulate) else ((), ())
+    start, own_values = _particles_at_start(problem, system.pair[0]) if isinstance(problem, Simulate) else ((), ())
     return PairwiseModel(
         task=problem.task,
         name=name,

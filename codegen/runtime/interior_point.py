@@ -35,6 +35,10 @@ LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
 UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+SHORT_TURN = 3
+SHORT = 0.25  # a step that is shortened to less makes the next ones shorter beforehand
+SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+FULL_STEPS = 4  # how many of them may pass before one has to be better than the iterate where they began
 PATIENCE = 8  # iterations with the least weight of the barrier before a larger one has to do
 
 
@@ -75,6 +79,14 @@ class Search(NamedTuple):
     system: tuple[NamedTuple, int]
     equations: np.ndarray
     box: tuple[np.ndarray, np.ndarray]
+
+
+class Watch(NamedTuple):
+    """Where full steps began: the iterate, its Newton step, and how many may still follow."""
+
+    iterate: NamedTuple
+    step: NamedTuple
+    left: int
 
 
 class Step(NamedTuple):
@@ -178,6 +190,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     first = max(1.0, iterate.point.violation)
     small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
     shift, last_shift, length, at_least, fallback = 0.0, 0.0, 0.0, 0, None
+    shortened, watch, damping = 0, None, 0.0
     for iteration in range(max_iterations + 1):
         iterate, measured = measured_iterate(search, iterate)
         point = iterate.point
@@ -192,6 +205,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             return ("solved" if minimum else "saddle point"), iterate, iteration
         if is_boundless(point, measured[6]):
             return "unbounded", iterate, iteration
+        if log.is_late():
+            return "time limit", iterate, iteration
         if iteration == max_iterations:
             break
         before = mu
@@ -200,12 +215,21 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
         if mu < before:
             filtered, fallback = filtered[:1], (iterate, before)
-            iterate = tightened(search, iterate, before, mu)
-        step = regularised_step(search, iterate, mu, last_shift)
+            iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
+        step = regularised_step(search, iterate, mu, last_shift, damping)
         trial, at_least = None, at_least + (mu == least)
         if step is not None:
             shift, last_shift = step.shift, step.shift or last_shift
+            if shortened == SHORTENED:
+                watch = Watch(iterate, step, FULL_STEPS)
+            if watch is not None:
+                trial, length, watch = watched(search, iterate, step, mu, watch, small_violation, filtered)
+                shortened = 0
+                iterate = iterate if trial is None else trial
+                continue
             trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
+            shortened = shortened + 1 if trial is None or length < step.longest else 0
+            damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if fallback is not None and mu <= sound and (trial is None or at_least == PATIENCE):
             if is_acceptable(grid, point, measured, tolerance):
                 return "solved", iterate, iteration
@@ -321,14 +345,14 @@ def barrier_error(point, measured, mu):
     return max(stationarity / scale, point.residual, off_centre / dual_scale)
 
 
-def regularised_step(search, iterate, mu, last_shift):
+def regularised_step(search, iterate, mu, last_shift, damping):
     """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
     grid, bounds, system, *_ = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
     barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
-    shift, dual_shift = 0.0, 0.0
+    shift, dual_shift = damping, 0.0
     while shift < 1e20:
         add_barrier(point.gradient, *barrier, shift, dual_shift, gradient, diagonal)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
@@ -347,35 +371,65 @@ def regularised_step(search, iterate, mu, last_shift):
     return None
 
 
+def damped(damping, step, length, shortened):
+    """The least shift of the Hessian for the next step: more where this one had to be shortened much, else less.
+
+    A Hessian that is barely positive definite sends steps far beyond where it means something.
+    """
+    if length <= SHORT * step.longest and shortened >= SHORT_TURN:
+        return 4.0 * max(step.shift, damping, 1e-5)
+    if length < step.longest:
+        return damping
+    return damping / 2.0 if damping > 1e-5 else 0.0
+
+
 def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-    violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
 
     def accepted(trial, length):
-        point, _, logarithms = trial
-        return point.error < np.inf and accept(
-            violation,
-            cost,
-            point.violation,
-            point.cost - mu * logarithms,
-            step.slope,
-            length,
-            small_violation,
-            filtered,
-        )
+        return is_better(trial, iterate, step, length, mu, small_violation, filtered)
 
     length = step.longest
     while length > shortest:
         trial = moved(search, iterate, step.primal, length)
         if not accepted(trial, length):
-            worse = length == step.longest and trial[0].violation >= violation
+            worse = length == step.longest and trial[0].violation >= iterate.point.violation
             trial = corrected(search, iterate, step, mu, trial, accepted) if worse else None
         if trial is not None:
-            duals = np.empty_like(iterate.duals)
-            move_duals(iterate.duals, step.dual, step.dual_length, trial[1], mu, duals)
-            return Iterate(*trial, duals), length
+            return with_duals(trial, iterate, step, mu), length
         length *= 0.5
     return None, length
+
+
+def watched(search, iterate, step, mu, watch, small_violation, filtered):
+    """(next iterate, length, watch) after a full step that is taken untested, in the hope that one soon is better.
+
+    The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
+    better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
+    """
+    trial = moved(search, iterate, step.primal, step.longest)
+    if is_better(trial, watch.iterate, watch.step, watch.step.longest, mu, small_violation, filtered):
+        return with_duals(trial, iterate, step, mu), step.longest, None
+    if watch.left == 1 or not trial[0].error < np.inf:
+        return watch.iterate, 0.0, None
+    return with_duals(trial, iterate, step, mu), step.longest, watch._replace(left=watch.left - 1)
+
+
+def is_better(trial, iterate, step, length, mu, small_violation, filtered):
+    """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
+    point, _, logarithms = trial
+    violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
+    trial_cost = point.cost - mu * logarithms
+    return point.error < np.inf and accept(
+        violation, cost, point.violation, trial_cost, step.slope, length, small_violation, filtered
+    )
+
+
+def with_duals(trial, iterate, step, mu):
+    """The iterate at a trial point, with duals after the step's dual part."""
+    duals = np.empty_like(iterate.duals)
+    move_duals(iterate.duals, step.dual, step.dual_length, trial[1], mu, duals)
+    return Iterate(*trial, duals)
 
 
 def moved(search, iterate, step, length):

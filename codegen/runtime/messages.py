@@ -27,10 +27,11 @@ from codegen.runtime.verdict import GROWTH, HOLDS, final_status
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
+    "time limit": "raise time_limit, take fewer steps, or start from a better guess",
     "non-finite": "change the guess or the parameters, or keep away from there by bounds",
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
-    "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
+    "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
@@ -63,6 +64,9 @@ def finding(grid, guess, point, status):
         return f"the cost falls along {falling_unknown(grid, point)}"
     if status == "unbounded":
         return run_away(grid, guess, point)
+    if status == "time limit":
+        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
+        return f"{reached}; {worst_row(grid, point)}"
     return worst_row(grid, point)
 
 

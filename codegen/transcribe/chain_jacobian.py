@@ -13,6 +13,7 @@ from sympy import Expr, Symbol
 from codegen import expressions
 from codegen.discretise import STEP
 from codegen.model.values import values_at_guess
+from codegen.special_functions import NUMPY
 from codegen.transcribe.program import ControlProgram
 
 Array = NDArray[np.float64]
@@ -123,5 +124,5 @@ def _equations(share: Expr, unknowns: Sequence[Symbol], others: Sequence[Symbol]
     gradient = [sympy.diff(share, x) for x in unknowns]
     places = [(i, j) for i, g in enumerate(gradient) for j, x in enumerate(unknowns) if x in g.free_symbols]
     entries = [sympy.diff(gradient[i], unknowns[j]) for i, j in places]
-    function = sympy.lambdify([*unknowns, *others], [gradient, entries], modules="numpy", cse=True)
+    function = sympy.lambdify([*unknowns, *others], [gradient, entries], modules=NUMPY, cse=True)
     return ([i for i, _ in places], [j for _, j in places]), function

@@ -200,9 +200,10 @@ class StepProgram:
     them takes three parts: `before` are explicit assignments in order, `unknowns` with `residual` are what is left
     for Newton's method (none for an explicit scheme; `linear` when one linear solve will do), `after` are explicit
     assignments that follow. Where a mass matrix is large, `guess` and `energy` may read `state_assignments`, which
-    depend on the left node alone. `velocities` are unknowns in place of positions, each with the two positions of which
-    it is the divided difference and the time between them. `guess` starts Newton's method. `energy` is the Hamiltonian
-    at the left node; `start` holds the initial (q, p) in terms of the parameters and of the symbols of `start_values`.
+    depend on the left node alone. `velocities` are unknowns in place of positions, each with the two positions of
+    which it is the divided difference and the time between them. `guess` starts Newton's method. `energy` is the
+    Hamiltonian at the left node; `start` holds the initial (q, p) in terms of the parameters and of the symbols of
+    `start_values`.
 
     Of a composition all this is one step of its base, whose lengths are the symbols `lengths`; `fractions` has a row
     for each step of the base with these lengths in parts of the whole step. Otherwise the only length is h, and there

@@ -13,6 +13,8 @@ from typing import Any
 import mpmath
 import numpy as np
 
+from codegen.special_functions import STEMS, by_name
+
 Array = Any
 Function = Callable[..., Array]
 
@@ -61,7 +63,24 @@ def named(name: str) -> Function:
         return lambda x: np.where(inside(np.asarray(x).real), function(_complex(x)), np.nan)
     if name in _ENTIRE:
         return lambda x: _ENTIRE[name](_complex(x))
-    return _arctangent if name == "atan2" else _by_digits(getattr(mpmath, _DIGITS_NAMES.get(name, name)))
+    return _arctangent if name == "atan2" else _by_digits(by_name(name))
+
+
+def _extended(number: Any) -> Any:
+    """A number of mpmath with the digits of an extended one; beyond its range it is zero or infinite."""
+    size = abs(number)
+    if size < _SMALLEST or not size < 1 / _SMALLEST:
+        return np.longdouble(0) if size < 1 else np.longdouble(mpmath.sign(number)) * np.inf
+    return np.longdouble(mpmath.nstr(number, 25))
+
+
+_SMALLEST = mpmath.mpf(10) ** -4900
+CONTINUED: dict[str, Function] = {
+    **{name: (lambda x, name=name: named(name)(x)) for name in ("erf", "erfc", "gamma")},
+    "gammaln": lambda x: named("lgamma")(x),
+    **{stem: (lambda order, x, stem=stem: named(f"{stem}_{order}")(x)) for stem in STEMS},
+}
+"""Functions for lambdify that numpy does not continue, by the names that it prints."""
 
 
 def _chosen(values: Sequence[Array], better: Callable[[Array, Array], Array]) -> Array:
@@ -103,7 +122,7 @@ def _value_and_slope(function: Callable[[Any], Any], at: Any) -> tuple[Any, Any]
     with mpmath.workdps(30):
         try:
             point = mpmath.mpf(str(at))
-            return tuple(np.longdouble(mpmath.nstr(v, 25)) for v in (function(point), mpmath.diff(function, point)))  # type: ignore[return-value]
+            return _extended(function(point)), _extended(mpmath.diff(function, point))
         except (TypeError, ValueError, ArithmeticError):
             return np.nan, np.nan
 
@@ -122,4 +141,3 @@ _ENTIRE: dict[str, Function] = {
     "atan": np.arctan,
     "asinh": np.arcsinh,
 }
-_DIGITS_NAMES = {"lgamma": "loggamma"}

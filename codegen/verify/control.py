@@ -26,8 +26,8 @@ _READ = (
 
 def verify_control(program: ControlProgram, text: Text) -> None:
     """Compare every kernel with its share of the Lagrangian; VerificationError names an entry that is wrong."""
-    module = text.interpreted(*_READ)
-    guessed = GuessedPoints(module, program.model.steps)
+    guessed = guessed_points(program, text)
+    module = guessed.module
     intervals = list(_intervals(program, module, guessed))
     block = [_control_block(program, *intervals[0])] if text.defines("control_hessian") else []
     for share, near in (*intervals, *block, *_ends(program, module, guessed)):
@@ -35,6 +35,11 @@ def verify_control(program: ControlProgram, text: Text) -> None:
         symbols = list(dict.fromkeys([*share.unknowns, *others]))
         drawn = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
         ShareComparison(share, text, [with_time(near, program.model.time), drawn]).verify()
+
+
+def guessed_points(program: ControlProgram, text: Text) -> GuessedPoints:
+    """Points near the guess that the text of a module makes."""
+    return GuessedPoints(text.interpreted(*_READ), program.model.steps)
 
 
 def _intervals(
@@ -61,7 +66,7 @@ def _intervals(
             call_gradient=call,
             call_hessian=call,
         )
-        yield share, guessed.on_intervals(local, others, _part_of_chain(program, stem))
+        yield share, guessed.on_intervals(local, others, part_of_chain(program, stem))
 
 
 def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
@@ -86,7 +91,7 @@ def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple
     return block, near
 
 
-def _part_of_chain(program: ControlProgram, stem: str) -> tuple[float, float]:
+def part_of_chain(program: ControlProgram, stem: str) -> tuple[float, float]:
     """Where intervals of a kind lie, in parts of the whole chain."""
     if not program.phases:
         return 0.0, 1.0

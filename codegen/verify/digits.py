@@ -13,6 +13,7 @@ from typing import Any
 import mpmath
 from sympy import Symbol
 
+from codegen.special_functions import by_name
 from codegen.verify.tape import Arithmetic
 
 DIGITS = 120
@@ -82,10 +83,6 @@ def _power(base: Any, exponent: Any) -> Sized:
     return _applied(lambda b: b ** (exponent.value if isinstance(exponent, Sized) else exponent), base)
 
 
-def _named(name: str) -> Any:
-    return getattr(mpmath, "loggamma" if name == "lgamma" else name)
-
-
 def _real(value: Any) -> Any:
     return value.value if isinstance(value, Sized) else value
 
@@ -98,7 +95,7 @@ def _only(value: Any) -> Any:
 
 SIZED = Arithmetic(
     number=Sized,
-    function=lambda name: lambda *x: _applied(_named(name), *x),
+    function=lambda name: lambda *x: _applied(by_name(name), *x),
     power=_power,
     maximum=lambda *x: max(map(sized, x), key=_real),
     minimum=lambda *x: min(map(sized, x), key=_real),
@@ -109,7 +106,7 @@ SIZED = Arithmetic(
 )
 EXACT = Arithmetic(
     number=mpmath.mpf,
-    function=lambda name: lambda *x: _only(_named(name)(*x)),
+    function=lambda name: lambda *x: _only(by_name(name)(*x)),
     power=lambda b, e: _only(b**e),
     maximum=max,
     minimum=min,

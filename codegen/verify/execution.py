@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from types import CodeType, SimpleNamespace
 from typing import Any
 
+from codegen.special_functions import STEMS
 from codegen.verify.tape import Arithmetic
 
 
@@ -41,7 +42,8 @@ class Text:
         """Some functions, and what they call, in another arithmetic than that of floating-point numbers."""
         key = tuple(names)
         if key not in self._codes:
-            functions = [node for node in self._needed(names) if isinstance(node, ast.FunctionDef)]
+            needed = [node for node in self._needed(names) if isinstance(node, ast.FunctionDef)]
+            functions = [node for node in needed if node.name not in STEMS]
             body: list[ast.stmt] = [_Rewritten().function(node) for node in functions]
             module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
@@ -129,7 +131,12 @@ def _namespace(a: Arithmetic) -> dict[str, Any]:
     comparisons = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
     comparisons |= {"Eq": operator.eq, "NotEq": operator.ne}
     functions = _Functions(a)
+
+    def family(stem: str) -> Callable[[int, Any], Any]:
+        return lambda order, x: a.function(f"{stem}_{order}")(x)
+
     return {
+        **{stem: family(stem) for stem in STEMS},
         **{f"_{name}": compared(operation) for name, operation in comparisons.items()},
         **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
         **{"_power": a.power, "_where": a.where, "abs": a.absolute, "max": a.maximum, "min": a.minimum},
