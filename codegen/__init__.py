@@ -11,10 +11,10 @@ _HOMES = {
     **dict.fromkeys(["Control", "Phases", "Simulate"], "codegen.problem"),
     **dict.fromkeys(
         "body_number canonical_pair canonical_pairs control controls coordinate coordinates free_parameter parameter "
-        "parameters states time".split(),
+        "parameters state states time".split(),
         "codegen.symbols",
     ),
-    **dict.fromkeys(["Connect", "Pairwise", "particles"], "codegen.pairwise"),
+    **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.pairwise"),
     **dict.fromkeys(["Points"], "codegen.points"),
     **dict.fromkeys(["together"], "codegen.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
@@ -40,7 +40,9 @@ __all__ = [
     "load",
     "parameter",
     "parameters",
+    "particle",
     "particles",
+    "state",
     "states",
     "time",
     "together",
@@ -50,7 +52,7 @@ if TYPE_CHECKING:
     from codegen.bodies import together
     from codegen.compiler import build
     from codegen.loading import load
-    from codegen.pairwise import Connect, Pairwise, particles
+    from codegen.pairwise import Connect, Pairwise, particle, particles
     from codegen.points import Points
     from codegen.problem import Control, Phases, Simulate
     from codegen.symbols import (
@@ -64,6 +66,7 @@ if TYPE_CHECKING:
         free_parameter,
         parameter,
         parameters,
+        state,
         states,
         time,
     )

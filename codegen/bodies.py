@@ -11,7 +11,7 @@ import sympy
 from codegen import expressions
 from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
-from codegen.problem import Control, Expression, Relation, form_of
+from codegen.problem import Control, Expression, Relations, form_of
 from codegen.symbols import Coordinate, EndValue, Momentum, Quantity, Velocity
 
 
@@ -20,9 +20,11 @@ def together(
     interaction: Expression = 0,
     cost: Expression = 0,
     terminal_cost: Expression = 0,
-    path: Sequence[Relation] = (),
-    start_conditions: Sequence[Relation] = (),
-    end_conditions: Sequence[Relation] = (),
+    maximise: Expression = 0,
+    terminal_maximise: Expression = 0,
+    path: Relations = (),
+    start_conditions: Relations = (),
+    end_conditions: Relations = (),
     constraint: Sequence[Expression] = (),
     drawing: Sequence[Item] = (),
 ) -> Control:
@@ -49,8 +51,9 @@ def together(
     else:
         motion = _sum(form, [*(getattr(body, form) for body in bodies), interaction])
 
-    def listed(what: str, further: Sequence[Any]) -> list[Any]:
-        return [*chain.from_iterable(getattr(body, what) for body in bodies), *further]
+    def listed(what: str, further: Relations) -> list[Any]:
+        given = [*(getattr(body, what) for body in bodies), further]
+        return [*chain.from_iterable(each.items() if isinstance(each, Mapping) else each for each in given)]
 
     def merged(what: str) -> dict[Any, Any]:
         return _merged(what, [getattr(body, what) for body in bodies])
@@ -59,6 +62,8 @@ def together(
         **{form: motion},
         cost=_sum("cost", [*(body.cost for body in bodies), cost]),
         terminal_cost=_sum("terminal_cost", [*(body.terminal_cost for body in bodies), terminal_cost]),
+        maximise=_sum("maximise", [*(body.maximise for body in bodies), maximise]),
+        terminal_maximise=_sum("terminal_maximise", [*(b.terminal_maximise for b in bodies), terminal_maximise]),
         duration=bodies[0].duration,
         steps=bodies[0].steps,
         force=merged("force"),
@@ -71,7 +76,7 @@ def together(
         start_conditions=listed("start_conditions", start_conditions),
         end_conditions=listed("end_conditions", end_conditions),
         constraint=listed("constraint", constraint),
-        drawing=listed("drawing", drawing),
+        drawing=[*chain.from_iterable(body.drawing for body in bodies), *drawing],
     )
 
 

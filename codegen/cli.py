@@ -14,7 +14,7 @@ import typer
 
 from codegen.app_command import app
 from codegen.errors import ArgumentError, one_line
-from codegen.terminal import OneLineErrors, console, progress, working
+from codegen.terminal import OneLineErrors, console, progress, solving, working
 from codegen.warp_command import warp
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def build(
     no_compile: Annotated[bool, typer.Option("--no-compile", help="Leave compilation to the first solve.")] = False,
 ) -> None:
     """Derive and write the module that solves a problem, and compile it."""
-    from codegen import output
+    from codegen import notes, output
 
     output.require_folder(out, "--out", may_be_made=True)
     begin = time.perf_counter()
@@ -113,10 +113,12 @@ def build(
                 made = _build(problem, set_, scheme, method, controls, out)
             with working("Compiling"):
                 drivers.prepare(made.path, processes)
-        machine_code.tell_failure(processes)
+        machine_code.tell(processes)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
     typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")
+    for note in notes.notes_of_file(made.path):
+        typer.echo(f"codegen: note: {note}", err=True)
 
 
 @main.command()
@@ -141,6 +143,7 @@ def solve(
     max_iterations: Annotated[
         int | None, typer.Option(parser=_positive, metavar="N", help="Most iterations of an optimiser.")
     ] = None,
+    time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of an optimiser.")] = None,
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[
         int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
@@ -169,11 +172,13 @@ def solve(
     load_seconds = time.perf_counter() - begin
     solve_options.require_fitting(module.metadata["task"], driver, every, log)
     ahead_seconds = machine_code.require(made, module) if driver == "newton" else 0.0
-    with working("Solving"):
+    with solving() as watch:
         result = drivers.solve(
             module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings,
             guesses=guesses, points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
+            time_limit=time_limit, watch=watch,
         )  # fmt: skip
+    result = solve_options.with_options(result)
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
     build_seconds = made.seconds + ahead_seconds + compile_seconds
     record = output.as_record(result, build_seconds, load_seconds + read_seconds)
@@ -220,8 +225,7 @@ def check(
         from codegen import checks, compiler
 
         # A module that someone keeps is checked as it stands, never rebuilt: it may have been changed by hand.
-        chosen = None if scheme == compiler.DEFAULT_SCHEME else scheme
-        choices = compiler.Choices(chosen, method, controls.value)
+        choices = compiler.chosen(scheme, method, controls.value)
         kept = (out or compiler.GENERATED) / f"{compiler.module_name(problem, arguments, choices)}.py"
         made = kept if kept.is_file() else _build(problem, set_, scheme, method, controls, None).path
         findings = checks.run(problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made)

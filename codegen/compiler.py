@@ -3,6 +3,8 @@
     author            discretise           transcribe          derive              lower            render
     Problem   --->    interval exprs --->  Program     --->    derivatives  --->   Module    --->   text of one .py
 
+Before the text is written, `verify` compares its derivatives with an independent differentiation of the program.
+
 `build` runs it, or takes the text from the cache, whose key is everything that the text depends on; a hit needs no
 sympy at all.
 """
@@ -23,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen import __version__, emit
-from codegen.errors import ArgumentError
+from codegen.errors import ArgumentError, FileError
 from codegen.problem_file import input_digest, load_problem, split_points
 
 if TYPE_CHECKING:
@@ -82,14 +84,15 @@ def build(
     for key, value in arguments.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
-    choices = Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
+    choices = chosen(scheme, method, controls, general)
     store = _store(path, arguments, choices)
-    name, cached = store.stem, store.is_file()
-    if cached:
-        text = store.read_text(encoding="utf-8")
-    else:
-        text = generate(path, arguments, choices)
-        emit.write(store, text)
+    kept_text = _kept_text(store)
+    name, cached, text = store.stem, bool(kept_text), kept_text or generate(path, arguments, choices)
+    if not cached:
+        try:
+            emit.write(store, text)
+        except FileError as error:
+            raise FileError(error.finding, "make room there, or let CODEGEN_CACHE_DIR name another folder") from error
     if out is None:
         kept = GENERATED / f"{name}.py"
         target = kept if kept.is_file() and kept.read_bytes() == text.encode() else store
@@ -101,12 +104,28 @@ def build(
 
 def stored(path: Path, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
     """Where the cache keeps the module of a problem file once it has been built."""
-    return _store(path, arguments, Choices(None if scheme == DEFAULT_SCHEME else scheme))
+    return _store(path, arguments, chosen(scheme))
+
+
+def chosen(
+    scheme: str | None = None, method: str | None = None, controls: str = "interval", general: bool = False
+) -> Choices:
+    """What a user chooses, in the form in which a module records it: the default scheme needs no name."""
+    return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
 
 
 def _store(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
     digest = input_digest(path, arguments, *_choice_texts(choices), *versions(), _own_digest())
     return cache_folder() / digest[:20] / f"{module_name(path, arguments, choices)}.py"
+
+
+def _kept_text(store: Path) -> str:
+    """What the cache holds; nothing where it holds nothing, or what is not whole."""
+    try:
+        text = store.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return text if emit.is_whole(text) else ""
 
 
 def generate(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
@@ -129,14 +148,16 @@ def _rare_collections() -> Iterator[None]:
 
 def generate_from_model(model: Model | PairwiseModel, choices: Choices, origin: Origin) -> str:
     """The pipeline itself, from a checked problem to the text of its module."""
-    from codegen import derive, lower, transcribe
+    from codegen import derive, lower, transcribe, verify
 
     if choices.general:
         return emit.render(_general_module(model, choices), origin)
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     derivatives = derive.derivatives(program)
     module = lower.lower(program, derivatives)
-    return emit.render(module, origin)
+    text = emit.render(module, origin)
+    verify.verify(program, text)
+    return text
 
 
 def _general_module(model: Model | PairwiseModel, choices: Choices) -> Module:
@@ -209,8 +230,8 @@ def _choice_texts(choices: Choices) -> tuple[str, ...]:
 
 
 _USERS = (
-    "drivers", "plots", "registration", "report", "stress", "__main__.py", "app_command.py", "cli.py", "notes.py",
-    "output.py", "solve_options.py", "terminal.py",
+    "drivers", "plots", "registration", "report", "stress", "__main__.py", "app_command.py", "cli.py", "files.py",
+    "notes.py", "output.py", "solve_options.py", "terminal.py",
 )  # fmt: skip
 """Parts of this package on which no generated text depends."""
 

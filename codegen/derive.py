@@ -10,7 +10,9 @@ from sympy import Expr, Symbol
 
 from codegen import expressions
 from codegen.differentiate import Assignment, second_derivatives
+from codegen.differentiate import jacobian as differentiated
 from codegen.differentiate.pairwise import PairDerivatives, pair_derivatives
+from codegen.differentiate.zeros import identically_zero
 from codegen.discretise import STEP
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
@@ -21,6 +23,8 @@ Entry = tuple[int, int, Expr]
 
 _LONG = 200
 """Operations from which on a scalar is differentiated on its graph; shorter ones read better from plain derivatives."""
+_LONG_STEP = 1000
+"""The same for all equations of a step together."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +73,16 @@ class ControlDerivatives:
 
 @dataclass(frozen=True)
 class StepDerivatives:
-    """Jacobian (dense, row by row) of the residual of an implicit step; empty for an explicit one.
+    """Residual of an implicit step and its Jacobian (dense, row by row); empty for an explicit one.
 
-    `constant` says that it depends on parameters and the step's length only, so that it can be factored once.
+    `constant` says that the Jacobian depends on parameters and the step's length only, so that it can be factored once.
+    Those of a long residual are straight-line programs, and may read the symbols of `assignments`.
     """
 
+    residual: tuple[Expr, ...]
     jacobian: tuple[tuple[Expr, ...], ...]
     constant: bool
+    assignments: tuple[Assignment, ...] = ()
 
 
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
@@ -101,15 +108,24 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
 
 def step_derivatives(program: StepProgram) -> StepDerivatives:
     """Differentiate the residual of a step by its unknowns, on which the assignments before it do not depend."""
-    jacobian = tuple(tuple(_tidy_derivative(r, y) for y in program.unknowns) for r in program.residual)
     fixed = {*program.model.parameters, STEP}
-    return StepDerivatives(jacobian, all(entry.free_symbols <= fixed for row in jacobian for entry in row))
+    residual, assignments = program.residual, tuple[Assignment, ...]()
+    if sum(int(r.count_ops()) for r in residual) < _LONG_STEP:
+        jacobian = tuple(tuple(_tidy_derivative(r, y) for y in program.unknowns) for r in residual)
+    else:
+        found, places = differentiated(residual, program.unknowns, fixed)
+        residual, assignments = found.values[: len(residual)], found.assignments
+        entries = dict(zip(places, found.values[len(residual) :], strict=True))
+        count = range(len(program.unknowns))
+        jacobian = tuple(tuple(entries.get((i, j), sympy.S.Zero) for j in count) for i in range(len(residual)))
+    constant = all(entry.free_symbols <= fixed for row in jacobian for entry in row)
+    return StepDerivatives(residual, jacobian, constant, assignments)
 
 
 def _tidy_derivative(expression: Expr, symbol: Symbol) -> Expr:
     """A derivative, written as zero where it is one."""
     derivative = sympy.diff(expression, symbol)
-    return sympy.S.Zero if _vanishes(derivative) else derivative
+    return sympy.S.Zero if identically_zero(derivative) else derivative
 
 
 def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int] = ()) -> ElementDerivatives:
@@ -124,7 +140,7 @@ def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collec
             if x not in present or column in given:
                 continue
             second = sympy.diff(first, x)
-            if not _vanishes(second):
+            if not identically_zero(second):
                 hessian.append((row, column, second))
     return ElementDerivatives(tuple(unknowns), gradient, tuple(hessian), cost)
 
@@ -162,15 +178,6 @@ def _end_element(end: EndElement, unknowns: tuple[Symbol, ...]) -> ElementDeriva
     return _element(end.element, unknowns, end.cost, {i for i, _ in end.pins})
 
 
-def _vanishes(expression: Expr) -> bool:
-    """Whether an expression is identically zero; costly simplification only where it is cheap and can matter."""
-    if expression.is_zero:
-        return True
-    if expression.is_Add and expression.count_ops() < 200:
-        return bool(sympy.expand(expression) == 0)
-    return False
-
-
 def _condensed(program: ControlProgram, elements: Sequence[ElementDerivatives]) -> int:
     slacks = len(program.slacks)
     if all(_constant_and_regular(program, element, element.varying) for element in elements):
@@ -189,7 +196,8 @@ def _constant_and_regular(program: ControlProgram, element: ElementDerivatives, 
             if value.free_symbols & (unknowns | {program.model.time}):
                 return False
             block[row - first, column - first] = block[column - first, row - first] = value
-    return expressions.null_direction(block, expressions.trial_points(block.free_symbols, {}, {})) is None
+    points = expressions.trial_points(block.free_symbols, {}, {})
+    return expressions.null_direction(expressions.values_at(block, point) for point in points) is None
 
 
 def derivatives(

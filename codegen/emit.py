@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import os
 import re
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import fields
 from functools import cache
@@ -17,15 +15,19 @@ from typing import TYPE_CHECKING
 
 import jinja2
 
-from codegen.errors import ModuleError
+from codegen.files import refused, write_text
+from codegen.mangling import renamed, told_arguments
 from codegen.specialise import specialise
 
 if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy
     from codegen.lower.module import Module, Origin
 
 
-_NAME = "\0"
+_NAME = "@@digest@@"
 """Where a text's own name comes, which depends on all the rest of the text."""
+_IDENTITY = re.compile(r'^_IDENTITY = "codegen_\w+?_([0-9a-f]{16})"$', re.MULTILINE)
+"""The line that tells it."""
+_SPECIAL = ("polygamma", "sinc_derivative")
 
 
 def render(module: Module, origin: Origin) -> str:
@@ -40,20 +42,35 @@ def render(module: Module, origin: Origin) -> str:
     )
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
+    # Functions that kernels call and Python does not have: a file for each.
+    special = tuple(name for name in _SPECIAL if f"{name}(" in repr(module) or f"{name})(" in repr(module))
+    runtime = (*special, *module.runtime)
+    names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
     values |= {
-        "numba_names": numba_names(module.runtime),
-        "runtime": runtime_source(module.runtime, module.sizes),
-        "imports": standard_imports(module.runtime),
+        "description": (*module.description, *told_arguments(names)),
+        "numba_names": numba_names(runtime),
+        "runtime": runtime_source(runtime, module.sizes),
+        "kept_code": runtime_source(("kept_code",)),
+        "imports": standard_imports(runtime),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
     }
-    named = environment.get_template(module.template).render(values, identity=_NAME)
+    named = renamed(_tidy(environment.get_template(module.template).render(values, identity=_NAME)))
     # numba's cache needs a name that belongs to this text alone; see the end of a generated module.
-    name = hashlib.sha256(named.replace(_NAME, "").encode()).hexdigest()[:16]
-    text = _tidy(named.replace(_NAME, name))
+    text = named.replace(_NAME, _digest(named.replace(_NAME, "")))
     compile(text, f"{module.name}.py", "exec")
     return text
+
+
+def is_whole(text: str) -> bool:
+    """Whether a text is still as it was rendered: the name in it is the digest of all the rest."""
+    found = _IDENTITY.findall(text)
+    return len(found) == 1 and _digest(text.replace(found[0], "", 1)) == found[0]
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = ()) -> str:
@@ -104,24 +121,16 @@ def _is_head(node: ast.stmt) -> bool:
 def write(path: Path, text: str) -> bool:
     """Write a file atomically if its text differs; return whether it was written.
 
-    The text goes to a temporary file in the same folder that then takes the name, so that a reader sees the old file
-    or the new one, and a killed build leaves the old one. Raises ModuleError when the folder cannot be written.
+    A reader sees the old file or the new one, and a killed build leaves the old one. Raises FileError when the file
+    system refuses.
     """
     try:
-        if path.is_file() and path.read_text(encoding="utf-8") == text:
+        if path.is_file() and path.read_bytes() == text.encode():
             return False
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-                file.write(text)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-    except (OSError, UnicodeDecodeError) as error:
-        raise ModuleError(f"{path} cannot be written ({error})", "choose another --out folder") from None
+    except OSError as error:
+        raise refused(error, path) from error
+    write_text(path, text)
     return True
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from codegen.mangling import plain
+
 INTERRUPTED = "codegen: interrupted; no file was left half written"
 """What a command says when it is interrupted; files are written as a whole or not at all."""
 
@@ -24,9 +26,9 @@ class CodegenError(Exception):
     """
 
     def __init__(self, finding: str, remedy: str) -> None:
-        super().__init__(f"{finding}; {remedy}")
-        self.finding = finding
-        self.remedy = remedy
+        # Whatever generated code calls a quantity, its author reads the name that he gave it.
+        self.finding, self.remedy = plain(finding), plain(remedy)
+        super().__init__(f"{self.finding}; {self.remedy}")
 
 
 class ProblemFileError(CodegenError):
@@ -49,6 +51,10 @@ class DegenerateError(CodegenError):
     """A Legendre transform does not exist because velocities (or momenta) cannot be solved for."""
 
 
+class SizeError(CodegenError):
+    """A problem is too large for what is to be derived from it."""
+
+
 class BoundaryError(CodegenError):
     """The boundary conditions do not fit the coordinates of the problem."""
 
@@ -59,6 +65,14 @@ class SchemeError(CodegenError):
 
 class ModuleError(CodegenError):
     """A generated module is missing, damaged or does not belong to the problem."""
+
+
+class FileError(CodegenError):
+    """The file system refuses to write a file: no room, no permission, a disk that may only be read."""
+
+
+class VerificationError(CodegenError):
+    """A derivative in an emitted text is not that of the expression; nothing is written."""
 
 
 class NumericsError(CodegenError):

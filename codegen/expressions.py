@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -11,20 +12,28 @@ import numpy as np
 import sympy
 from sympy.core.function import AppliedUndef
 
+from codegen import special_functions
+from codegen.differentiate.zeros import identically_zero
 from codegen.errors import ExpressionError
 
 PRINTABLE = (
     *(sympy.sin, sympy.cos, sympy.tan, sympy.asin, sympy.acos, sympy.atan, sympy.atan2),
     *(sympy.sinh, sympy.cosh, sympy.tanh, sympy.asinh, sympy.acosh, sympy.atanh),
     *(sympy.exp, sympy.log, sympy.Abs, sympy.Min, sympy.Max, sympy.Piecewise),
+    *(sympy.erf, sympy.erfc, special_functions.gamma, special_functions.lgamma, special_functions.OrderedBase),
 )
 """Functions that the printer knows how to write as numba code."""
 
+_TINY = 1e-50
+"""Below this a value may be what is left where terms cancel, and is looked at again."""
 _ARITHMETIC = (
     *(sympy.Symbol, sympy.Number, sympy.NumberSymbol, sympy.Add, sympy.Mul, sympy.Pow),
     *(sympy.functions.elementary.piecewise.ExprCondPair, sympy.core.relational.Relational),
     *(sympy.logic.boolalg.BooleanAtom, sympy.And, sympy.Or, sympy.Not),
 )
+
+_WIDE = 100
+"""Decimal exponent of factors that belong into the exponent of an exponential."""
 
 
 def checked(value: Any, what: str) -> sympy.Expr:
@@ -37,22 +46,63 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is a {type(value).__name__}", "give one sympy expression or number") from None
     if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise ExpressionError(f"{what} is a {type(expression).__name__}", "give one scalar expression")
+    expression = special_functions.rewritten(with_exponents_together(expression), what)
     for atom in sorted(expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity), key=str):
-        if not atom.is_finite or abs(atom) > sys.float_info.max:
-            raise ExpressionError(f"{what} contains {str(atom)[:20]}", "use finite numbers only")
+        if not atom.is_finite or not (atom.is_zero or sys.float_info.min <= abs(atom) <= sys.float_info.max):
+            number = sympy.N(atom, 15) if atom.is_finite else atom
+            remedy = "scale it, or write it as the exponential of its logarithm" if atom.is_finite else "leave it out"
+            raise ExpressionError(f"{what} contains {number}, which no double-precision number is", remedy)
     if expression.has(sympy.I):
         raise ExpressionError(f"{what} is complex", "use real expressions")
     for part in sympy.preorder_traversal(expression):
         if isinstance(part, AppliedUndef) or not isinstance(part, (*_ARITHMETIC, *PRINTABLE)):
-            name = part.func.__name__
-            raise ExpressionError(f"{what} uses {name}, which cannot be printed", "use elementary functions")
+            raise special_functions.refusal(part, what)
     return expression
+
+
+def with_exponents_together(expression: sympy.Expr) -> sympy.Expr:
+    """Put large and small factors of exponentials back into the exponents, as in exp(885.85 - 885.85 x).
+
+    sympy evaluates the constant part of an exponent with decimals: what is left is 6.4e384 exp(-885.85 x), or factors
+    that a computer can represent, but whose product underflows. As fractions such exponents stay together.
+    """
+    if not any(abs(sympy.log(abs(c), 10).evalf()) > _WIDE for c in expression.atoms(sympy.Float) if not c.is_zero):
+        return expression
+    return expression.replace(lambda part: part.is_Mul and bool(part.atoms(sympy.exp)), _joined)
+
+
+def _joined(product: sympy.Expr) -> sympy.Expr:
+    """A product with its decimal factor inside the exponent of an exponential, if that is a direct factor."""
+    factor, rest = product.as_coeff_Mul()
+    powers = [f for f in sympy.Mul.make_args(rest) if isinstance(f, sympy.exp)]
+    if not powers or not factor.is_Float or abs(sympy.log(abs(factor), 10).evalf()) <= _WIDE:
+        return product
+    exponent = sympy.log(abs(factor)).evalf(30)
+    short = sympy.Rational(str(exponent.n(14)))
+    same = abs(sympy.exp(short).evalf(30) / abs(factor) - 1) < sympy.Float(abs(exponent)) * sys.float_info.epsilon
+    joined = sympy.exp((short if same else sympy.Rational(str(exponent))) + tidied(powers[0].args[0]))
+    return sympy.sign(factor) * joined * (rest / powers[0])
 
 
 def tidied(expression: sympy.Expr) -> sympy.Expr:
     """Write decimal numbers as the rationals that they stand for, so that cancellation is exact (0.5 -> 1/2)."""
     numbers = {number: sympy.Rational(str(number)) for number in expression.atoms(sympy.Float)}
     return expression.xreplace(numbers)
+
+
+def multiplied_out(expression: sympy.Expr) -> int:
+    """How many terms an expression has at most when all products and powers of sums in it are multiplied out.
+
+    To be asked before sympy.expand, whose time grows with it: the cube of a sum of 20 squares has 1540 terms.
+    """
+    if expression.is_Add:
+        return sum(map(multiplied_out, expression.args))
+    if expression.is_Mul:
+        return math.prod(map(multiplied_out, expression.args))
+    if expression.is_Pow and expression.exp.is_Rational:
+        terms, power = multiplied_out(expression.base), int(abs(expression.exp))
+        return max(terms, math.comb(terms + power - 1, power))
+    return max([1, *map(multiplied_out, expression.args)])
 
 
 def number_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> float | None:
@@ -97,16 +147,15 @@ def trial_points(
         yield {**drawn, **(likely if trial == 0 else {}), **fixed}
 
 
-def null_direction(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, float]]) -> np.ndarray | None:
-    """The weights of a null direction of a square symbolic matrix that is singular at all given points, else None.
+def null_direction(samples: Iterable[np.ndarray | None]) -> np.ndarray | None:
+    """The weights of a null direction of a square matrix that is singular in all its samples, else None.
 
     Decided by the numerical rank, since a matrix that is not identically singular is regular at a random point with
     probability one; this stays cheap where a symbolic determinant would not. Rows and columns are scaled first, so
-    that large and small masses may occur side by side. None also where the matrix has no real value at any point.
+    that large and small masses may occur side by side. None also where no sample has real values.
     """
     direction = None
-    for point in points:
-        values = _finite_values(matrix, point)
+    for values in samples:
         if values is None:
             continue
         size = np.sqrt(np.abs(values).max(axis=1, initial=0.0))
@@ -126,7 +175,7 @@ def dependent_rows(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, 
     """
     combination = None
     for point in points:
-        values = _finite_values(matrix, point)
+        values = values_at(matrix, point)
         if values is None:
             continue
         size = np.linalg.norm(values, axis=1)
@@ -138,11 +187,22 @@ def dependent_rows(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, 
     return combination
 
 
-def _finite_values(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.ndarray | None:
+def values_at(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.ndarray | None:
+    """The entries of a matrix as floats, or None where one of them is not a finite real number."""
     try:
         values = np.array(matrix.evalf(subs=point).tolist(), dtype=float).reshape(matrix.shape)
     except (TypeError, ValueError):
         return None
-    # What is left by evalf, which works with 100 digits, where terms cancel.
-    values[np.abs(values) < 1e-90] = 0.0
+    for place in np.argwhere((values != 0.0) & (np.abs(values) < _TINY)):
+        row, column = map(int, place)
+        if _cancels(matrix[row, column], float(values[row, column]), point):
+            values[row, column] = 0.0
     return values if np.all(np.isfinite(values)) else None
+
+
+def _cancels(entry: sympy.Expr, value: float, point: Mapping[sympy.Symbol, float]) -> bool:
+    """Whether a tiny value is what evalf, which works with 100 digits, leaves where terms cancel."""
+    if identically_zero(entry):
+        return True
+    terms = [rounded_at(term, point) for term in entry.args] if entry.is_Add else []
+    return abs(value) < 1e-90 * sum(abs(term) for term in terms if term is not None)

@@ -11,6 +11,7 @@ What symbolic derivation cannot but leave out, such as derivatives by cyclic coo
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import sympy
@@ -60,10 +61,11 @@ def _explicit_guess(program: StepProgram, unknown: Symbol) -> Expr:
     """An explicit Euler step to a right node, half of one to an inner stage."""
     left = program.left_symbols
     rates = rates_of_change(legendre.hamiltonian_form(program.model), left)
-    name, _, stage = unknown.name.rpartition("_stage")
-    place = [y.name for y in left].index(f"{name or unknown.name.removesuffix('_k1')}_k")
+    stage = re.search(r"_stage\d+$", unknown.name)
+    name = unknown.name[: stage.start()] if stage else unknown.name.removesuffix("_k1")
+    place = [y.name for y in left].index(f"{name}_k")
     length = sum(program.lengths) if program.fractions else STEP
-    return left[place] + (length / 2 if stage and name else length) * rates[place]
+    return left[place] + (length / 2 if stage else length) * rates[place]
 
 
 def general_derivatives(program: ControlProgram, derivatives: ControlDerivatives) -> ControlDerivatives:

@@ -7,21 +7,26 @@ section 1.4.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import sympy
 from sympy.functions.elementary.trigonometric import TrigonometricFunction
+from sympy.simplify.fu import TR8
 
 from codegen import expressions
-from codegen.errors import BoundaryError, DegenerateError, SymbolError
+from codegen.differentiate.zeros import identically_zero
+from codegen.errors import BoundaryError, DegenerateError, SizeError, SymbolError
 from codegen.model import Boundary, Model
 
 _ADJUGATE_LIMIT = 3
 """Up to this size the adjugate over the determinant is shorter than the nested fractions of an elimination."""
 _SIMPLIFY_LIMIT = 150
 """Operation count up to which sympy's simplifications are affordable."""
+_TRIGSIMP_LIMIT = 40
+"""The same for all of its trigonometric rules, of which otherwise one is used: products as sums of cosines."""
+_WRITTEN_LIMIT = 100_000
+"""Operations of an inverse matrix up to which it is written out."""
 
 
 def hamiltonian_form(model: Model) -> Model:
@@ -42,6 +47,23 @@ def lagrangian_form(model: Model) -> Model:
     when a fixed end momentum does not determine its velocity.
     """
     return model if model.form == "lagrangian" else _transformed(model, "lagrangian")
+
+
+def in_phase_space(model: Model) -> Model:
+    """Return a Lagrangian model with momenta as its rates and with its ends in them, but with no function of these.
+
+    This is all of the Hamiltonian form that does not want p = dL/dv to be solved for v. Raises SymbolError and
+    BoundaryError as `hamiltonian_form` does.
+    """
+    conjugates, gradient = conjugate_symbols(model), _gradient(model.function, model.rates)
+    return replace(
+        model,
+        form="hamiltonian",
+        rates=conjugates,
+        function=sympy.S.Zero,
+        start=_boundary(model, "start", model.start, sympy.S.Zero, gradient, conjugates),
+        end=model.end and _boundary(model, "end", model.end, model.duration, gradient, conjugates),
+    )
 
 
 def momentum_of_velocity(model: Model) -> tuple[sympy.Expr, ...]:
@@ -91,8 +113,9 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
 
     A block is the set of unknowns that its entries couple, so a diagonal matrix costs one division an unknown and
     the expressions stay small. Entries are simplified first, because a zero that is not seen joins two blocks.
-    Raises DegenerateError, naming the first row, when a block is singular.
+    Raises DegenerateError, naming the first row, when a block is singular, and SizeError when one is too large.
     """
+    _require_affordable(matrix)
     matrix = matrix.applyfunc(_simplified_entry)
     solution = [sympy.S.Zero] * len(right)
     for block in matrix.connected_components():
@@ -101,24 +124,38 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
         values = sympy.Matrix([right[row] for row in rows])
         if len(rows) <= _ADJUGATE_LIMIT:
             determinant = _simplified_entry(part.det(method="berkowitz"))
-            if vanishes(determinant):
+            if identically_zero(determinant):
                 raise DegenerateError(f"a linear system is singular in row {rows[0] + 1}", "check that it is regular")
             found = part.adjugate() * values / determinant
         else:
-            found = part.LUsolve(values, iszerofunc=vanishes)
+            found = part.LUsolve(values, iszerofunc=identically_zero)
         for row, value in zip(rows, found, strict=True):
             solution[row] = value
     return tuple(solution)
 
 
-def vanishes(expression: sympy.Expr) -> bool:
-    """Whether an expression is zero everywhere, decided at random points where sympy does not know."""
-    if expression.is_zero is not None:
-        return bool(expression.is_zero)
-    points = itertools.islice(expressions.trial_points(expression.free_symbols, {}, {}), 8)
-    values = (expressions.number_at(expression, point) for point in points)
-    # evalf raises its precision until 15 digits are right, so what cancels comes out far below any true value.
-    return all(value is None or abs(value) < 1e-25 for value in values)
+def _require_affordable(matrix: sympy.Matrix) -> None:
+    """Refuse an inverse that would be too long when it is written out, before hours go into it."""
+    if _written_out(matrix) <= _WRITTEN_LIMIT:
+        return
+    matrix = matrix.applyfunc(lambda entry: sympy.S.Zero if identically_zero(entry) else entry)
+    for block in matrix.connected_components():
+        rows = sorted(block)
+        operations = _written_out(matrix.extract(rows, rows))
+        if operations > _WRITTEN_LIMIT:
+            quantities = ", ".join(sorted(map(str, matrix.free_symbols)))
+            raise SizeError(
+                f"the inverse of a matrix that couples {len(rows)} coordinates would have about {operations:.0e} "
+                f"operations in {quantities}",
+                "use --method variational, which needs no inverse, or coordinates that the kinetic energy couples less",
+            )
+
+
+def _written_out(matrix: sympy.Matrix) -> float:
+    """About how many operations an inverse has, of which every row of an elimination quadruples the terms."""
+    if matrix.rows <= _ADJUGATE_LIMIT:
+        return 0.0
+    return float(4**matrix.rows * sum(int(entry.count_ops()) for entry in matrix) / matrix.rows**2)
 
 
 def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
@@ -128,7 +165,7 @@ def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
     expanded = sympy.expand(entry)
     candidates = [entry, expanded]
     if expanded.has(TrigonometricFunction) and expanded.count_ops() < _SIMPLIFY_LIMIT:
-        candidates.append(sympy.trigsimp(expanded))
+        candidates.append(sympy.trigsimp(expanded) if expanded.count_ops() < _TRIGSIMP_LIMIT else TR8(expanded))
     return min(candidates, key=lambda candidate: candidate.count_ops())
 
 
@@ -157,7 +194,7 @@ def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr,
     """Return y.x - f(x) and x(y), where f is the model's function, x its rates, and y = df/dx the `conjugates`."""
     function, rates = model.function, model.rates
     hessian = sympy.hessian(function, rates)
-    null = expressions.null_direction(hessian, _trial_points(model))
+    null = expressions.null_direction(expressions.values_at(hessian, point) for point in _trial_points(model))
     if null is not None:
         names = " ".join(str(y) for y, weight in zip(conjugates, null, strict=True) if abs(weight) > 1e-6)
         raise DegenerateError(

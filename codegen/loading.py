@@ -228,9 +228,13 @@ def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
 
 def has_machine_code(path: Path, module: GeneratedModule) -> bool:
     """Whether numba keeps machine code of a generated module on the disk, wherever it keeps it."""
+    return any(any(Path(folder).glob(f"{path.stem}.*.nbi")) for folder in code_folders(module))
+
+
+def code_folders(module: GeneratedModule) -> set[str]:
+    """Where numba keeps machine code of a generated module."""
     statistics: list[Any] = [getattr(value, "stats", None) for value in vars(module).values()]
-    folders = {str(entry.cache_path) for entry in statistics if getattr(entry, "cache_path", None)}
-    return any(any(Path(folder).glob(f"{path.stem}.*.nbi")) for folder in folders)
+    return {str(entry.cache_path) for entry in statistics if getattr(entry, "cache_path", None)}
 
 
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:
@@ -290,6 +294,9 @@ class _ByName:
             # for no edit.
             exec(compile(text, str(path), "exec"), vars(module))
         except Exception as error:  # a damaged file may fail in any way
+            if "no locator available" in str(error):
+                finding = f"{path}: numba finds no folder where it could keep machine code"
+                raise ModuleError(finding, "let NUMBA_CACHE_DIR name a folder that may be written to") from error
             finding = " ".join(f"{path} is damaged ({type(error).__name__}: {error})".split())
             raise ModuleError(finding, _REMEDY) from error
         _require_complete(path, module)

@@ -20,16 +20,18 @@ def require(made: Build, module: GeneratedModule) -> float:
     """Have a module that has no machine code compiled by processes that are quick at it; return the seconds."""
     from codegen.drivers.processes import compilers
 
-    if not made.written and has_machine_code(made.path, module):
+    if not made.written and not vars(module)["DAMAGED"] and has_machine_code(made.path, module):
         return 0.0
     with working("Compiling"), compilers() as processes:
         seconds = drivers.prepare(made.path, processes)
-    tell_failure(processes)
+    tell(processes)
     return seconds
 
 
-def tell_failure(processes: Compilers) -> None:
-    """Say by which error the processes could not make machine code, if they could not."""
+def tell(processes: Compilers) -> None:
+    """Say what the processes had to say, and by which error they could not make machine code, if they could not."""
+    for note in processes.notes:
+        typer.echo(note, err=True)
     if processes.failure:
         text = f"machine code could not be made ahead ({one_line(processes.failure)}); a first solve has made it"
         typer.echo(f"codegen: {text}", err=True)

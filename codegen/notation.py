@@ -12,6 +12,7 @@ from sympy import Add, Expr, Symbol, expand_mul
 from sympy.printing.pretty.pretty import PrettyPrinter
 from sympy.printing.pretty.stringpict import prettyForm
 
+from codegen import mangling
 from codegen.model import Model
 
 WIDTH = 100
@@ -65,7 +66,8 @@ class Notation:
             if model.form == "lagrangian"
             for pair in zip(model.rates, model.coordinates, strict=True)
         ]
-        return cls({v.name: q.name for v, q in pairs if v.name == f"d{q.name}"}, latex)
+        named = [(mangling.plain(v.name), mangling.plain(q.name)) for v, q in pairs]
+        return cls({v: q for v, q in named if v == f"d{q}"}, latex)
 
     def translated(self, expression: Expr) -> Expr:
         """The expression in symbols whose names are what is to be printed."""
@@ -78,7 +80,7 @@ class Notation:
         index = ""
         if symbol.name != match["base"] and not match["end"] and not match["side"]:
             index = {None: "k", "1": "k+1", "-1": "k-1"}[match["shift"]]
-        written = self._written(match["base"], match["stage"], index)
+        written = self._written(mangling.plain(match["base"]), match["stage"], index)
         if match["side"]:
             return written + (f"^{{{match['side']}}}" if self.latex else match["side"].translate(_HIGH))
         return written + (f"({match['end']})" if match["end"] else "")

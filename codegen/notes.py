@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 NAME = 40
@@ -10,19 +12,36 @@ NAME = 40
 
 
 def notes(metadata: Mapping[str, Any]) -> list[str]:
-    """What was left out of a control problem, and controls that the discrete cost does not see; none as a rule."""
+    """Unused symbols, what was left out of a control problem, controls that its cost does not see; none as a rule."""
     found = []
+    if unused := metadata.get("unused", ()):
+        found.append(f"{', '.join(unused)} {'is' if len(unused) == 1 else 'are'} declared but never used")
     if redundant := metadata.get("redundant_conditions", ()):
         named = ", ".join(f"number {number} ({shortened(name)})" for number, name in redundant)
         verb = "follows from the others and was" if len(redundant) == 1 else "follow from the others and were"
         count = f"{len(redundant)} of {metadata['coupling_conditions']}"
         found.append(f"{count} conditions between bodies {verb} left out: {named}")
+    for quantity, where in metadata.get("dependent_values", ()):
+        found.append(
+            f"{shortened(quantity)} at the {where} follows from the path equalities with the other values at the ends, "
+            "and was left out"
+        )
+    for condition, where in metadata.get("decided_conditions", ()):
+        found.append(
+            f"{shortened(condition)} holds with equality at the {where}, by what is prescribed there, and was left out"
+        )
     if unseen := metadata.get("unseen_controls", ()):
         found.append(
             f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "
             "found may be no optimum; codegen check explains, and --controls interval has no such mode"
         )
     return found
+
+
+def notes_of_file(path: Path) -> list[str]:
+    """The same of a generated module that need not be imported."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return notes(ast.literal_eval(next(node.value for node in tree.body if isinstance(node, ast.Assign))))
 
 
 def shortened(name: str, limit: int = NAME) -> str:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codegen.errors import ArgumentError
+from codegen.files import replacing
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from codegen.checks import Finding
-    from codegen.drivers.result import Result
+    from codegen.drivers.result import Level, Result
 
 ARCHIVES = (".npz",)
 
@@ -48,32 +48,6 @@ def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None
         raise ArgumentError(finding, "choose another folder") from error
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary file in the same folder that takes the name of `path` when the block ends without error.
-
-    ArgumentError when the file system refuses.
-    """
-    try:
-        handle, name = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix)
-        os.close(handle)
-        temporary = Path(name)
-        try:
-            yield temporary
-            temporary.chmod(0o644)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise ArgumentError(f"{path} cannot be written ({error.strerror})", "choose another place") from error
-
-
-def write_text(path: Path, text: str) -> None:
-    """Replace a file as a whole; ArgumentError when the file system refuses."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
 def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
     """The JSON object of `--json`: keys as documented, every number finite or null."""
     return {
@@ -90,7 +64,13 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
         "iterations": result.iterations,
         "seconds": {"build": _finite(build), "load": _finite(load), "solve": _finite(result.seconds_solve)},
         "summary": {name: _finite(value) for name, value in result.summary.items()},
+        **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
     }
+
+
+def _level(level: Level) -> dict[str, Any]:
+    numbers = {name: _finite(getattr(level, name)) for name in ("cost", "residual", "seconds")}
+    return {**asdict(level), **numbers}
 
 
 def as_json(record: Mapping[str, Any]) -> str:
@@ -119,6 +99,9 @@ def as_table(record: Mapping[str, Any], intervals: str) -> Table:
         table.add_row("cost", f"{record['cost']:.12g}")
     table.add_row("residual", _number(record["residual"]))
     table.add_row("iterations", f"{record['iterations']} ({record['driver']})")
+    for level in record.get("levels", ()):
+        cost = "" if level["cost"] is None else f", cost {level['cost']:.12g}"
+        table.add_row("grid", f"{level['steps']} steps: {level['status']}{cost}, {level['iterations']} iterations")
     for name, value in record["summary"].items():
         table.add_row(name.replace("_", " "), _number(value))
     seconds = record["seconds"]
@@ -151,23 +134,31 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     from rich import box
     from rich.table import Table
 
-    silent = sum(not finding.applies for finding in findings)
+    silent = [finding for finding in findings if not finding.applies]
+    unmeasured = sum(map(_is_unmeasured, silent))
     failed = sum(not finding.passed for finding in findings)
-    passed = len(findings) - silent - failed
-    caption = f"{passed} passed, {failed} failed, {silent} do not apply"
+    passed = len(findings) - len(silent) - failed
+    caption = f"{passed} passed, {failed} failed, {len(silent) - unmeasured} do not apply"
+    caption += f", {unmeasured} not measured" if unmeasured else ""
     table = Table(box=box.SIMPLE_HEAD, caption=caption, caption_justify="left")
     for heading in ("check", "subject", "", "detail"):
         table.add_column(heading)
     for finding in findings:
-        detail = finding.detail if finding.applies else finding.detail.removeprefix("does not apply: ")
+        detail = finding.detail
+        for words in () if finding.applies else ("does not apply: ", "not measured: "):
+            detail = detail.removeprefix(words)
         table.add_row(_escaped(finding.check), _escaped(finding.subject), _verdict(finding), _escaped(detail))
     return table
+
+
+def _is_unmeasured(finding: Finding) -> bool:
+    return not finding.applies and finding.detail.startswith("not measured")
 
 
 def _verdict(finding: Finding) -> str:
     """A check that says nothing about a problem has not passed."""
     if not finding.applies:
-        return "[dim]does not apply[/]"
+        return "[dim]not measured[/]" if _is_unmeasured(finding) else "[dim]does not apply[/]"
     return "[green]passed[/]" if finding.passed else "[bold red]FAILED[/]"
 
 

@@ -7,10 +7,12 @@ particles, which stand for any two of them, and writes both terms; n stays open 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import ClassVar
 
-from codegen.errors import SymbolError
+import sympy
+
+from codegen.errors import ExpressionError, SymbolError
 from codegen.points import Points
 from codegen.problem import Expression, Problem
 from codegen.symbols import Quantity
@@ -29,6 +31,17 @@ class Particle:
     q: tuple[ParticleQuantity, ...]
     p: tuple[ParticleQuantity, ...]
     own: tuple[ParticleQuantity, ...]
+    other: Particle | None = field(default=None, repr=False, compare=False)
+
+
+def particle(coordinates: str, momenta: str, own: str = "") -> Particle:
+    """Declare one particle; `other` is any second one, for pair terms that are functions of both.
+
+    For example `i = particle("x y", "px py")` and `Pairwise(i, pair_term=lambda i, j: ...)`. Raises SymbolError as
+    `particles` does.
+    """
+    first, second = particles(coordinates, momenta, own)
+    return replace(first, other=second)
 
 
 def particles(coordinates: str, momenta: str, own: str = "") -> tuple[Particle, Particle]:
@@ -42,8 +55,6 @@ def particles(coordinates: str, momenta: str, own: str = "") -> tuple[Particle, 
         raise SymbolError(f"{len(qs)} coordinates but {len(ps)} momenta", "give one momentum for each coordinate")
     names = [*qs, *ps, *parameters]
     for name in names:
-        if name in ("row", "half"):
-            raise SymbolError(f"{name!r} is reserved for generated code", "choose another name")
         if names.count(name) > 1:
             raise SymbolError(f"two quantities of a particle are called {name}", "give one of them another name")
 
@@ -61,13 +72,30 @@ class Pairwise:
     `pair_term` is symmetric in the two `particles`. `self_term` is an expression in quantities of the first of them;
     without one it is half the limit of `pair_term` at coincidence, as for a kernel that acts on itself. Each
     expression of `domain`, in the coordinates of the first particle, is positive wherever a particle may be.
+
+    With a single `particle`, `pair_term` is a function of it and of another one.
     """
 
-    particles: tuple[Particle, Particle]
+    particles: tuple[Particle, Particle] | Particle
     _: KW_ONLY
     pair_term: Expression
     self_term: Expression = None
     domain: Sequence[Expression] = ()
+
+    @property
+    def pair(self) -> tuple[Particle, Particle]:
+        """Any two particles; ExpressionError for a single one without another."""
+        if not isinstance(self.particles, Particle):
+            return self.particles
+        if self.particles.other is None:
+            raise ExpressionError("Pairwise has one particle", 'declare it with particle("x", "p"), or give both')
+        return self.particles, self.particles.other
+
+    @property
+    def term_of_pair(self) -> Expression:
+        """The pair term as an expression in the quantities of both."""
+        is_function = callable(self.pair_term) and not isinstance(self.pair_term, sympy.Basic)  # symbols can be called
+        return self.pair_term(*self.pair) if is_function else self.pair_term
 
 
 @dataclass(frozen=True)

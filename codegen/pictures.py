@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codegen.errors import ArgumentError
-from codegen.output import replacing, require_writable
+from codegen.files import replacing
+from codegen.output import require_writable
 
 if TYPE_CHECKING:
     from codegen.drivers.result import Result

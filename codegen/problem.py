@@ -28,6 +28,9 @@ SAME_AT_BOTH_ENDS = (
 Relation = Any
 """A sympy relation (Eq, <=, >=), or an expression that is to vanish."""
 
+Relations = Sequence[Relation] | Mapping[str, Relation]
+"""Relations, each with a name for messages where they are a mapping."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -64,17 +67,23 @@ class Simulate(Problem):
 class Control(Problem):
     """Move the system such that `terminal_cost` at T plus the integral of `cost` over [0, T] is least.
 
+    Or, with `maximise` and `terminal_maximise` in their place, such that the same sum of those is greatest; the `cost`
+    of a solution is then minus that sum, and the summary has it as `maximum`.
+
     What `start` or `end` leaves out is free, up to `start_conditions` and `end_conditions`: relations between
     coordinates and velocities (or momenta, or states) at that end. `path` relations hold at every time and may have
-    controls in them; `bounds` maps coordinates, velocities, momenta, states, controls and free parameters to pairs
-    (lower, upper), None where there is none. A `constraint` c(q) = 0 is holonomic: a Lagrangian system moves on the
-    manifold where it vanishes. `periodic` lists what has the same value at T as at 0, or maps it to the difference.
+    controls in them. Relations are a list, or map names, which messages use, to relations, as in
+    `path={"heating rate": q <= 70}`. `bounds` maps coordinates, velocities, momenta, states, controls and free
+    parameters to pairs (lower, upper), None where there is none. A `constraint` c(q) = 0 is holonomic: a Lagrangian
+    system moves on the manifold where it vanishes. `periodic` lists what has the same value at T as at 0, or maps it to
+    the difference.
 
     With `bodies=H` there are H of these systems, which start and end each for itself where a value depends on
     `body_number()`, and which end conditions in `q.of(0)`, `q.of(1)`, ... tie together.
 
     `guess` maps coordinates, states and controls to expressions of parameters and time, from which the solver starts;
-    without it coordinates are interpolated linearly between their end values and controls are zero.
+    without it coordinates are interpolated linearly between their end values and controls are zero. Free parameters
+    have their first guess there.
     """
 
     task: ClassVar[str] = "control"
@@ -83,10 +92,12 @@ class Control(Problem):
     cost: Expression = 0
     terminal_cost: Expression = 0
     end: Mapping[Any, Expression] = field(default_factory=dict)
-    start_conditions: Sequence[Relation] = ()
-    end_conditions: Sequence[Relation] = ()
+    maximise: Expression = 0
+    terminal_maximise: Expression = 0
+    start_conditions: Relations = ()
+    end_conditions: Relations = ()
     bounds: Mapping[Any, tuple[Expression | None, Expression | None]] = field(default_factory=dict)
-    path: Sequence[Relation] = ()
+    path: Relations = ()
     constraint: Sequence[Expression] = ()
     periodic: Mapping[Any, Expression] | Sequence[Any] = ()
     bodies: int = 1

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from codegen.drawing import Item, Scene
 from codegen.drivers.result import Result
 from codegen.model import Model
+from codegen.special_functions import NUMPY
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ def scene(model: Model, result: Result, times: Array | None = None) -> Scene:
 
     def evaluate(item: Item) -> Item:
         with np.errstate(all="ignore"):
-            arrays = item.mapped(lambda expression: _array(sympy.lambdify(symbols, expression, "numpy")(*arguments)))
+            arrays = item.mapped(lambda expression: _array(sympy.lambdify(symbols, expression, NUMPY)(*arguments)))
         shape = np.broadcast_shapes(*(array.shape for _, array in arrays.expressions()))
         return arrays.mapped(lambda array: np.broadcast_to(array, shape))
 

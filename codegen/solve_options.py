@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codegen.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from codegen.drivers.result import Result
     from codegen.loading import GeneratedModule, Vector
     from codegen.points import PointSet
 
@@ -51,6 +54,17 @@ def start_of(warm: Path | None) -> Callable[[GeneratedModule], Vector | None]:
 
     saved = warm_start.read_start(warm)
     return lambda module: warm_start.fitting(saved, module)
+
+
+def with_options(result: Result) -> Result:
+    """A result whose messages name options of the command where they named arguments of a function."""
+    levels = tuple(replace(level, message=_with_options(level.message)) for level in result.levels)
+    return replace(result, message=_with_options(result.message), levels=levels)
+
+
+def _with_options(message: str) -> str:
+    option = r"\braise (max_iterations|time_limit)\b"
+    return re.sub(option, lambda found: f"raise --{found[1].replace('_', '-')}", message)
 
 
 def require_fitting(task: str, driver: str, every: int, log: bool) -> None:

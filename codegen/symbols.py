@@ -7,10 +7,8 @@ how a name that is used twice is found out.
 
 from __future__ import annotations
 
-import builtins
 import itertools
-import keyword
-import re
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -20,20 +18,10 @@ import numpy as np
 import sympy
 
 from codegen.errors import SymbolError
+from codegen.mangling import MARK
 
 _serial_numbers = itertools.count()
 _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities", default=None)
-
-RESERVED = frozenset(
-    "np math numba njit sys h steps grid unknowns parameters gradient hessian residual jacobian interval state "
-    "duration start end every guess tolerance max_iterations log rows status message iterations point boundary "
-    "prescribed nodes intervals last views Solution Grid make_grid checked_grid replace_values initial_state "
-    "initial_guess with_pinned_values pin_values minimise evaluate describe unpack print_log integrate NODE START OWN "
-    "warm BODIES bodies shared own common coupling couplings slack slacks lower upper bounds variable_bounds "
-    "node_times interval_times phase_durations PHASES PARTS FRACTIONS lengths h_1 h_2".split()
-)
-"""Names that generated modules use for their own purposes."""
-_INNER_STAGE = re.compile(r"_stage\d+$")
 
 
 class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
@@ -44,12 +32,10 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
 
     def __new__(cls, name: str) -> Quantity:
         """Make a new symbol, different from all others; SymbolError when its name cannot be used."""
-        _require_identifier(name)
-        if name == "t" and cls is not Time:
-            raise SymbolError("'t' is the name of the time", "declare it with time(), or choose another name")
-        if name == "body" and cls is not BodyNumber:
-            raise SymbolError("'body' is the name of a body's number", "declare it with body_number()")
-        symbol: Quantity = sympy.Symbol.__xnew__(cls, name, real=True)
+        if not isinstance(name, str) or not name.isidentifier() or MARK in name:
+            raise SymbolError(f"{name!r} is not an identifier", "use letters, digits and underscores")
+        # As Python reads identifiers, where several characters stand for one letter.
+        symbol: Quantity = sympy.Symbol.__xnew__(cls, unicodedata.normalize("NFKC", name), real=True)
         symbol.declared = next(_serial_numbers)
         recorded = _recorder.get()
         # An end value follows from its coordinate, so that nobody has to use it.
@@ -193,6 +179,11 @@ def canonical_pairs(coordinates: str, momenta: str) -> tuple[tuple[Coordinate, .
     return _pairs(_split(coordinates), _split(momenta), Momentum)
 
 
+def state(name: str) -> State:
+    """Declare one state of a first-order system."""
+    return State(name)
+
+
 def states(names: str) -> tuple[State, ...]:
     """Declare the states of a first-order system, which `dynamics={x: ..., v: ...}` gives the derivatives of.
 
@@ -290,15 +281,3 @@ def _pairs(qs: list[str], partners: list[str], kind: type[Any]) -> tuple[tuple[C
         assert isinstance(q, Coordinate)
         q.partner, partner.partner = partner, q
     return first, second
-
-
-def _require_identifier(name: Any) -> None:
-    if not isinstance(name, str) or not name.isidentifier():
-        raise SymbolError(f"{name!r} is not an identifier", "use letters, digits and underscores")
-    if keyword.iskeyword(name) or keyword.issoftkeyword(name):
-        raise SymbolError(f"{name!r} is a keyword of Python", "choose another name")
-    if not name.isascii():
-        raise SymbolError(f"{name!r} is not ASCII", "spell it out, as in phi or lam")
-    own = name in RESERVED or hasattr(builtins, name)
-    if own or name.startswith("_") or name.endswith("_k") or name.endswith("_k1") or _INNER_STAGE.search(name):
-        raise SymbolError(f"{name!r} is reserved for generated code", "choose another name")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from codegen.errors import INTERRUPTED, CodegenError, one_line
+from codegen.files import is_refusal, refused
 
 FILE_WIDTH = 120
 """Characters of a line where the output is no terminal."""
@@ -45,6 +47,8 @@ def _described(error: Exception) -> tuple[int, str]:
     if hasattr(error, "format_message"):  # a usage error of typer, whose class moved between versions
         command = getattr(getattr(error, "ctx", None), "command_path", "codegen")
         return 2, one_line(f"{error.format_message().rstrip('.')}; see {command} --help")
+    if isinstance(error, OSError) and is_refusal(error):
+        return 2, one_line(str(refused(error, error.filename or "the output")))
     if isinstance(error, MemoryError):
         return 2, "there is not enough memory; take fewer --steps, or a larger --every"
     if type(error).__name__ == "Abort":
@@ -82,6 +86,27 @@ def progress(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
     with Progress(*columns, console=console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=count)
         yield lambda done, text: bar.update(task, completed=done, description=text)
+
+
+@contextmanager
+def solving() -> Iterator[Callable[[int, tuple[float, ...]], None] | None]:
+    """A sign of life on a terminal that tells of iterates, by what is yielded, once it has taken a second."""
+    with working("Solving") as line:
+        if line is None:
+            yield None
+            return
+        begin = shown = time.monotonic()
+
+        def watch(number: int, row: tuple[float, ...]) -> None:
+            nonlocal shown
+            now = time.monotonic()
+            if now > begin + 1.0 and now > shown + 0.1:
+                shown = now
+                cost, residual, stationarity = row[:3]
+                errors = f"equations {residual:.1e}, stationarity {stationarity:.1e}"
+                line.update(f"Solving: iteration {number}, cost {cost:.6g}, {errors} ({now - begin:.0f} s) ...")
+
+        yield watch
 
 
 def working(what: str) -> AbstractContextManager[Any]:

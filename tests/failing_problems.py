@@ -174,18 +174,18 @@ UNBOUNDED = [
         "unbounded",
         ("the cost falls for ever along u on interval", "add bounds"),
     ),
-    Failing("reward-for-effort", mass(cost="-u**2", end="{}"), "unbounded", ("along u on interval", "check its sign")),
+    Failing("reward-for-effort", mass(cost="-u**2", end="{}"), "unbounded", ("along u on interval", "check the sign")),
     Failing(
         "reward-for-effort-of-a-pendulum",
         mass(cost="-u**2", dynamics="{x: v, v: u - sin(x)}", end="{}", guess="{u: 1}"),
         "unbounded",
-        ("u on interval", "has grown to", "check its sign"),
+        ("u on interval", "has grown to", "check the sign"),
     ),
     Failing(
         "reward-for-effort-against-a-wall",
         mass(cost="-u**2", end="{}", bounds="{x: (0, None)}"),
         "unbounded",
-        ("u on interval", "has grown to", "check its sign"),
+        ("u on interval", "has grown to", "check the sign"),
     ),
     Failing(
         "the-longer-the-easier",
@@ -250,7 +250,7 @@ STEEP = Failing(
     "too-steep-for-a-hundred-iterations",
     mass(cost="u**2 + exp(200*x)", end="{x: 1}"),
     "iteration limit",
-    ("the derivative of the Lagrangian by x at node", "raise max_iterations"),
+    ("the derivative of the Lagrangian by x at node", "raise --max-iterations"),
 )
 """Solved where it may take some hundred iterations."""
 

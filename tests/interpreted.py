@@ -52,10 +52,15 @@ def njit(*_args, **_options):
     return lambda function: function
 
 
+def text_of(problem: Control | Phases, **choices: str) -> str:
+    """The text of the module of a problem that is in no file."""
+    origin = Origin("test.py", "codegen build test.py", "0", ("codegen",))
+    return generate_from_model(normalise(problem), Choices(**choices), origin)
+
+
 def of_problem(problem: Control | Phases, **choices: str) -> types.ModuleType:
     """The module of a problem that is in no file."""
-    origin = Origin("test.py", "codegen build test.py", "0", ("codegen",))
-    return without_compilation(generate_from_model(normalise(problem), Choices(**choices), origin))
+    return without_compilation(text_of(problem, **choices))
 
 
 class Interpreted:

@@ -55,9 +55,7 @@ _DYNAMICS = [
 ]
 
 _FREE = [
-    Malformed("free-unused", optimal(_T), SymbolError, "T is declared"),
     Malformed("free-guessed-only", optimal(_T, bounds="{T: (0, 2)}"), SymbolError, "T occurs in no expression"),
-    Malformed("free-in-guess", optimal(_T, duration="T", guess="{q: T}"), ExpressionError, "guess of q depends on T"),
     Malformed("free-in-bound", optimal(_T, duration="T", bounds="{f: (0, T)}"), ExpressionError, "of f depends on T"),
     Malformed("free-in-constraint", plane(_T, constraint="[x - T]"), ExpressionError, "depends on T"),
     Malformed("free-in-simulation", simulation(_T, duration="T"), SymbolError, "free parameter T"),
@@ -145,7 +143,7 @@ _PATHS = [
 ]
 
 _CONDITIONS = [
-    Malformed("condition-mapping", optimal(end_conditions="{q: 1}"), ExpressionError, "end_conditions is a dict"),
+    Malformed("condition-mapping", optimal(end_conditions="{q: 1}"), ExpressionError, "end_conditions has the name q"),
     Malformed("condition-control", optimal(end="{}", end_conditions="[q - f]"), ExpressionError, "depends on f"),
     Malformed("condition-time", optimal(_TIME, end="{}", end_conditions="[q - t]"), ExpressionError, "depends on t"),
     Malformed("condition-start-time", optimal(_TIME, start="{}", start_conditions="[q - t]"), ExpressionError, "on t"),
@@ -215,7 +213,6 @@ _BODIES = [
     Malformed("body-in-velocity-bound", group(bounds="{dx: (0, body + 1)}"), ExpressionError, "bound of dx depends on"),
     Malformed("body-in-simulation", simulation("b = body_number()", start="{q: b, dq: 0}"), SymbolError, "body in a"),
     Malformed("body-and-free", group(_T, start="{x: T*body}", duration="T"), ExpressionError, "body and on the free"),
-    Malformed("body-name", group("body = parameter('body', 1)"), SymbolError, "'body' is the name"),
     Malformed("body-start-division", group(start="{x: 1/(1 - body)}"), ExpressionError, "start of x is"),
     Malformed("body-bound-exchanged", group(bounds="{f: (0, 1 - 2*body)}"), BoundaryError, "f has the lower bound 0"),
     Malformed("body-start-outside", group(bounds="{x: (None, 0.5)}"), BoundaryError, "start of x is 1, above"),
@@ -240,7 +237,6 @@ _BODIES = [
     Malformed(
         "coupling-cancels", group(end_conditions="[sin(x.of(0))**2 + cos(x.of(0))**2 - 1]"), BoundaryError, "nothing"
     ),
-    Malformed("coupling-name", group("x_0 = parameter('x_0', 1)", duration="x_0"), SymbolError, "called x_0"),
     Malformed("coupling-of-velocity", group(end_conditions="[dx.of(0)]"), ProblemFileError, "AttributeError"),
 ]
 

@@ -65,7 +65,6 @@ MALFORMED_PHASES: tuple[Malformed, ...] = (
     ),
     Malformed("phases-path-equality", phased(second={"path": "[x - v]"}), BoundaryError, "fixes coordinates"),
     Malformed("phases-later-drawing", phased(second={"drawing": "[1]"}), ExpressionError, "a drawing"),
-    Malformed("phases-unused", phased('k = parameter("k", 1)'), SymbolError, "k is declared"),
     Malformed(
         "phases-same-name",
         phased('T = free_parameter("T", 1)\nS = parameter("T", 1)', {"duration": "T"}, {"duration": "S"}),

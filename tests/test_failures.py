@@ -115,7 +115,8 @@ def test_nodal_controls_that_cost_nothing_are_told(tmp_path, uncompiled, scheme,
 def test_there_are_enough_of_every_kind():
     assert len(FAILING) == len({case.id for case in FAILING}) >= 14
     assert {case.status for case in FAILING} == set(STATUSES) - {
-        "solved", "stalled", "inaccurate", "singular", "newton failed", "not connected"
+        "solved", "stalled", "inaccurate", "singular", "newton failed", "not connected", "saddle point",
+        "iteration limit", "time limit",
     }  # fmt: skip
 
 

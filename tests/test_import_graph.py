@@ -11,8 +11,8 @@ PACKAGE = Path(__file__).parents[1] / "codegen"
 
 # From author to renderer, then from the file on disk to its users; a part may import what stands before it.
 SYMBOLIC = ["errors", "symbols", "drawing", "problem", "points", "pairwise", "expressions", "model", "redundancy",
-            "legendre", "schemes", "discretise", "transcribe", "derive", "lower", "emit", "problem_file",
-            "compiler"]  # fmt: skip
+            "legendre", "schemes", "discretise", "transcribe", "derive", "lower", "emit", "verify",
+            "problem_file", "compiler"]  # fmt: skip
 NUMERIC = ["errors", "drawing", "points", "loading", "drivers"]
 
 

@@ -22,11 +22,10 @@ from codegen import (
     coordinates,
     free_parameter,
     parameter,
-    parameters,
     states,
     time,
 )
-from codegen.errors import CodegenError, SymbolError
+from codegen.errors import CodegenError
 from codegen.model import Boundary, Bounds, Condition, EndValue, FreeParameter, normalise
 from codegen.model.relations import relation
 from codegen.symbols import recorded_declarations
@@ -336,12 +335,6 @@ def test_states_cannot_be_simulated_yet() -> None:
     (x,) = states("x")
     with pytest.raises(CodegenError, match="simulate takes a Lagrangian or a Hamiltonian"):
         normalise(Simulate(dynamics={x: -x}, duration=1, start={x: 1}))
-
-
-@pytest.mark.parametrize("name", ["body", "slacks", "lower", "variable_bounds", "bodies", "shared"])
-def test_names_of_generated_modules_are_reserved(name: str) -> None:
-    with pytest.raises(SymbolError):
-        parameters(**{name: 1.0})
 
 
 def test_models_are_equal_when_their_problems_read_alike() -> None:

@@ -55,7 +55,7 @@ def test_what_fails_nearby_begins_anew_at_the_guess(hovercraft, monkeypatch):
     monkeypatch.setattr(hovercraft, "descend", descend)
     grid = hovercraft.make_grid(20)
     guess = noisy(hovercraft, grid, 0)
-    status, point, iterations = hovercraft.minimise(grid, guess, 1e-8, 100, False, [])
+    status, point, iterations = hovercraft.minimise(grid, guess, 1e-8, 100, False, hovercraft.Log())
     (near, first), (again, rest) = starts
     assert (status, iterations, first, rest) == ("infeasible", 14, 50, 93)
     np.testing.assert_array_equal(again, guess)

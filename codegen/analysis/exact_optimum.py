@@ -121,7 +121,7 @@ def _linear_solution(conditions: NecessaryConditions, flow: sympy.Matrix) -> sym
     equations = [*conditions.start, *(equation.xreplace(at_end) for equation in conditions.end)]
     at_zero = dict.fromkeys(z, sympy.S.Zero)
     matrix = sympy.Matrix(equations).jacobian(z)
-    if expressions.null_direction(matrix, [model.default_values]) is not None:
+    if expressions.null_direction([expressions.values_at(matrix, model.default_values)]) is not None:
         raise BoundaryError("the boundary conditions do not determine the optimum", "fix or free other end values")
     found = solve_blocks(matrix, [-equation.xreplace(at_zero) for equation in equations])
     return exponential * sympy.Matrix([*found, 1, 0][: flow.rows])

@@ -22,6 +22,7 @@ from codegen.analysis.flow_series import FlowSeries, flow_series, without_ends
 from codegen.analysis.function_ring import FunctionRing
 from codegen.analysis.normal_form import Element
 from codegen.analysis.series import Series
+from codegen.differentiate.zeros import identically_zero
 from codegen.model import Model
 from codegen.schemes import Scheme
 
@@ -102,7 +103,7 @@ def with_potential(model: Model) -> Model | None:
             return None
         left = [f - sympy.diff(part, x) for f, x in zip(left, coordinates, strict=True)]
         potential -= part
-    if not all(legendre.vanishes(sympy.expand(rest)) for rest in left):
+    if not all(identically_zero(rest) for rest in left):
         return None
     function = model.function + (potential if model.form == "hamiltonian" else -potential)
     return replace(model, function=function, force=(S.Zero,) * len(left))

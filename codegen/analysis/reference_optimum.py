@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -45,6 +47,7 @@ def reference_optimum(
     values: Mapping[str, float] | None = None,
     tolerance: float = 1e-10,
     guess: Trajectory | None = None,
+    seconds: float = math.inf,
 ) -> Reference:
     """Solve the necessary conditions by adaptive collocation of order 4 with exact Jacobians (scipy's solve_bvp).
 
@@ -53,12 +56,12 @@ def reference_optimum(
     their slopes (where that fails: interpolated as well, as momenta are), and psi is zero. If need be, the end values
     are then moved continuously from those of the uncontrolled motion. What is found is stationary; it may be one of
     several local optima. Raises ArgumentError for an unknown parameter or an unusable tolerance, and NumericsError
-    when nothing converges.
+    when nothing converges, or not in that many `seconds` of processor time.
     """
     if not _LEAST_TOLERANCE <= tolerance < 1.0:
         raise ArgumentError(f"tolerance is {tolerance:g}", f"give one from {_LEAST_TOLERANCE:g} to 1")
     conditions = necessary_conditions(model)
-    system = _BoundaryValueProblem(conditions, parameter_values(model, values))
+    system = _BoundaryValueProblem(conditions, parameter_values(model, values), seconds)
     guesses = [_interpolated_guess(model, system, slopes) for slopes in (True, False)] if guess is None else [guess]
     for t, x, psi in guesses:
         solution = system.solve(*_checked_guess(system, t, x, psi), system.end_values, _FIRST_TOLERANCE)
@@ -88,8 +91,9 @@ def reference_optimum(
 class _BoundaryValueProblem:
     """The necessary conditions as numpy functions of s = t/T in [0, 1] and y = (x, psi, cost so far)."""
 
-    def __init__(self, conditions: NecessaryConditions, numbers: Mapping[sympy.Symbol, float]) -> None:
+    def __init__(self, conditions: NecessaryConditions, numbers: Mapping[sympy.Symbol, float], seconds: float) -> None:
         model = conditions.model
+        self.seconds, self.deadline = seconds, time.process_time() + seconds
         z = [*conditions.states, *conditions.costates]
         rates = [*conditions.state_rates, *conditions.costate_rates, conditions.cost_rate]
         jacobian = sympy.Matrix(rates).jacobian(z)
@@ -132,6 +136,11 @@ class _BoundaryValueProblem:
         right = np.concatenate(known) / row_size
 
         def jacobian(s: Array, w: Array) -> Array:
+            if time.process_time() > self.deadline:
+                raise NumericsError(
+                    f"collocation with {self.count} states and as many costates takes more than {self.seconds:g} s",
+                    "compare with a smaller system of the kind",
+                )
             partial = self._jacobian(s * self.duration, w * scale).reshape(unknowns, unknowns - 1, s.size)
             scaled = self.duration * partial * size[None, :-1, None] / size[:, None, None]
             return np.concatenate([scaled, np.zeros((unknowns, 1, s.size))], axis=1)

@@ -100,7 +100,7 @@ def run(
     """
     path = Path(path)
     arguments = split_points(path, arguments or {})[0]
-    choices = Choices(scheme, method, controls)
+    choices = compiler.chosen(scheme, method, controls)
     if module is None:
         module = compiler.build(path, arguments, scheme=scheme, method=method, controls=controls).path
     if is_pairwise_module(load(module)):

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, TypeAlias
 
 from codegen.compiler import Choices
+from codegen.mangling import plain
 from codegen.model import Model
 from codegen.schemes import Scheme
 from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.verify.control import guessed_points
+from codegen.verify.execution import Text
+from codegen.verify.points import GuessedPoints
 
 _LEAST_STEPS = 8
 
@@ -19,7 +24,7 @@ _LEAST_STEPS = 8
 class Finding:
     """One piece of evidence: which check, about what, whether it holds, and the formula or number that says so.
 
-    What does not apply to a problem has passed, but is no evidence; then `detail` says why it does not apply.
+    What does not apply to a problem, or could not be measured, has passed, but is no evidence; then `detail` says why.
     """
 
     check: str
@@ -27,6 +32,11 @@ class Finding:
     passed: bool
     detail: str
     applies: bool = True
+
+    def __post_init__(self) -> None:
+        """Say names as the problem's author wrote them."""
+        object.__setattr__(self, "subject", plain(self.subject))
+        object.__setattr__(self, "detail", plain(self.detail))
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,15 @@ class Context:
         """What the module's solver finds on the default number of intervals, but on eight at least."""
         return self.module.solve(max(_LEAST_STEPS, self.model.steps))
 
+    @cached_property
+    def guessed(self) -> GuessedPoints | None:
+        """Points near the guess of the module; none where a damaged module makes no guess."""
+        assert isinstance(self.program, ControlProgram), "a simulation needs no guess"
+        try:
+            return guessed_points(self.program, Text(Path(self.module.__file__).read_text(encoding="utf-8")))
+        except Exception:  # a damaged module may fail in any way
+            return None
+
 
 Check: TypeAlias = Callable[[Context], Iterable[Finding]]
 """A check yields at least one finding, also where it does not apply."""
@@ -52,3 +71,8 @@ Check: TypeAlias = Callable[[Context], Iterable[Finding]]
 def does_not_apply(check: str, reason: str) -> Finding:
     """The finding of a check that has nothing to say about a problem."""
     return Finding(check, "the whole problem", True, f"does not apply: {reason}", applies=False)
+
+
+def not_measured(check: str, subject: str, reason: str) -> Finding:
+    """The finding of a check that needs what is not there, as a solution where the solver found none."""
+    return Finding(check, subject, True, f"not measured: {reason}", applies=False)

@@ -22,6 +22,7 @@ from codegen.redundancy import independent_couplings
 from codegen.transcribe.program import ControlProgram, EndElement
 
 _INTERVALS = 8
+_MOST_INTERVALS = 64
 _SINGULAR = 1e-11
 _TAKES_PART = 1e-6
 _HOLDS = 1e-6
@@ -40,7 +41,8 @@ def check(context: Context) -> Iterator[Finding]:
 
 def _rank(context: Context, program: ControlProgram) -> Iterator[Finding]:
     module = context.module
-    grid = module.make_grid(_INTERVALS)
+    intervals = _enough_intervals(module)
+    grid = module.make_grid(intervals)
     guess = module.initial_guess(grid)
     best: tuple[int, NDArray[np.float64], NDArray[np.float64]] | None = None
     generator = np.random.default_rng(11)
@@ -64,12 +66,23 @@ def _rank(context: Context, program: ControlProgram) -> Iterator[Finding]:
         further = [*program.start.conditions, *program.end.conditions]
         further += [equation for phase in program.phases for equation in phase.switch_equations]
         conditions += [name.partition("(")[2].removesuffix(")") for name, _ in further if "(" in name]
-        detail = f"{rows.size} equations in {free_count} unknowns have full rank (N = {_INTERVALS})"
+        detail = f"{rows.size} equations in {free_count} unknowns have full rank (N = {intervals})"
         yield Finding("boundary rank", "all equations", True, f"{detail}: {', '.join(conditions) or 'no conditions'}")
         return
     for null in range(lacking):
-        detail = _named(program, nulls[:, null], rows, touched[null])
+        detail = _named(program, intervals, nulls[:, null], rows, touched[null])
         yield Finding("boundary rank", "all equations", False, detail)
+
+
+def _enough_intervals(module: Any) -> int:
+    """As many as eight, or more where these have fewer unknowns than equations: one control for many masses."""
+    intervals = _INTERVALS
+    while intervals < _MOST_INTERVALS:
+        grid = module.make_grid(intervals)
+        if module.primal_unknowns(grid).size >= module.multiplier_unknowns(grid).size:
+            break
+        intervals *= 2
+    return intervals
 
 
 def _couplings(context: Context) -> Iterator[Finding]:
@@ -139,9 +152,9 @@ def _dense(entries: Any, shape: tuple[int, int]) -> NDArray[np.float64]:
     return matrix
 
 
-def _named(program: ControlProgram, null: Any, rows: Any, touched: Any) -> str:
+def _named(program: ControlProgram, intervals: int, null: Any, rows: Any, touched: Any) -> str:
     """Which equations depend on each other, and which boundary conditions take part."""
-    flat = FlatVector.on_grid(program, _INTERVALS)
+    flat = FlatVector.on_grid(program, intervals)
     weights = np.zeros(flat.size)
     weights[rows] = np.abs(null)
     bound = _TAKES_PART * weights.max()

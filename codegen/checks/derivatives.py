@@ -27,9 +27,11 @@ from codegen.checks.evaluation import (
     second_differences,
 )
 from codegen.checks.kernel_arguments import kernel_stems, other_symbols, parameter_vector, pattern_of
+from codegen.checks.ranges import near_end, near_interval
 from codegen.checks.step_kernels import check_step
 from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement
+from codegen.verify.arithmetic import CONTINUED
 
 _COMPLEX_STEP = 1e-30
 _NOT_ANALYTIC = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside, sympy.atan2)
@@ -58,7 +60,8 @@ def _interval(context: Context, program: ControlProgram, stem: str, share: Inter
     module, pattern = context.module, pattern_of(context.module, "interval")
     names = [f"dl/d{x}" for x in unknowns]
     local = unknowns[: len(unknowns) - len(program.shared)]
-    for point in random_points([share.element, share.cost], symbols, program.model.default_values):
+    likely = near_interval(context, program, stem)
+    for point in random_points([share.element, share.cost], symbols, program.model.default_values, likely=likely):
         numbers = [point[symbol] for symbol in symbols]
         x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
         t, h = point[program.model.time], point[STEP]
@@ -104,7 +107,7 @@ def _compare_block(
 
 
 def _complex_steps(scalar: Expr, symbols: Sequence[Symbol], numbers: Sequence[float], count: int) -> list[Any]:
-    function = sympy.lambdify(list(symbols), scalar, modules="numpy", cse=True)
+    function = sympy.lambdify(list(symbols), scalar, modules=[CONTINUED, "numpy"], cse=True)
     results = []
     for i in range(count):
         shifted = [complex(number) for number in numbers]
@@ -124,7 +127,8 @@ def _end(
     free = [i for i in range(len(unknowns)) if i not in pinned]
     module, first, second = context.module, Agreement(), Agreement()
     pattern = pattern_of(module, name)
-    for point in random_points([end.element], symbols, program.model.default_values):
+    likely = near_end(context, program, name)
+    for point in random_points([end.element], symbols, program.model.default_values, likely=likely):
         numbers = [point[symbol] for symbol in symbols]
         x, t, parameters = np.array(numbers[: len(node)]), point[program.model.time], parameter_vector(point, program)
         emitted, entries = np.zeros(len(unknowns)), np.zeros(len(pattern))

@@ -15,6 +15,7 @@ import numpy as np
 import sympy
 from sympy import Expr, Symbol
 
+from codegen.differentiate.zeros import identically_zero
 from codegen.discretise import LENGTHS, STEP
 from codegen.errors import NumericsError
 
@@ -27,8 +28,6 @@ NOTHING = mpmath.mpf(10) ** -30
 _INCREMENT = mpmath.mpf(10) ** -40
 _SEED = 20240229
 _ATTEMPTS = 200
-_EXPANDABLE, _CANCELLABLE, _REDUCIBLE = 3000, 1000, 200
-"""Operation counts up to which expansion, rational and trigonometric reduction are affordable."""
 
 
 def function_of(symbols: Sequence[Symbol], values: Sequence[Expr]) -> Function:
@@ -45,15 +44,24 @@ def symbols_of(values: Sequence[Expr], *more: Sequence[Symbol]) -> list[Symbol]:
 
 
 def random_points(
-    values: Sequence[Expr], symbols: Sequence[Symbol], defaults: Point, count: int = 3, seed: int = _SEED
+    values: Sequence[Expr],
+    symbols: Sequence[Symbol],
+    defaults: Point,
+    count: int = 3,
+    seed: int = _SEED,
+    likely: Iterable[Point] = (),
 ) -> list[dict[Symbol, float]]:
     """Seeded random points at which all values are real and finite; parameters are drawn about their defaults.
 
-    Raises NumericsError when hardly any point is in the domain of the expressions.
+    Of the points that are `likely` those come first that have values, but one point at least is random. Raises
+    NumericsError when hardly any point is in the domain of the expressions.
     """
     generator = np.random.default_rng(seed)
     function = function_of(symbols, values)
     points: list[dict[Symbol, float]] = []
+    for point in likely:
+        if len(points) < count - 1 and _has_value(function, [point[symbol] for symbol in symbols]):
+            points.append({symbol: point[symbol] for symbol in symbols})
     for _ in range(_ATTEMPTS):
         drawn = {symbol: float(generator.uniform(0.4, 1.6)) for symbol in symbols}
         drawn |= {symbol: value * drawn[symbol] for symbol, value in defaults.items() if symbol in drawn and value}
@@ -146,36 +154,4 @@ def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., Any]
 
 def vanishing(expression: Expr) -> str:
     """How it is known that an expression is zero everywhere, in words; empty when it is not."""
-    if expression == 0:
-        return "proved symbolically"
-    symbols = symbols_of([expression])
-    function = function_of(symbols, [expression])
-    for point in random_points([expression], symbols, {}, count=2):
-        with mpmath.workdps(DIGITS):
-            if abs(function(*(mpmath.mpf(point[symbol]) for symbol in symbols))[0]) > NOTHING:
-                return ""
-    return "proved symbolically" if vanishes_symbolically(expression) else f"at random points, to {DIGITS} digits"
-
-
-def vanishes_symbolically(expression: Expr) -> bool:
-    """Whether exact algebra turns an expression into zero; False also when that would take too long.
-
-    Sines and cosines are polynomial unknowns with s^2 + c^2 = 1, those of sums being expanded.
-    """
-    if expression.count_ops() > _EXPANDABLE:
-        return False
-    expanded = sympy.expand(expression)
-    if expanded == 0:
-        return True
-    if expanded.count_ops() > (_REDUCIBLE if expanded.has(sympy.sin, sympy.cos) else _CANCELLABLE):
-        return False
-    expanded = sympy.expand_trig(expanded)
-    angles = sorted({f.args[0] for f in expanded.atoms(sympy.sin, sympy.cos)}, key=str)
-    sines, cosines = ([Symbol(f"_{name}_{i}", real=True) for i in range(len(angles))] for name in ("sine", "cosine"))
-    algebraic = {sympy.sin(angle): sine for angle, sine in zip(angles, sines, strict=True)}
-    algebraic |= {sympy.cos(angle): cosine for angle, cosine in zip(angles, cosines, strict=True)}
-    numerator = sympy.numer(sympy.together(expanded.xreplace(algebraic)))
-    squares = [s**2 + c**2 - 1 for s, c in zip(sines, cosines, strict=True)]
-    if not squares:
-        return bool(sympy.cancel(numerator) == 0)
-    return bool(sympy.reduced(sympy.expand(numerator), squares, *sines, *cosines)[1] == 0)
+    return "proved symbolically" if identically_zero(expression) else ""

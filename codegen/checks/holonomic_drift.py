@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import sympy
 
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.checks.solutions import free_values
 
 _HELD = 1e-9
@@ -21,7 +21,7 @@ def check(context: Context) -> Iterator[Finding]:
         return
     solution = context.solution
     if solution.status != "solved":
-        yield Finding("holonomic drift", "all constraints", False, f"no solution to measure: {solution.message}")
+        yield not_measured("holonomic drift", "all constraints", solution.message)
         return
     numbers = [*model.defaults, *free_values(context.module, solution)]
     symbols = [*model.coordinates, model.time, *model.parameters, *(p.symbol for p in model.free_parameters)]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from codegen import mangling
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import random_points
 from codegen.checks.flat_vector import FlatVector
@@ -53,7 +54,8 @@ def _control_difference(module: Any, program: ControlProgram) -> str:
 
 
 def _differing_metadata(recorded: Mapping[str, Any], names: Mapping[str, tuple[str, ...]]) -> str:
-    for key, wanted in names.items():
+    for key, marked in names.items():
+        wanted = tuple(mangling.plain(name) for name in marked)
         if tuple(recorded.get(key, ())) != wanted:
             return f"{key} is {tuple(recorded.get(key, ()))}, expected {wanted}"
     return ""

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import sympy
-from sympy import Expr
+from sympy import Expr, S, Symbol
 
 from codegen import legendre, schemes
 from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.evaluation import vanishing
 from codegen.checks.one_step import without_boundaries
-from codegen.discretise import at_nodes, one_step_interval, variational_interval
+from codegen.discretise import STEP, at_nodes, one_step_interval, variational_interval
 from codegen.model import Model
+from codegen.phase_functions import phase_functions
+from codegen.polynomials import between
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -34,6 +36,8 @@ def check(context: Context) -> Iterator[Finding]:
 def residuals(model: Model) -> list[tuple[str, Expr]]:
     """What the discrete Hamiltonian map leaves of the equations of the midpoint rule, by coordinate and momentum."""
     model = without_boundaries(model)
+    if phase_functions(model):
+        return _with_velocities(model)
     phase = legendre.hamiltonian_form(model)
     map_ = schemes.METHODS["variational"]["midpoint"]
     rule = schemes.METHODS["hamiltonian"]["midpoint"]
@@ -47,3 +51,25 @@ def residuals(model: Model) -> list[tuple[str, Expr]]:
     equations = one_step_interval(phase, rule).equations
     names = [symbol.name for symbol in (*phase.coordinates, *phase.rates)]
     return [(name, e.subs(means).xreplace(momenta)) for name, e in zip(names, equations, strict=True)]
+
+
+def _with_velocities(model: Model) -> list[tuple[str, Expr]]:
+    """The same where the Hamiltonian of a large system is not written out.
+
+    The midpoint rule's v = dH/dp and p' = f - dH/dq at the midpoint are p = dL/dv and p' = f + dL/dq at the velocity
+    v = (q_k1 - q_k)/h.
+    """
+    map_ = schemes.METHODS["variational"]["midpoint"]
+    assert isinstance(map_, schemes.DiscreteLagrangian)
+    interval = variational_interval(model, map_)
+    left, right = interval.left_momentum, interval.right_momentum
+    ends = list(zip(interval.q.left, interval.q.right, strict=True))
+    middle: dict[Symbol, Expr] = dict(zip(model.coordinates, (between(a, b, S.Half) for a, b in ends), strict=True))
+    middle |= dict(zip(model.rates, ((b - a) / STEP for a, b in ends), strict=True))
+    middle |= dict(zip(model.controls, interval.q.left_controls, strict=True)) | {model.time: model.time + STEP / 2}
+    found = []
+    for i, (q, v) in enumerate(zip(model.coordinates, model.rates, strict=True)):
+        found.append((q.name, (left[i] + right[i]) / 2 - sympy.diff(model.function, v).xreplace(middle)))
+        slope = (sympy.diff(model.function, q) + model.force[i]).xreplace(middle)
+        found.append((f"p_{q.name}", right[i] - left[i] - STEP * slope))
+    return found

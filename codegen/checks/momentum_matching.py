@@ -16,7 +16,7 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen import legendre, schemes
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.checks.discrete_equations import constraint_multipliers, node_equations
 from codegen.checks.evaluation import DIGITS, function_of, random_points, vanishing
 from codegen.checks.one_step import without_boundaries
@@ -123,8 +123,7 @@ def _ends(context: Context) -> Iterator[Finding]:
     model = context.model
     solution, module, width = context.solution, context.module, len(model.coordinates)
     if solution.status != "solved":
-        detail = f"no solution to measure: {solution.message}"
-        yield Finding("momentum matching", "momenta at the ends", False, detail)
+        yield not_measured("momentum matching", "momenta at the ends", solution.message)
         return
     values: dict[Symbol, Any] = dict(model.default_values)
     values |= dict(zip((p.symbol for p in model.free_parameters), free_values(module, solution), strict=True))

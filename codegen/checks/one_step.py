@@ -61,17 +61,18 @@ def step_equations(model: Model, scheme: Scheme) -> StepEquations:
     Raises what the Legendre transforms raise.
     """
     model = without_boundaries(model)
-    phase = legendre.hamiltonian_form(model)
     if isinstance(scheme, Composition):
         lengths = step_lengths(scheme)
         part = step_equations(model, scheme.part(lengths, STEP))
         return replace(part, lengths=lengths, fractions=scheme.fractions)
     if isinstance(scheme, OneStep | RungeKutta):
+        phase = legendre.hamiltonian_form(model)
         step = one_step_interval(phase, scheme)
         return StepEquations((*step.q.left, *step.p.left), step.stages, (*step.q.right, *step.p.right), step.equations)
     assert isinstance(scheme, DiscreteLagrangian)
     interval = variational_interval(legendre.lagrangian_form(model), scheme)
-    left, right = at_nodes(phase.rates, "_k"), at_nodes(phase.rates, "_k1")
+    momenta = model.rates if model.form == "hamiltonian" else legendre.conjugate_symbols(model)
+    left, right = at_nodes(momenta, "_k"), at_nodes(momenta, "_k1")
     equations = [*interval.inner_balance]
     equations += [p - momentum for p, momentum in zip(left, interval.left_momentum, strict=True)]
     equations += [p - momentum for p, momentum in zip(right, interval.right_momentum, strict=True)]

@@ -9,6 +9,7 @@ import sympy
 from numpy.typing import NDArray
 
 from codegen.model import Model
+from codegen.special_functions import NUMPY
 
 
 def free_values(module: Any, solution: Any) -> NDArray[np.float64]:
@@ -25,7 +26,7 @@ def integral_of_cost(model: Model, module: Any, solution: Any) -> float:
     """
     free = [parameter.symbol for parameter in model.free_parameters]
     symbols = [*model.coordinates, *model.rates, *model.controls, model.time, *model.parameters, *free]
-    function = sympy.lambdify(symbols, model.cost, modules="numpy", cse=True)
+    function = sympy.lambdify(symbols, model.cost, modules=NUMPY, cse=True)
     constants = [*model.defaults, *free_values(module, solution)]
     h, total = np.diff(solution.t), 0.0
 

@@ -15,7 +15,7 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen import expressions, legendre
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.checks.flat_vector import FlatVector
 from codegen.checks.kernel_arguments import other_symbols
 from codegen.checks.one_step import without_boundaries
@@ -23,6 +23,7 @@ from codegen.checks.phases import phase_alone
 from codegen.checks.solutions import free_values
 from codegen.model import Model
 from codegen.model.values import prescribed
+from codegen.special_functions import NUMPY
 from codegen.transcribe.program import ControlProgram
 
 _HELD = 1e-8
@@ -38,7 +39,7 @@ def check(context: Context) -> Iterator[Finding]:
         return
     solution = context.solution
     if solution.status != "solved":
-        yield Finding("switches", "all switches", False, f"no solution to measure: {solution.message}")
+        yield not_measured("switches", "all switches", solution.message)
         return
     steps = (solution.t.size - 1) // len(program.phases)
     for number in range(1, len(program.phases)):
@@ -97,7 +98,7 @@ def _departure(context: Context, program: ControlProgram, before: Numbers, numbe
     given = module.make_grid((solution.t.size - 1) // len(program.phases)).parameters[0]
     others = [*given[: len(other_symbols(program)) - 2], float(solution.t[node]), step]
     momentum_of = [values[p] for p in _momentum_names(model)] if program.method == "variational" else []
-    found = sympy.lambdify([*alone.element_symbols, *other_symbols(program)], _equations(alone), "numpy")
+    found = sympy.lambdify([*alone.element_symbols, *other_symbols(program)], _equations(alone), NUMPY)
     residuals = np.array(found(*unknowns, *others), dtype=float)
     residuals[: len(momentum_of)] += momentum_of
     error = float(np.abs(residuals).max())

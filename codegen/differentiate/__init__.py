@@ -7,19 +7,26 @@ what has become common is found again (`sharing`); the time is proportional to t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import count
 
 from sympy import Expr, Symbol
 
-from codegen.differentiate.adjoint import accumulate
+from codegen.differentiate.adjoint import accumulate, slopes
 from codegen.differentiate.graph import Graph, Leaf
 from codegen.differentiate.sharing import shared
 from codegen.differentiate.straight_line import Assignment, StraightLine, straight_line
 from codegen.differentiate.zeros import vanishing
 
-__all__ = ["Assignment", "SecondDerivatives", "StraightLine", "second_derivatives"]
+__all__ = [
+    "Assignment",
+    "SecondDerivatives",
+    "StraightLine",
+    "jacobian",
+    "program_of",
+    "second_derivatives",
+]
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,28 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
         _written(graph, [entries[place] for place in places], taken),
         places,
     )
+
+
+def jacobian(
+    values: Sequence[Expr], unknowns: Sequence[Symbol], constants: Collection[Symbol]
+) -> tuple[StraightLine, tuple[tuple[int, int], ...]]:
+    """A program for some values and their derivatives by unknowns, and the places (row, column) of the latter.
+
+    What depends on `constants` alone reads no assignment. Derivatives that are identically zero are left out.
+    """
+    varying = set[Symbol]().union(*(value.free_symbols for value in values)) - set(unknowns) - set(constants)
+    graph = Graph([*unknowns, *sorted(varying, key=lambda symbol: symbol.name)])
+    nodes = [graph.of(value) for value in values]
+    rows = [slopes(graph, node, range(len(unknowns))) for node in nodes]
+    entries = {(i, j): node for i, row in enumerate(rows) for j, node in sorted(row.items())}
+    absent = vanishing(graph, list(entries.values()))
+    places = tuple(place for place, node in entries.items() if node not in absent)
+    return program_of(graph, [*nodes, *(entries[place] for place in places)]), places
+
+
+def program_of(graph: Graph, roots: Sequence[int]) -> StraightLine:
+    """A program for the values of some nodes, in names that no leaf of the graph has."""
+    return _written(graph, roots, {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)})
 
 
 def _written(graph: Graph, roots: Sequence[int], taken: set[str]) -> StraightLine:

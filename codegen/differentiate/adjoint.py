@@ -33,6 +33,27 @@ def accumulate(graph: Graph, value: int, unknowns: Sequence[int]) -> Adjoints:
     return _Sweep(graph, value, unknowns).run()
 
 
+def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
+    """Nodes of the first derivatives of a value by those of the unknowns on which it depends."""
+    wanted = set(unknowns)
+    order = [node for node in graph.reachable([value]) if graph.varies[node]]
+    depending = set[int]()
+    for node in order:
+        if node in wanted or not depending.isdisjoint(arguments(graph.nodes[node])):
+            depending.add(node)
+    sweep, found = _Sweep(graph, value, unknowns), dict[int, int]()
+    for node in reversed(order):
+        if node not in depending:
+            continue
+        adjoint = found[node] = graph.sum(sweep.first.pop(node, []))
+        if node in wanted:
+            continue
+        for argument, slope, factor in sweep.slopes(node):
+            if argument in depending:
+                sweep.first.setdefault(argument, []).append((sweep.times(adjoint, slope), factor))
+    return {node: adjoint for node, adjoint in found.items() if node in wanted}
+
+
 class _Sweep:
     """One reverse sweep; what is passed to a node or pair is collected as the terms of a sum."""
 
@@ -61,29 +82,29 @@ class _Sweep:
         return found
 
     def _push(self, node: int, adjoint: int, row: dict[int, int]) -> None:
-        slopes, curvatures = self._slopes(node), self._curvatures(node)
+        slopes, curvatures = self.slopes(node), self._curvatures(node)
         for argument, slope, factor in slopes:
-            self.first.setdefault(argument, []).append((self._times(adjoint, slope), factor))
+            self.first.setdefault(argument, []).append((self.times(adjoint, slope), factor))
         for a, b, curvature in curvatures:
             self._add(a, b, self.graph.times(adjoint, curvature), ONE)
         for other, curvature in row.items():
             for i, (a, slope, factor) in enumerate(slopes):
-                passed = self._times(curvature, slope)
+                passed = self.times(curvature, slope)
                 if other != node:
                     self._add(a, other, passed, factor * 2 if a == other else factor)
                     continue
                 for b, second_slope, second_factor in slopes[: i + 1]:
-                    self._add(a, b, self._times(passed, second_slope), factor * second_factor)
+                    self._add(a, b, self.times(passed, second_slope), factor * second_factor)
 
     def _add(self, a: int, b: int, node: int, factor: Fraction) -> None:
         if self.rank[a] < self.rank[b]:
             a, b = b, a
         self.second.setdefault(a, {}).setdefault(b, []).append((node, factor))
 
-    def _times(self, node: int, slope: int | None) -> int:
+    def times(self, node: int, slope: int | None) -> int:
         return node if slope is None else self.graph.times(node, slope)
 
-    def _slopes(self, number: int) -> Slopes:
+    def slopes(self, number: int) -> Slopes:
         """The first derivatives of a node by those of its arguments that vary."""
         node, varies = self.graph.nodes[number], self.graph.varies
         if isinstance(node, Sum):

@@ -200,6 +200,10 @@ class Graph:
                 waiting += arguments(self.nodes[node])
         return sorted(seen)
 
+    def independent(self, roots: Iterable[int], of: Iterable[int]) -> bool:
+        """Whether some nodes are computed without any of others."""
+        return not set(of).intersection(self.reachable(roots))
+
     def _with_expm1(
         self, items: tuple[tuple[int, Fraction], ...], constant: Fraction
     ) -> tuple[tuple[tuple[int, Fraction], ...], Fraction]:

@@ -8,6 +8,7 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.differentiate.pairwise import Assignment, PairDerivatives
+from codegen.differentiate.zeros import identically_zero
 from codegen.errors import ExpressionError
 from codegen.model.pairwise import PairwiseModel
 
@@ -55,13 +56,13 @@ def _require_passive(model: PairwiseModel) -> None:
     rest = dict.fromkeys(model.first.p, sympy.S.Zero)
     for name, term in (("pair_term", model.pair_term), ("self_term", model.self_term)):
         for q in model.first.q:
-            if not _vanishes(sympy.diff(term, q).xreplace(rest)):
+            if not identically_zero(sympy.diff(term, q).xreplace(rest)):
                 raise ExpressionError(
                     f"the system has no passive points: without momentum, {name} still changes with {q}",
                     "leave out passive=True, or write kinetic energies alone",
                 )
     for p in model.first.p:
-        if not _vanishes(sympy.diff(model.self_term, p).xreplace(rest)):
+        if not identically_zero(sympy.diff(model.self_term, p).xreplace(rest)):
             raise ExpressionError(
                 f"passive points would move by themselves: self_term changes with {p} where momenta vanish",
                 "leave out passive=True, or write a self_term of second degree in momenta",
@@ -85,13 +86,9 @@ def _require_company(model: PairwiseModel) -> None:
     alone = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
     for p in model.first.p:
         met = sympy.diff(model.limit, p).xreplace(rest).xreplace(alone)
-        if not _vanishes(met - sympy.diff(model.self_term, p)):
+        if not identically_zero(met - sympy.diff(model.self_term, p)):
             raise ExpressionError(
                 "a passive point would leave the particle that it lies on: self_term is not half the limit of "
                 "pair_term at coincidence",
                 "leave out self_term, or passive=True",
             )
-
-
-def _vanishes(expression: Expr) -> bool:
-    return bool(expression == 0 or sympy.expand(expression) == 0 or sympy.simplify(expression) == 0)

@@ -7,6 +7,7 @@ cross-checked. Importing this file imports no driver, and neither numpy nor numb
 from __future__ import annotations
 
 import difflib
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from codegen.drivers.processes import Compilers
-    from codegen.drivers.result import Result
+    from codegen.drivers.result import Result, Watch
     from codegen.loading import ControlModule, GeneratedModule, Vector
     from codegen.points import PointSet
 
@@ -33,7 +34,7 @@ class Driver:
     tasks: tuple[str, ...]
     summary: str
     stops: tuple[tuple[str, str], ...] = ()
-    """Where its tolerance or the most iterations may be chosen: pairs of a task and the argument's name."""
+    """Where its tolerance, most iterations or time may be chosen: pairs of a task and the argument's name."""
 
     def function(self, task: str) -> Callable[..., Any]:
         """The function (module, request) -> attempt for a task, imported when it is asked for."""
@@ -41,10 +42,11 @@ class Driver:
 
 
 _OF_CONTROL = (("control", "tolerance"), ("control", "max_iterations"))
+_OF_TIME = (("control", "time_limit"),)
 _ROWS = (
     Driver(
         "newton", "newton", ("control", "simulate", "connect"), "the generated solver",
-        (*_OF_CONTROL, ("simulate", "max_iterations"), ("connect", "tolerance")),
+        (*_OF_CONTROL, *_OF_TIME, ("simulate", "max_iterations"), ("connect", "tolerance")),
     ),
     Driver(
         "slsqp", "slsqp", ("control", "connect"), "scipy's sequential least-squares programming, dense",
@@ -56,11 +58,14 @@ _ROWS = (
     ),
     Driver(
         "ipopt", "ipopt", ("control",), "IPOPT, an interior point method; needs cyipopt (extra: ipopt)",
-        _OF_CONTROL,
+        _OF_CONTROL + _OF_TIME,
     ),
     Driver("fsolve", "fsolve", ("control", "simulate", "connect"), "MINPACK's hybrid Powell method, dense"),
     Driver("fmin", "fmin", ("connect",), "Nelder and Mead's simplex method, for a few particles"),
 )  # fmt: skip
+
+LEAST_TIME = 1e-9
+"""Seconds in which a search does not begin."""
 
 DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
 """Every driver by name; tests run over this table."""
@@ -79,11 +84,15 @@ def find(name: str, task: str | None = None) -> Driver:
     return driver
 
 
-def _require_stops(driver: Driver, task: str, tolerance: float | None, max_iterations: int | None) -> None:
-    """Refuse a tolerance or a number of iterations that is unusable, or that the driver does not take for the task."""
+def _require_stops(
+    driver: Driver, task: str, tolerance: float | None, max_iterations: int | None, time_limit: float | None
+) -> None:
+    """Refuse a tolerance, a number of iterations or a time that is unusable, or that the driver does not take."""
     if tolerance is not None and not 0.0 < tolerance < 1.0:
         raise ArgumentError(f"--tolerance {tolerance:g}", "give a number between 0 and 1")
-    for name, value in (("tolerance", tolerance), ("max_iterations", max_iterations)):
+    if time_limit is not None and not time_limit > 0.0:
+        raise ArgumentError(f"--time-limit {time_limit:g}", "give a positive number of seconds")
+    for name, value in (("tolerance", tolerance), ("max_iterations", max_iterations), ("time_limit", time_limit)):
         if value is None or (task, name) in driver.stops:
             continue
         option, takers = f"--{name.replace('_', '-')}", [d.name for d in DRIVERS.values() if (task, name) in d.stops]
@@ -106,6 +115,8 @@ def solve(
     points: PointSet | None = None,
     tolerance: float | None = None,
     max_iterations: int | None = None,
+    time_limit: float | None = None,
+    watch: Watch | None = None,
 ) -> Result:
     """Solve with a driver on `steps` intervals (default: the problem's own number) and re-evaluate the residuals.
 
@@ -114,16 +125,17 @@ def solve(
     repeated on twice, four times, ... as many (`doublings`), each time from the solution before. With several
     `guesses` it starts from the problem's own and from variations of it, and the best solution counts. A connect
     problem needs `points`. `tolerance` is that of the equations, or of an adaptive integrator's steps, and
-    `max_iterations` the most that an optimiser makes; None stands for the driver's own. Raises ArgumentError when the
-    driver or one of its options does not apply, NumericsError when a number is unusable; numerical failure is a status
-    of the result.
+    `max_iterations` the most that an optimiser makes; None stands for the driver's own. `time_limit` is in seconds, for
+    all guesses and grids together, and for each of `repeat` runs by itself; `watch` is called at every iterate of
+    `newton` with its number and its row of the log. Raises ArgumentError when the driver or one of its options does not
+    apply, NumericsError when a number is unusable; numerical failure is a status of the result.
     """
     from codegen.drivers.result import Request
     from codegen.drivers.run import run
 
     found, task = find(driver, module.metadata["task"]), module.metadata["task"]
     steps = module.metadata["steps"] if steps is None else steps
-    _require_stops(found, task, tolerance, max_iterations)
+    _require_stops(found, task, tolerance, max_iterations, time_limit)
     if task != "control" and (warm is not None or doublings or guesses > 1):
         raise ArgumentError("warm starts, guesses and refinement are for optimisation", f"leave them out to {task}")
     if warm is not None and guesses > 1:
@@ -144,8 +156,14 @@ def solve(
             return best_of(lambda guess: solve_from(number, guess, False), control, number, guesses)
         return solve_from(number, start, True)
 
+    left = math.inf if time_limit is None else time_limit
+
     def solve_from(number: int, start: Vector | None, near: bool) -> Result:
-        return run(module, found, Request(number, every, start, None, tolerance, near, max_iterations), repeat)
+        nonlocal left
+        request = Request(number, every, start, None, tolerance, near, max_iterations, max(left, LEAST_TIME), watch)
+        result = run(module, found, request, repeat)
+        left -= result.seconds_solve
+        return result
 
     if doublings:
         return refine(solve_on, control, steps, doublings, warm)

@@ -72,7 +72,7 @@ def adaptive(module: ConnectModule, case: Any, request: Request) -> ConnectAttem
             momenta, path, error = trial, trial_path, trial_error
     status = "solved" if error <= max(1e-10, tolerance) else "stalled"
     text = f"{code} at tolerance {tolerance:g} arrives within {error:.1e} after {evaluations} evaluations of the field"
-    message = text if status == "solved" else f"stalled: {text}; try a smaller --tolerance"
+    message = text if status == "solved" else f"stalled: {text}; try a smaller tolerance"
     return ConnectAttempt(status, message, iterations, path, max(1e-10, tolerance), begin.attempts)
 
 

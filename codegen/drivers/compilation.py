@@ -15,17 +15,20 @@ functions beside that of their callers (see `linking`).
 from __future__ import annotations
 
 import gc
+import hashlib
+import io
 import os
 import select
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from codegen.drivers.processes import UNFINISHED
+from codegen.files import replacing
 from codegen.loading import GeneratedModule, load
 
 
@@ -198,7 +201,9 @@ def main(share: str) -> int:
     path = os.fsdecode(sys.stdin.buffer.read())
     if not path:
         return 0
-    module = load(Path(path))
+    with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
+        module = load(Path(path))
+    os.write(sys.stdout.fileno(), said.getvalue().encode())
     undo()
     if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
         compile_for_callers(module)
@@ -251,8 +256,18 @@ def failed(error: Exception) -> int:
 
 
 def status_of(module: Any) -> int:
-    """The exit status of a process that has compiled its share of a module."""
+    """Have machine code carry its digest; the exit status of a process that has compiled its share of a module."""
+    seal(module)
     return UNFINISHED if module.metadata["task"] == "connect" else 0
+
+
+def seal(module: Any) -> None:
+    """Write the digest of each file of machine code behind its end, where numba does not read, if it is not there."""
+    for file in module.kept_code(vars(module).values()):
+        data = file.read_bytes()
+        if module.SEAL not in data:
+            with replacing(file) as temporary:
+                temporary.write_bytes(data + module.SEAL + hashlib.sha256(data).digest())
 
 
 def _nothing(x: Any) -> Any:

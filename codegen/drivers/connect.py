@@ -157,7 +157,7 @@ def _verdict(
         text = f"{driver} connects the points with residual {error:.1e} after {iterations} iterations"
         return ConnectAttempt("solved", text, iterations, path, tolerance)
     said = " ".join(str(reason).split())
-    text = f"stalled: {driver} stopped with residual {error:.1e} ({said}); try --driver newton, or more steps"
+    text = f"stalled: {driver} stopped with residual {error:.1e} ({said}); try driver newton, or more steps"
     return ConnectAttempt("stalled", text, iterations, path, tolerance)
 
 

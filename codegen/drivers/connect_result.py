@@ -6,7 +6,7 @@ import numpy as np
 
 from codegen.drivers.connect import case_of, condition_number
 from codegen.drivers.crossings import crossings
-from codegen.drivers.result import ConnectAttempt, Request, Result, max_norm
+from codegen.drivers.result import ConnectAttempt, Request, Result, max_norm, other_driver
 from codegen.loading import ConnectModule
 
 
@@ -27,7 +27,7 @@ def connect_result(module: ConnectModule, driver: str, request: Request, attempt
     status, message = attempt.status, attempt.message
     if status == "solved" and not residual <= 10.0 * attempt.tolerance:
         status = "inaccurate"
-        message = f"{driver} reported success, but the equations have residual {residual:.1e}; try --driver newton"
+        message = f"{driver} reported success, but the equations have residual {residual:.1e}; {other_driver(driver)}"
     crossed = crossings(case.start, case.target)
     if status != "solved" and crossed:
         one, other = crossed[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from codegen.drivers.result import ControlAttempt, Request, Result, component_names, max_norm
+from codegen.drivers.result import ControlAttempt, Request, Result, component_names, max_norm, other_driver
 from codegen.loading import ControlModule, Entries, Grid, Vector
 
 
@@ -27,7 +27,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         status = "inaccurate"
         message = (
             f"{driver} reported success, but the discrete equations have residual {residual:.1e} and the optimality "
-            f"conditions {stationarity:.1e}; try more steps, or --driver newton."
+            f"conditions {stationarity:.1e}; {other_driver(driver)}"
         )
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(grid, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
@@ -59,6 +59,7 @@ def control_result(module: ControlModule, driver: str, request: Request, attempt
         unknowns=unknowns,
         names=component_names(metadata),
         summary={
+            **({"maximum": -float(module.cost(grid, unknowns))} if metadata.get("maximised") else {}),
             "duration": float(t[-1] - t[0]),
             "final_state_miss": _final_state_miss(module, grid, unknowns),
             "largest_control": max_norm(u),

@@ -124,5 +124,5 @@ def _verdict(y: Vector, details: Mapping[str, Any], code: int, reason: str) -> t
     if code == 1 or (code in (3, 4, 5) and residual <= 1e-11 * max(1.0, max_norm(y))):
         return "solved", ""
     if code == 2:
-        return "iteration limit", "iteration limit: fsolve ran out of evaluations; try --driver newton, or more steps"
-    return "stalled", f"stalled: fsolve says, {' '.join(reason.split())} Try --driver newton, or more steps"
+        return "iteration limit", "iteration limit: fsolve ran out of evaluations; try driver newton, or more steps"
+    return "stalled", f"stalled: fsolve says, {' '.join(reason.split())} Try driver newton, or more steps"

@@ -17,20 +17,30 @@ from codegen.loading import ControlModule, Vector
 
 TOLERANCE = 1e-8
 MAX_ITERATIONS = 3000
+LONGEST = 1e20  # seconds of the processor, IPOPT's own
+OTHER = "try driver newton"
+REMEDIES = {"iteration limit": f"raise max_iterations, or {OTHER}", "time limit": f"raise time_limit, or {OTHER}"}
 
-_STATUSES = {0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", -1: "iteration limit", -13: "non-finite"}
+_STATUSES = {
+    0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", -1: "iteration limit", -4: "time limit",
+    -13: "non-finite",
+}  # fmt: skip
 """IPOPT's return codes; what is missing here counts as stalled."""
 
 
 def control(module: ControlModule, request: Request) -> ControlAttempt:
-    """Minimise the cost; bounds are not relaxed. Raises ArgumentError when cyipopt is not installed."""
+    """Minimise the cost with IPOPT's own defaults. Raises ArgumentError when cyipopt is not installed.
+
+    The defaults include its scaling, its limit of iterations and bounds that it relaxes by 1e-8 of their size; the
+    solution is moved back onto the bounds.
+    """
     try:
-        import cyipopt  # type: ignore[import-not-found, unused-ignore]
+        import cyipopt  # type: ignore[import-not-found, import-untyped, unused-ignore]
     except ImportError:
         raise ArgumentError(
             "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"
         ) from None
-    problem = ScaledProblem.on_grid(module, request)
+    problem = ScaledProblem.on_grid(module, request, is_scaled=False)
     lower, upper = problem.bounds
     zero = np.zeros(problem.dual.size)
     tolerance = TOLERANCE if request.tolerance is None else request.tolerance
@@ -42,8 +52,9 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             "sb": "yes",
             "tol": tolerance,
             "max_iter": request.max_iterations or MAX_ITERATIONS,
+            "honor_original_bounds": "yes",
+            "max_cpu_time": min(request.time_limit, LONGEST),
         }
-        options |= {"bound_relax_factor": 0.0, "nlp_scaling_method": "none"}
         for name, value in options.items():
             program.add_option(name, value)
         x, details = program.solve(problem.start)
@@ -51,7 +62,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     message = (
         f"IPOPT found a local minimum in {callbacks.iterations} iterations"
         if status == "solved"
-        else f"{status}: IPOPT gave up after {callbacks.iterations} iterations; try --driver newton"
+        else f"{status}: IPOPT gave up after {callbacks.iterations} iterations; {REMEDIES.get(status, OTHER)}"
     )
     return ControlAttempt(status, message, callbacks.iterations, problem.unknowns(x, details["mult_g"]), 10 * tolerance)
 

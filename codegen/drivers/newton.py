@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 from codegen.drivers.connect import newton as connect
 from codegen.drivers.result import ControlAttempt, Request, SimulateAttempt
 from codegen.loading import ControlModule, SimulateModule
@@ -15,9 +18,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     """Call the module's `solve`."""
     warm = request.guess is not None and request.near
     tolerance = TOLERANCE if request.tolerance is None else request.tolerance
-    solution = module.solve(
-        steps=request.steps, guess=request.guess, warm=warm, tolerance=tolerance, **_most_iterations(request)
-    )
+    solution = module.solve(steps=request.steps, guess=request.guess, warm=warm, tolerance=tolerance, **_stops(request))
     return ControlAttempt(
         status=solution.status,
         message=solution.message,
@@ -30,7 +31,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
 
 def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
     """Call the module's `solve`."""
-    solution = module.solve(steps=request.steps, every=request.every, **_most_iterations(request))
+    solution = module.solve(steps=request.steps, every=request.every, **_stops(request))
     return SimulateAttempt(
         status=solution.status,
         message=solution.message,
@@ -45,6 +46,7 @@ def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
     )
 
 
-def _most_iterations(request: Request) -> dict[str, int]:
-    """The argument of a module's `solve`, unless its own default is to hold."""
-    return {} if request.max_iterations is None else {"max_iterations": request.max_iterations}
+def _stops(request: Request) -> dict[str, Any]:
+    """The arguments of a module's `solve` whose own defaults are not to hold."""
+    given = {"max_iterations": request.max_iterations, "time_limit": request.time_limit, "watch": request.watch}
+    return {name: value for name, value in given.items() if value is not None and value != math.inf}

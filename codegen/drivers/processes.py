@@ -14,6 +14,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 CAN_FORK = hasattr(os, "fork")
+NOTE = "codegen: note: "
+"""How a line begins that is no error."""
 UNFINISHED = 3
 """Exit status of a process that has compiled its share, where the shares together are not all that `solve` calls."""
 
@@ -23,6 +25,7 @@ class Compilers:
 
     def __init__(self) -> None:
         self.failure = ""  # type and message of the error by which a process failed
+        self.notes: list[str] = []  # what processes had to say beside
         self.processes = [
             subprocess.Popen(
                 [sys.executable, "-m", "codegen.drivers.compilation", share],
@@ -45,10 +48,12 @@ class Compilers:
             with suppress(BrokenPipeError):  # its exit status will tell
                 process.stdin.write(os.fsencode(path.absolute()))
                 process.stdin.close()
-        said = [process.stdout.read() for process in self.processes if process.stdout is not None]
+        output = b"".join(process.stdout.read() for process in self.processes if process.stdout is not None)
+        said = output.decode(errors="replace").splitlines()
+        self.notes = [line for line in said if line.startswith(NOTE)]
         statuses = [process.wait() for process in self.processes]
         if any(status not in (0, UNFINISHED) for status in statuses):
-            errors = b"".join(said).decode(errors="replace").splitlines()
+            errors = [line for line in said if not line.startswith(NOTE)]
             self.failure = errors[0] if errors else f"a process ended with status {max(statuses, key=abs)}"
         return not any(statuses)
 

@@ -6,13 +6,13 @@ the extrapolation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from codegen.drivers.result import Result
+from codegen.drivers.result import Level, Result
 from codegen.errors import NumericsError
 from codegen.loading import ControlModule, Matrix, Vector
 
@@ -75,22 +75,34 @@ def refine(
 ) -> Result:
     """Solve on N, 2N, 4N, ... intervals, each from the solution before; the last result, with an error estimate.
 
-    `solve` takes a number of intervals and a start; `warm` is the first one. The summary gains,
-    with at least one doubling, the cost extrapolated by the order of optima and its distance from the last one
-    as an error estimate, and the order that three grids show. A grid that fails ends the sequence with that result.
+    `solve` takes a number of intervals and a start; `warm` is the first one. A grid that fails leaves the next one to
+    start from the last solution, or from the problem's own guess where there is none: a grid may be too coarse for a
+    solution. How each ended is told in `levels`. The summary gains, where the last two or more were solved, the cost
+    extrapolated by the order of optima and its distance from the last one as an error estimate, and the order that
+    three grids show.
     """
-    first = result = solve(steps, None if warm is None else transferred(module, warm, steps))
-    costs = [result.cost]
-    for _ in range(doublings):
-        if not result.solved or result.unknowns is None:
-            return result
-        steps *= 2
-        result = solve(steps, transferred(module, result.unknowns, steps))
-        costs.append(result.cost)
-    estimates = _estimates(module, [c for c in costs if c is not None])
+    known, results = warm, list[Result]()
+    for number in [steps * 2**k for k in range(doublings + 1)]:
+        results.append(solve(number, None if known is None else transferred(module, known, number)))
+        known = results[-1].unknowns if results[-1].solved else known
+    costs = [result.cost for result in _solved_to_the_end(results) if result.cost is not None]
     # What the first solve alone knows, such as how many guesses it tried, stays.
-    summary = {**first.summary, **result.summary, **estimates}
-    return replace(result, summary=summary, attempts=first.attempts)
+    summary = {**results[0].summary, **results[-1].summary, **_estimates(module, costs)}
+    levels = tuple(map(_level, results))
+    return replace(results[-1], summary=summary, attempts=results[0].attempts, levels=levels)
+
+
+def _solved_to_the_end(results: Sequence[Result]) -> Sequence[Result]:
+    """Those behind the last failure."""
+    failed = [place for place, result in enumerate(results) if not result.solved]
+    return results[failed[-1] + 1 if failed else 0 :]
+
+
+def _level(result: Result) -> Level:
+    return Level(
+        result.steps, result.status, result.message, result.cost, result.residual, result.iterations,
+        result.seconds_solve,
+    )  # fmt: skip
 
 
 def order_of_optima(module: ControlModule) -> int:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from codegen.points import PointSet
 STATUSES = {
     "solved": "the equations hold to the driver's tolerance, or to rounding",
     "iteration limit": "the iterations ran out first",
+    "time limit": "the time ran out first",
     "stalled": "no step makes further progress, though the residual is small",
     "infeasible": "the equations cannot be satisfied near the last iterate",
     "rank-deficient": "boundary conditions or controls are redundant or insufficient",
@@ -28,13 +30,18 @@ STATUSES = {
 """Every status word and its meaning; all but the first are failures."""
 
 
+Watch: TypeAlias = Callable[[int, tuple[float, ...]], None]
+"""What is called with the number of an iterate and its row of the log."""
+
+
 @dataclass(frozen=True)
 class Request:
     """What is asked of a driver.
 
     The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
     unknowns to start from, and whether that is `near` the solution; for a connect problem the points. None as a
-    tolerance, or as the most iterations of an optimiser, stands for the driver's own.
+    tolerance, or as the most iterations of an optimiser, stands for the driver's own; `time_limit` is in seconds, and
+    `watch` is called with the number and the row of the log of every iterate.
     """
 
     steps: int
@@ -44,6 +51,8 @@ class Request:
     tolerance: float | None = None
     near: bool = True
     max_iterations: int | None = None
+    time_limit: float = math.inf
+    watch: Watch | None = None
 
 
 @dataclass(frozen=True)
@@ -88,12 +97,26 @@ class SimulateAttempt:
 
 
 @dataclass(frozen=True)
+class Level:
+    """How the solution on one grid of a refinement ended."""
+
+    steps: int
+    status: str
+    message: str
+    cost: float | None
+    residual: float
+    iterations: int
+    seconds: float
+
+
+@dataclass(frozen=True)
 class Result:
     """A solution with its residuals; arrays run over the nodes, `u` over the intervals unless controls are nodal.
 
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
     evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
-    first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made.
+    first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made. `levels`
+    tells how the grids of a refinement ended.
     """
 
     problem: str
@@ -123,6 +146,7 @@ class Result:
     seconds_first: float = float("nan")
     compiled: bool = False
     attempts: tuple[str, ...] = ()
+    levels: tuple[Level, ...] = ()
 
     @property
     def solved(self) -> bool:
@@ -134,6 +158,11 @@ class Result:
         """How many steps were made, for people: `20 steps`, or `2 x 20 steps` in two phases."""
         phases = (self.t.size - 1) // self.steps if self.task == "control" else 1
         return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
+
+
+def other_driver(driver: str) -> str:
+    """What to try where a driver claims what is not so: another one, or other numbers."""
+    return "try more steps, or another guess" if driver == "newton" else "try more steps, or driver newton"
 
 
 def max_norm(values: Vector) -> float:

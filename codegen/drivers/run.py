@@ -17,8 +17,17 @@ from codegen.drivers.control_result import control_result
 from codegen.drivers.result import Request, Result
 from codegen.drivers.shortcuts import quick_numba
 from codegen.drivers.simulate_result import simulate_result
-from codegen.errors import NumericsError
-from codegen.loading import GeneratedModule, is_connect, is_control, is_simulation, load, machine_code_counts
+from codegen.errors import FileError, NumericsError
+from codegen.files import refused
+from codegen.loading import (
+    GeneratedModule,
+    code_folders,
+    is_connect,
+    is_control,
+    is_simulation,
+    load,
+    machine_code_counts,
+)
 
 
 def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) -> Result:
@@ -36,6 +45,8 @@ def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) 
     except ValueError as error:
         # Generated modules know nothing of codegen's errors.
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
+    except OSError as error:
+        raise unkept(module, error) from error
     result: Result
     if is_connect(module):
         result = connect_result(module, driver.name, request, attempt)
@@ -76,10 +87,19 @@ def compile_here(path: Path) -> None:
     """Have all that `newton` needs of a module compiled in this process."""
     module = load(path)
     with packed_operations(), quick_numba():
-        if is_connect(module):
-            solve_small(module)
-        else:
-            module.solve()  # which tells what is wrong, or compiles what is missing
+        try:
+            if is_connect(module):
+                solve_small(module)
+            else:
+                module.solve()  # which tells what is wrong, or compiles what is missing
+        except OSError as error:
+            raise unkept(module, error) from error
+
+
+def unkept(module: GeneratedModule, error: OSError) -> FileError:
+    """The error that says where machine code of a module cannot be written, and what to do about it."""
+    folder = ", ".join(sorted(code_folders(module))) or "the folder of machine code"
+    return refused(error, folder, "make room there, or let NUMBA_CACHE_DIR name a folder that may be written to")
 
 
 def _touch(module: GeneratedModule, request: Request, driver: str) -> None:

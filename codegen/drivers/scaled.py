@@ -48,20 +48,24 @@ def quiet_single_thread() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ScaledProblem:
-    """Minimise f J(x) such that r_i c_i(x) = 0; `base` holds the values of pinned unknowns."""
+    """Minimise f J(x) such that r_i c_i(x) = 0; `base` holds the values of pinned unknowns.
+
+    The factors are one for an optimiser that scales by itself.
+    """
 
     module: ControlModule
     grid: Grid
     base: Vector
     primal: Indices
     dual: Indices
+    is_scaled: bool = True
 
     @classmethod
-    def on_grid(cls, module: ControlModule, request: Request) -> ScaledProblem:
+    def on_grid(cls, module: ControlModule, request: Request, is_scaled: bool = True) -> ScaledProblem:
         """The problem on N intervals, from the guess that is asked for, else the problem's own."""
         grid = module.make_grid(request.steps)
         base = module.initial_guess(grid) if request.guess is None else module.with_pinned_values(grid, request.guess)
-        return cls(module, grid, base, module.primal_unknowns(grid), module.multiplier_unknowns(grid))
+        return cls(module, grid, base, module.primal_unknowns(grid), module.multiplier_unknowns(grid), is_scaled)
 
     @property
     def start(self) -> Vector:
@@ -93,6 +97,8 @@ class ScaledProblem:
     @cached_property
     def row_scale(self) -> Vector:
         """The factors r of the equations."""
+        if not self.is_scaled:
+            return np.ones(self.dual.size)
         rows, _, values = self.module.jacobian(self.grid, self.base)
         size = np.zeros(self.dual.size)
         np.maximum.at(size, rows, np.abs(values))
@@ -101,6 +107,8 @@ class ScaledProblem:
     @cached_property
     def cost_scale(self) -> float:
         """The factor f of the cost."""
+        if not self.is_scaled:
+            return 1.0
         size = max_norm(self.module.cost_gradient(self.grid, self.base))
         return 1.0 / max(1.0, size) if np.isfinite(size) else 1.0
 

@@ -43,6 +43,6 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     message = (
         f"SLSQP found a local minimum in {found.nit} iterations"
         if status == "solved"
-        else f"{status}: SLSQP gave up after {found.nit} iterations ({found.message}); try --driver newton"
+        else f"{status}: SLSQP gave up after {found.nit} iterations ({found.message}); try driver newton"
     )
     return ControlAttempt(status, message, int(found.nit), unknowns, TOLERANCE)

@@ -62,6 +62,6 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     message = (
         f"trust-constr found a local minimum in {found.nit} iterations"
         if status == "solved"
-        else f"{status}: trust-constr gave up after {found.nit} iterations; try --driver newton"
+        else f"{status}: trust-constr gave up after {found.nit} iterations; try driver newton"
     )
     return ControlAttempt(status, message, int(found.nit), unknowns, TOLERANCE)

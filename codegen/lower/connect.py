@@ -345,5 +345,6 @@ def _metadata(
         ("separable", repr(derivatives.separable)),
         ("quadratic", repr(derivatives.quadratic)),
         *([("passive", "True")] if model.passive else []),
+        *([("unused", repr(model.unused))] if model.unused else []),
         ("operations", repr({v.name: (v.operations_before, v.operations_after) for v in loops})),
     ]

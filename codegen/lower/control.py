@@ -66,10 +66,18 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
 def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     """Entries of the metadata that are there only where a user should know of them."""
     redundant, unseen = program.redundant_couplings, _unseen_controls(program)
+    model = program.model
     entries = [("unseen_controls", repr(unseen))] if unseen else []
+    entries += [("unused", repr(model.unused))] if model.unused else []
+    entries += [("maximised", "True")] if model.maximised else []
     if redundant:
         entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
         entries.append(("redundant_conditions", repr(redundant)))
+    ends = (("start", program.start), ("end", program.end))
+    if dependent := tuple((name, where) for where, end in ends for name in end.dependent):
+        entries.append(("dependent_values", repr(dependent)))
+    if decided := tuple((name, where) for where, end in ends for _, name in end.decided if name):
+        entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
     return entries
 
 
@@ -117,7 +125,7 @@ def _places(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol,
     """The code that reads each symbol inside a kernel; shared unknowns stand behind the parameters."""
     places = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(unknowns)}
     places |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(layout.parameters(program))}
-    places[program.model.time] = program.model.time.name if program.model.time.name == "t" else "t"
+    places[program.model.time] = "t"
     places[STEP] = "h"
     return places
 
@@ -224,7 +232,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(("shared",) if program.shared else ()),
         *(("equal_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),
-        "lagrangian", "norms", "point", "elements",
+        "iterates", "lagrangian", "norms", "point", "elements",
         "ends_curved" if layout.is_curved(derivatives) else "ends_flat",
         "symmetric",
         *(condensed if derivatives.condensed else ("element_kept",)),

@@ -166,14 +166,32 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
 
 
 def slack_bounds(program: ControlProgram) -> list[Line]:
-    """The bounds of slacks as code."""
+    """The bounds of slacks as code, and then what has no bounds at an end because it is determined there.
+
+    A slack with one possible value keeps away from a bound below it, where a logarithm has a least value.
+    """
     lines = []
     first = len(program.interval) + len(program.controls)
     for j, slack in enumerate(program.slacks):
-        lines.append(Line(f"lower_intervals[..., {first + j}]", "0.0", slack.name))
+        assert slack.lower is not None, "a slack has a least value"
+        lines.append(Line(f"lower_intervals[..., {first + j}]", array_code(slack.lower), slack.name))
     for node, end in (("0", program.start), ("-1", program.end)):
         lines += [Line(f"lower_nodes[:, {node}, {i}]", "0.0", program.node[i].name) for i, _ in end.slacks]
+        lines += [line for name, _ in end.decided for line in _without_bounds(program, end, node, name)]
     return lines
+
+
+def _without_bounds(program: ControlProgram, end: EndElement, node: str, name: str) -> list[Line]:
+    """Lines that take away the bounds of an unknown of an end node, or of a slack there or beside it."""
+    of_interval = [slack.name for slack in program.slacks]
+    if name in of_interval:
+        place = len(program.interval) + len(program.controls) + of_interval.index(name)
+        return [Line(f"lower_intervals[:, {node}, {place}]", "-1.0", f"{name} is determined there")]
+    place = [unknown.name for unknown in program.node].index(name)
+    if place in [slack for slack, _ in end.slacks]:
+        return [Line(f"lower_nodes[:, {node}, {place}]", "-1.0", f"{name} is determined there")]
+    ends = (("lower", "-np.inf"), ("upper", "np.inf"))
+    return [Line(f"{side}_nodes[:, {node}, {place}]", code, f"{name} is determined there") for side, code in ends]
 
 
 def bound_views(program: ControlProgram) -> tuple[Line, ...]:

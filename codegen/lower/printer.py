@@ -62,6 +62,11 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
             return root if exponent == sympy.Rational(1, 2) else f"{root}**({exponent.p})"
         return str(super()._print_Pow(expr, rational=rational))
 
+    def _print_Piecewise(self, expr: Any) -> str:
+        """Where no condition holds there is no number, which sympy writes as None."""
+        text = str(super()._print_Piecewise(expr))
+        return text.removesuffix("None)") + "math.nan)" if text.endswith(" else None)") else text
+
     def _print_sign(self, expr: Any) -> str:
         return f"np.sign({self._print(expr.args[0])})"
 
@@ -76,6 +81,25 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
 
     def _print_log1p_minus_ratio(self, expr: Any) -> str:
         return f"log1p_minus_ratio({self._print(expr.args[0])}, {self._print(expr.args[1])})"
+
+    def _print_lgamma(self, expr: Any) -> str:
+        return self._of_floats("math.lgamma", expr)
+
+    def _print_gamma(self, expr: Any) -> str:
+        return self._of_floats("math.gamma", expr)
+
+    def _print_erf(self, expr: Any) -> str:
+        return self._of_floats("math.erf", expr)
+
+    def _print_erfc(self, expr: Any) -> str:
+        return self._of_floats("math.erfc", expr)
+
+    def _print_OrderedBase(self, expr: Any) -> str:
+        return self._of_floats(expr.stem, expr, f"{expr.order}, ")
+
+    def _of_floats(self, function: str, expr: Any, before: str = "") -> str:
+        """A function that knows no arrays."""
+        return f"{function}({before}{self._print(expr.args[0])})"
 
     def _print_Pi(self, expr: Any) -> str:
         return f"{self.module}.pi"
@@ -99,6 +123,9 @@ class ArrayPrinter(ScalarPrinter):
         for value, condition in reversed(expr.args):
             text = f"np.where({self._print(condition)}, {self._print(value)}, {text})"
         return text
+
+    def _of_floats(self, function: str, expr: Any, before: str = "") -> str:
+        return super()._of_floats(f"np.vectorize({function})", expr, before)
 
     def _print_Min(self, expr: Any) -> str:
         return self._nested("np.minimum", expr.args)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TypeAlias
 
 import sympy
 from sympy import Expr, Symbol
@@ -13,6 +14,8 @@ from codegen.lower.kernels import Kernel, Line, Output, kernel
 from codegen.lower.module import Argument, SimulateModule
 from codegen.lower.printer import scalar_code
 from codegen.transcribe.program import StepProgram
+
+Assignments: TypeAlias = Sequence[tuple[Symbol, Expr]]
 
 
 def _arguments(program: StepProgram) -> tuple[str, ...]:
@@ -25,8 +28,11 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     kernels = (
         *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
         _equations_kernel(program),
-        kernel("energy", "The Hamiltonian.", ("state", "t", "parameters"), _places(program), (), program.energy),
-    )
+        kernel(
+            "energy", "The Hamiltonian.", ("state", "t", "parameters"), _places(program), (), program.energy,
+            straight_line=_needed(program.state_assignments, (program.energy,)),
+        ),
+    )  # fmt: skip
     quantity = program.start_values[0].quantity
     return SimulateModule(
         template="simulate.py.j2",
@@ -85,23 +91,32 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
     places, arguments = _places(program), _arguments(program)
     names = [symbol.name for symbol in program.unknowns]
     guess = [Output(f"unknowns[{i}]", value, names[i]) for i, value in enumerate(program.guess)]
-    residual = [Output(f"residual[{i}]", value, "") for i, value in enumerate(program.residual)]
+    residual = [Output(f"residual[{i}]", value, "") for i, value in enumerate(derivatives.residual)]
     entries = [
         Output(f"jacobian[{i}, {j}]", entry, f"by {names[j]}")
         for i, row in enumerate(derivatives.jacobian)
         for j, entry in enumerate(row)
     ]
     listed = ", ".join(names)
-    needed = _needed(program.before, (*program.residual, *(entry.value for entry in entries)))
+    written = (*program.before, *derivatives.assignments)
+    of_residual = _needed(written, derivatives.residual)
+    of_both = _needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
+    # A program for long expressions holds all that is common to them.
+    straight = bool(derivatives.assignments)
     return (
-        kernel("predict_step", f"Where to start solving for {listed}.", (*arguments, "unknowns"), places, guess),
+        kernel(
+            "predict_step", f"Where to start solving for {listed}.", (*arguments, "unknowns"), places, guess,
+            straight_line=_needed(program.state_assignments, program.guess),
+        ),
         kernel(
             "step_residual", f"What must vanish, as a function of {listed}.",
-            ("unknowns", *arguments, "residual"), places, residual, None, _needed(program.before, program.residual),
+            ("unknowns", *arguments, "residual"), places, residual, None,
+            () if straight else of_residual, straight_line=of_residual if straight else (),
         ),
         kernel(
             "step_jacobian", f"Residual, and its Jacobian by {listed}.",
-            ("unknowns", *arguments, "residual", "jacobian"), places, [*residual, *entries], None, needed,
+            ("unknowns", *arguments, "residual", "jacobian"), places, [*residual, *entries], None,
+            () if straight else of_both, straight_line=of_both if straight else (),
         ),
         kernel(
             "complete_step", f"Inner stages, if there are any, and the state at the right node, given {listed}.",
@@ -111,7 +126,7 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
     )  # fmt: skip
 
 
-def _needed(assignments: Sequence[tuple[Symbol, Expr]], read: Iterable[Expr]) -> tuple[tuple[Symbol, Expr], ...]:
+def _needed(assignments: Assignments, read: Iterable[Expr]) -> tuple[tuple[Symbol, Expr], ...]:
     """Those assignments that the expressions read, directly or through others."""
     symbols = set().union(*(expression.free_symbols for expression in read))
     kept: list[tuple[Symbol, Expr]] = []
@@ -245,6 +260,7 @@ def _metadata(program: StepProgram, derivatives: StepDerivatives, kernels: Seque
         ("unknowns", repr(tuple(s.name for s in program.unknowns))),
         ("start", repr(tuple(value.quantity for value in program.start_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+        *([("unused", repr(model.unused))] if model.unused else []),
     ]
 
 

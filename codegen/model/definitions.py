@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import sympy
 
 from codegen.drawing import Item
+from codegen.model.relations import short
 
 
 @dataclass(frozen=True)
@@ -19,11 +20,17 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Condition:
-    """An expression that must vanish, or (`equality` false) must not be positive; `name` says it as the author did."""
+    """An expression that must vanish, or (`equality` false) must not be positive.
+
+    `name` is what its author called it, or else the condition as it was written, which messages shorten.
+    """
 
     name: str
     expression: sympy.Expr
     equality: bool = True
+
+    def __str__(self) -> str:
+        return short(self.name)
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,8 @@ class Model:
     `path` holds at every time and may depend on coordinates, rates, controls, time and parameters; bounds on
     velocities arrive there as well. `start_conditions` and `end_conditions` are conditions on coordinates and rates of
     one end, beside the values of `start` and `end`. `terminal_cost` is added to the integral of `cost` and depends on
-    coordinates and rates at the end and on parameters. `holonomic` constraints c(q) = 0 hold at every time.
+    coordinates and rates at the end and on parameters; both are negated where the author asked for a greatest value,
+    which `maximised` says. `holonomic` constraints c(q) = 0 hold at every time.
     `periodic` gives pairs (coordinate or rate, shift): its value at the end is that at the start plus the shift.
 
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
@@ -101,6 +109,7 @@ class Model:
     start_conditions: tuple[Condition, ...] = ()
     end_conditions: tuple[Condition, ...] = ()
     terminal_cost: sympy.Expr = sympy.S.Zero
+    maximised: bool = False
     holonomic: tuple[sympy.Expr, ...] = ()
     periodic: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
     free_parameters: tuple[FreeParameter, ...] = ()
@@ -111,6 +120,7 @@ class Model:
     drawing: tuple[Item, ...] = ()
     phases: tuple[Model, ...] = ()
     jumps: tuple[tuple[tuple[sympy.Symbol, sympy.Expr], ...], ...] = ()
+    unused: tuple[str, ...] = ()
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:

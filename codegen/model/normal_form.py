@@ -8,7 +8,7 @@ from typing import Any
 
 import sympy
 
-from codegen import expressions
+from codegen import expressions, mangling, symbols
 from codegen.bodies import require_body
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.model import drawings, regularity, values
@@ -16,7 +16,7 @@ from codegen.model.conditions import bounds_of, conditions_of, couplings_of, fre
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
 from codegen.model.relations import text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
-from codegen.model.written import Entry, used_quantities, written_entries
+from codegen.model.written import Entry, maximises, used_quantities, written_costs, written_entries
 from codegen.problem import FORMS, Control, Problem, Simulate, form_of
 from codegen.symbols import Quantity
 
@@ -24,8 +24,8 @@ from codegen.symbols import Quantity
 def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
     """Check an author's problem and bring it into canonical form.
 
-    `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of
-    CodegenError that names the symbol or expression and the remedy.
+    `declared` are the quantities that were declared while the problem was made; the model names those that are not
+    used. Raises a kind of CodegenError that names the symbol or expression and the remedy.
     """
     if not isinstance(problem, (Simulate, Control)):
         raise ProblemFileError(
@@ -39,41 +39,57 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     drawing = drawings.checked_drawing(problem)
     drawings.require_derived(drawing, used)
     require_unique_names([*used, *declared])
-    require_all_used([*used, *drawings.drawn_quantities(drawing)], declared)
+    unused = unused_names([*used, *drawings.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
     if isinstance(problem, Control):
         require_cost([problem], kinds)
-    model = checked_model(problem, entries, kinds, name, title)
+    plain = plain_symbols(used, problem.task)
+    model = checked_model(problem, entries, kinds, plain, name, title)
     values.require_agreement(model)
-    return drawings.with_drawing(model, drawing, plain_symbols(used))
+    return drawings.with_drawing(replace(model, unused=unused), drawing, plain)
 
 
 def checked_model(
-    problem: Simulate | Control, entries: Sequence[Entry], kinds: Kinds, name: str = "", title: str = ""
+    problem: Simulate | Control,
+    entries: Sequence[Entry],
+    kinds: Kinds,
+    plain: Mapping[Quantity, sympy.Symbol],
+    name: str = "",
+    title: str = "",
 ) -> Model:
     """Check one problem and build its model; whether boundary values agree with conditions is still to be seen."""
     form = form_of(problem)
     _require_fitting(problem, form, entries, kinds)
     require_keys(entries, kinds)
     require_scope(entries, kinds, form, isinstance(problem, Control))
-    plain = plain_symbols(used_quantities(entries))
+    used = [plain[symbol] for symbol in used_quantities(entries)]
     entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
-    values.require_values(model, bounds_of(entries, list(plain.values())))
+    values.require_values(model, bounds_of(entries, used))
     regularity.require_regular(model)
     return model
 
 
-def plain_symbols(used: Sequence[Quantity]) -> dict[Quantity, sympy.Symbol]:
-    """The symbols of a model that stand for the author's quantities."""
-    return {symbol: sympy.Symbol(symbol.name, real=True) for symbol in used}
+def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.Symbol]:
+    """The symbols of a model that stand for the author's quantities; names that generated code needs have a mark."""
+    names = {symbol.name for symbol in used if not isinstance(symbol, symbols.EndValue)}
+    plain = {}
+    for symbol in used:
+        moving = not isinstance(symbol, (symbols.Parameter, symbols.FreeParameter, symbols.EndValue))
+        name = mangling.marked(symbol.name, task, names, moving=moving)
+        if isinstance(symbol, (symbols.Time, symbols.BodyNumber)):
+            name = "t" if isinstance(symbol, symbols.Time) else "body"
+        elif isinstance(symbol, symbols.EndValue) and symbol.name in names:
+            name = symbol.name + mangling.MARK
+        plain[symbol] = sympy.Symbol(name, real=True)
+    return plain
 
 
 def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
     """Refuse controls of which nothing says how they are best, in any of the problems."""
     if not kinds.controls or any(problem.path for problem in problems):
         return
-    if all(sympy.sympify(problem.cost) == sympy.sympify(problem.terminal_cost) == 0 for problem in problems):
+    if not any(entry.expression != 0 for problem in problems for entry in written_costs(problem)):
         raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
 
 
@@ -81,15 +97,15 @@ def require_unique_names(quantities: Sequence[Quantity]) -> None:
     """Refuse two quantities of one name."""
     seen: dict[str, Quantity] = {}
     for symbol in quantities:
+        if isinstance(symbol, symbols.EndValue):
+            continue  # it has a name that nobody chose
         if seen.setdefault(symbol.name, symbol) != symbol:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
 
 
-def require_all_used(used: Sequence[Quantity], declared: Sequence[Quantity]) -> None:
-    """Refuse quantities that were declared to no purpose; SymbolError names one."""
-    for symbol in declared:
-        if symbol not in used:
-            raise SymbolError(f"{symbol} is declared but never used", "remove it, or use it")
+def unused_names(used: Sequence[Quantity], declared: Sequence[Quantity]) -> tuple[str, ...]:
+    """The names of quantities that were declared to no purpose."""
+    return tuple(symbol.name for symbol in declared if symbol not in used)
 
 
 def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
@@ -176,6 +192,7 @@ def _built(
         start_conditions=(*tied_at_start, *conditions_of(entries, "start_conditions")),
         end_conditions=(*tied_at_end, *end_conditions),
         terminal_cost=_value(entries, "terminal_cost"),
+        maximised=isinstance(problem, Control) and maximises(problem),
         holonomic=tuple(condition.expression for condition in conditions_of(entries, "constraint")),
         periodic=_pairs(entries, "periodic"),
         free_parameters=free_parameters_of(entries, free),

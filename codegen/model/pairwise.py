@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +10,13 @@ from typing import Any
 import numpy as np
 from sympy import Expr, Symbol
 
-from codegen import expressions
+from codegen import expressions, mangling
 from codegen.differentiate.invariants import Invariants
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.pairwise import Connect, Pairwise, Particle, ParticleQuantity
 from codegen.problem import Simulate
 from codegen.symbols import Parameter, Quantity
 
-_GENERATED = re.compile(r"[hsxy]\d+$")
-"""Names that generated loops over pairs use for scalars, entries and common parts."""
 FRACTION = Symbol("fraction", real=True)
 """The fraction of the way from start to target."""
 
@@ -76,6 +73,7 @@ class PairwiseModel:
     parallel: bool = False
     start: tuple[tuple[tuple[float, ...], ...], ...] = ()
     own_values: tuple[tuple[float, ...], ...] = ()
+    unused: tuple[str, ...] = ()
     drawing: tuple[()] = ()
 
     @property
@@ -100,16 +98,16 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
     if not isinstance(problem, (Connect, Simulate)):
         raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
-    terms = {"pair_term": expressions.checked(system.pair_term, "pair_term")}
+    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
     if system.self_term is not None:
         terms["self_term"] = expressions.checked(system.self_term, "self_term")
     terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
     duration = expressions.checked(problem.duration, "duration")
-    _require_symbols({**terms, "duration": duration}, system.particles, declared)
-    parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter))
-    marked = [s for one in system.particles for s in (*one.q, *one.p, *one.own)]
-    plain = {symbol: Symbol(symbol.name, real=True) for symbol in (*marked, *parameters)}
-    first, second = (_place(one, plain) for one in system.particles)
+    _require_symbols({**terms, "duration": duration}, system.pair, declared)
+    inside = set().union(*(e.free_symbols for e in (*terms.values(), duration)))
+    parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)
+    plain = _plain_symbols(system.pair, parameters, problem.task)
+    first, second = (_place(one, plain) for one in system.pair)
     pair = expressions.tidied(terms["pair_term"].xreplace(plain))
     self_term = expressions.tidied(terms["self_term"].xreplace(plain)) if "self_term" in terms else None
     _require_scope(pair, self_term, first, second)
@@ -121,14 +119,14 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         momenta = dict(zip(second.p, first.p, strict=True))
         self_term = limit.xreplace(own | momenta) / 2
     domain = tuple(expressions.tidied(terms[f"domain[{k}]"].xreplace(plain)) for k in range(len(system.domain)))
-    start, own_values = _particles_at_start(problem, system.particles[0]) if isinstance(problem, Simulate) else ((), ())
+    start, own_values = _particles_at_start(problem, system.pair[0]) if isinstance(problem, Simulate) else ((), ())
     return PairwiseModel(
         task=problem.task,
         name=name,
         title=title,
-        coordinates=_names(system.particles[0].q),
-        momenta=_names(system.particles[0].p),
-        own=_names(system.particles[0].own),
+        coordinates=_names(first.q),
+        momenta=_names(first.p),
+        own=_names(first.own),
         first=first,
         second=second,
         parameters=tuple(plain[s] for s in parameters),
@@ -146,10 +144,28 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         parallel=isinstance(problem, Connect) and problem.parallel,
         start=start,
         own_values=own_values,
+        unused=tuple(s.name for s in declared if isinstance(s, Parameter) and s not in inside),
     )
 
 
-def _names(symbols: Sequence[ParticleQuantity]) -> tuple[str, ...]:
+def _plain_symbols(
+    pair: tuple[Particle, Particle], parameters: Sequence[Parameter], task: str
+) -> dict[Quantity, Symbol]:
+    """The symbols of a model; names that generated code needs are marked, in front of a particle's own mark."""
+    task = "particles" if task == "simulate" else task
+    of_particles = [s for one in pair for s in (*one.q, *one.p, *one.own)]
+    names = {symbol.name[:-2] for symbol in of_particles} | {symbol.name for symbol in parameters}
+    plain: dict[Quantity, Symbol] = {
+        p: Symbol(mangling.marked(p.name, task, names, moving=False), real=True) for p in parameters
+    }
+    for symbol in of_particles:
+        own = any(symbol in one.own for one in pair)
+        name = mangling.marked(symbol.name[:-2], task, names, moving=not own)
+        plain[symbol] = Symbol(f"{name}{symbol.name[-2:]}", real=True)
+    return plain
+
+
+def _names(symbols: Sequence[Symbol]) -> tuple[str, ...]:
     return tuple(symbol.name.removesuffix("_i") for symbol in symbols)
 
 
@@ -164,22 +180,16 @@ def _count(number: Any) -> int:
 
 
 def _require_symbols(terms: Mapping[str, Expr], pair: tuple[Particle, Particle], declared: Sequence[Quantity]) -> None:
-    """Every symbol is a parameter or belongs to one of the two particles, every parameter is used, names are unique."""
+    """Every symbol is a parameter or belongs to one of the two particles; names are unique."""
     known = {s for one in pair for s in (*one.q, *one.p, *one.own)}
-    used: set[Symbol] = set()
     for what, expression in terms.items():
         for symbol in sorted(expression.free_symbols, key=str):
             if symbol not in known and not isinstance(symbol, Parameter):
                 raise SymbolError(
                     f"{symbol} in {what} is no parameter and belongs to no particle", "use particles(...)"
                 )
-            used.add(symbol)
     names: set[str] = set()
     for symbol in declared:
-        if isinstance(symbol, Parameter) and symbol not in used:
-            raise SymbolError(f"{symbol} is declared but never used", "remove it, or use it")
-        if _GENERATED.match(symbol.name):
-            raise SymbolError(f"{symbol.name!r} is reserved for generated code", "choose another name")
         if symbol.name in names:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
         names.add(symbol.name)

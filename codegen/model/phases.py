@@ -17,7 +17,7 @@ from codegen.errors import BoundaryError, CodegenError, ExpressionError, Problem
 from codegen.model import drawings, normal_form, values
 from codegen.model.definitions import FreeParameter, Model
 from codegen.model.scope import Kinds, kinds_of
-from codegen.model.written import Entry, jump_entries, used_quantities, written_entries
+from codegen.model.written import Entry, jump_entries, maximises, used_quantities, written_costs, written_entries
 from codegen.problem import SAME_AT_BOTH_ENDS, Control, Phases, form_of
 from codegen.symbols import Quantity
 
@@ -41,15 +41,15 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     drawing = drawings.checked_drawing(problem.phases[0])
     drawings.require_derived(drawing, used)
     normal_form.require_unique_names([*used, *declared])
-    normal_form.require_all_used([*used, *drawings.drawn_quantities(drawing)], declared)
+    unused = normal_form.unused_names([*used, *drawings.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
     normal_form.require_cost(problem.phases, kinds)
-    models = [_phase(place, phase, written[place], kinds, form) for place, phase in enumerate(problem.phases)]
-    plain = normal_form.plain_symbols(used)
+    plain = normal_form.plain_symbols(used, "control")
+    models = [_phase(place, phase, written[place], kinds, plain) for place, phase in enumerate(problem.phases)]
     entries = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
     chain = _chain(models, entries, kinds, plain, name, title)
     _require_values(chain, entries)
-    return drawings.with_drawing(chain, drawing, plain)
+    return drawings.with_drawing(replace(chain, unused=unused), drawing, plain)
 
 
 @contextmanager
@@ -68,10 +68,11 @@ def _common_form(problem: Phases) -> str:
             raise ProblemFileError(f"phase {place + 1} is a {type(phase).__name__}", "let every phase be a Control")
     if len(problem.phases) < 2:
         raise ProblemFileError("a single phase in Phases(...)", "give two or more, or return the Control itself")
-    forms = []
+    forms, greatest = list[str](), list[bool]()
     for place, phase in enumerate(problem.phases):
         with _in_phase(place):
             forms.append(form_of(phase))
+            greatest.append(maximises(phase))
         if forms[-1] != forms[0]:
             raise ExpressionError(
                 f"phase 1 is given by {forms[0]}, phase {place + 1} by {forms[-1]}", "give all phases in the same way"
@@ -81,7 +82,13 @@ def _common_form(problem: Phases) -> str:
                 f"phase 1 has {problem.phases[0].steps} steps, phase {place + 1} has {phase.steps}",
                 "give all phases the same number of steps; their lengths may differ",
             )
+    if any(greatest) and not all(greatest[i] or not _has_cost(phase) for i, phase in enumerate(problem.phases)):
+        raise ExpressionError("one phase has a cost, another one maximises", "give all phases the same, with its sign")
     return forms[0]
+
+
+def _has_cost(phase: Control) -> bool:
+    return any(entry.expression != 0 for entry in written_costs(phase))
 
 
 def _written(place: int, phase: Control, form: str, jumps: Sequence[Sequence[Entry]]) -> list[Entry]:
@@ -107,10 +114,12 @@ def _require_supported(place: int, phase: Control) -> None:
         raise ExpressionError("it has a drawing", "give the drawing to the first phase, whose it is in all of them")
 
 
-def _phase(place: int, phase: Control, entries: Sequence[Entry], common: Kinds, form: str) -> Model:
+def _phase(
+    place: int, phase: Control, entries: Sequence[Entry], common: Kinds, plain: Mapping[Quantity, sympy.Symbol]
+) -> Model:
     """The model of one phase, checked by itself."""
     with _in_phase(place):
-        kinds = kinds_of(used_quantities(entries), form)
+        kinds = kinds_of(used_quantities(entries), form_of(phase))
         lacking = [q.name for q in common.coordinates if q not in kinds.coordinates]
         if lacking:
             raise SymbolError(
@@ -120,11 +129,11 @@ def _phase(place: int, phase: Control, entries: Sequence[Entry], common: Kinds, 
         if kinds.end_values or kinds.body is not None:
             symbol = f"{kinds.end_values[0].partner}.of(...)" if kinds.end_values else "body"
             raise SymbolError(f"{symbol} belongs to problems of several bodies", "leave it out of problems of phases")
-        model = normal_form.checked_model(phase, entries, kinds)
+        model = normal_form.checked_model(phase, entries, kinds, plain)
         for condition in model.path:
             if condition.equality and not condition.expression.free_symbols & {*model.rates, *model.controls}:
                 raise BoundaryError(
-                    f"path {condition.name} fixes coordinates at every time, and no other phase can",
+                    f"path {condition} fixes coordinates at every time, and no other phase can",
                     "replace it by its derivative, with a condition at the end of a phase",
                 )
         return model
@@ -157,6 +166,7 @@ def _chain(
         end=last.end,
         end_conditions=last.end_conditions,
         terminal_cost=last.terminal_cost,
+        maximised=any(model.maximised for model in models),
         phases=tuple(replace(model, **common) for model in models),
         jumps=tuple(_jump(entries) for entries in jumps),
     )

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import sympy
 
 from codegen import expressions
+from codegen.differentiate.samples import hessian_samples
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.model.definitions import Condition, Model
 from codegen.model.relations import text
@@ -31,7 +32,7 @@ def _require_regular_lagrangian(model: Model, points: Points) -> None:
     """Refuse a Lagrangian whose velocities cannot be recovered from the momenta (its Hessian in v is singular)."""
     if model.form != "lagrangian":
         return
-    null = expressions.null_direction(sympy.hessian(model.function, model.rates), points)
+    null = expressions.null_direction(hessian_samples(model.function, model.rates, points))
     if null is not None:
         names = " ".join(str(v) for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6)
         raise DegenerateError(
@@ -43,7 +44,7 @@ def _require_independent_constraints(model: Model, points: Points) -> None:
     named = [Condition(f"{text(c)} = 0", c) for c in model.holonomic]
     for condition in named:
         if _is_constant(condition, model.coordinates, points):
-            raise DegenerateError(f"constraint {condition.name} depends on no coordinate", "leave it out")
+            raise DegenerateError(f"constraint {condition} depends on no coordinate", "leave it out")
     names = _dependent(named, model.coordinates, points)
     if names:
         raise DegenerateError(f"the constraints {names} depend on each other", "leave out one of them")
@@ -59,7 +60,7 @@ def _require_effective_path(model: Model, points: Points) -> None:
     for condition in model.path:
         if _is_constant(condition, symbols, points):
             raise ExpressionError(
-                f"path {condition.name} depends on no coordinate, rate or control",
+                f"path {condition} depends on no coordinate, rate or control",
                 "limit free parameters and the duration by bounds, or leave it out",
             )
     names = _dependent([c for c in model.path if c.equality], symbols, points)
@@ -75,7 +76,7 @@ def _require_independent_conditions(model: Model, end: str, points: Points) -> N
         symbols = (*model.coordinates, *model.rates, *(own if model.bodies == 1 else ()))
         if _is_constant(condition, symbols, points):
             raise BoundaryError(
-                f"{end}_conditions {condition.name} depends on no coordinate or rate", "correct it, or leave it out"
+                f"{end}_conditions {condition} depends on no coordinate or rate", "correct it, or leave it out"
             )
     fixed = prescribed(model, end)
     unknown = [s for s in (*model.coordinates, *model.rates, *own) if s not in fixed]
@@ -84,7 +85,7 @@ def _require_independent_conditions(model: Model, end: str, points: Points) -> N
     for condition in equations:
         if _is_constant(condition, unknown, likely):
             raise BoundaryError(
-                f"{end}_conditions {condition.name} ties only values that {end} fixes already",
+                f"{end}_conditions {condition} ties only values that {end} fixes already",
                 "leave it out, or let one of the values be free",
             )
     names = _dependent(equations, unknown, likely)
@@ -97,9 +98,7 @@ def _require_effective_couplings(model: Model, points: Points) -> None:
     for place in distinct([condition.expression for condition in model.couplings], symbols):
         condition = model.couplings[place]
         if _is_constant(condition, symbols, points):
-            raise BoundaryError(
-                f"end_conditions {condition.name} couples nothing, since its bodies cancel", "leave it out"
-            )
+            raise BoundaryError(f"end_conditions {condition} couples nothing, since its bodies cancel", "leave it out")
 
 
 def _with_values(fixed: Mapping[sympy.Symbol, sympy.Expr], points: Points) -> Points:

@@ -28,6 +28,11 @@ def text(expression: sympy.Expr) -> str:
     return str(sympy.sstr(expression, full_prec=False))
 
 
+def short(name: str, limit: int = 60) -> str:
+    """The beginning of a long condition, as messages show it; a name that its author gave it says more."""
+    return name if len(name) <= limit else f"{name[:limit].rstrip()} ..."
+
+
 def relation(value: Any, what: str) -> Relation:
     """Read Eq(a, b), a <= b, a >= b, a < b, a > b, or an expression that is to vanish.
 

@@ -40,7 +40,7 @@ _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
     "duration": _STATIC,
     "start": (*_STATIC, BodyNumber),
     "end": (*_STATIC, BodyNumber),
-    "guess": (Time, Parameter, BodyNumber),
+    "guess": (Time, *_STATIC, BodyNumber),
     "lower bound": (Parameter, BodyNumber),
     "upper bound": (Parameter, BodyNumber),
     "first guess": (Parameter,),
@@ -158,7 +158,7 @@ def _require_common(entry: Entry) -> None:
         kind = "velocity" if isinstance(entry.key, Velocity) else "free parameter"
         raise ExpressionError(f"{entry.what} depends on body", f"give a {kind} the same bounds for all bodies")
     free = [str(symbol) for symbol in symbols if isinstance(symbol, FreeParameter)]
-    if free:
+    if free and entry.role != "guess":  # where it has its first guess
         raise ExpressionError(
             f"{entry.what} depends on body and on the free parameter {min(free)}", "let it depend on one of them"
         )

@@ -173,7 +173,7 @@ def _require_agreement(model: Model, end: str, fixed: Mapping[sympy.Symbol, symp
             continue
         excess = abs(excess) if condition.equality else excess
         if excess > _ROUNDING * max([1.0, *map(abs, numbers.values())]):
-            raise BoundaryError(f"{end} violates {condition.name} by {excess:g}", "correct one of them")
+            raise BoundaryError(f"{end} violates {condition} by {excess:g}", "correct one of them")
 
 
 def _holonomic_conditions(model: Model) -> Iterator[Condition]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import sympy
 
 from codegen import expressions
 from codegen.errors import ExpressionError, SymbolError
-from codegen.model.relations import relation
+from codegen.model.relations import relation, short
 from codegen.problem import Control, Problem
 from codegen.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
 
@@ -89,8 +89,7 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield _entry("duration", "duration", problem.duration)
     control = problem if isinstance(problem, Control) else None
     if control is not None:
-        yield _entry("cost", "cost", control.cost)
-        yield _entry("terminal_cost", "terminal_cost", control.terminal_cost)
+        yield from written_costs(control)
     if form == "dynamics":
         yield from _values("dynamics", problem.dynamics)
     yield from _values("force", problem.force)
@@ -105,6 +104,28 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield from _relations("start_conditions", control.start_conditions)
     yield from _relations("end_conditions", control.end_conditions)
     yield from _relations("constraint", control.constraint)
+
+
+def maximises(control: Control) -> bool:
+    """Whether a problem asks for the greatest value; ExpressionError when it asks for a least one as well."""
+    given = [name for name in ("cost", "terminal_cost") if _is_given(getattr(control, name))]
+    wanted = [name for name in ("maximise", "terminal_maximise") if _is_given(getattr(control, name))]
+    if given and wanted:
+        raise ExpressionError(f"{wanted[0]} beside {given[0]}", f"write all in one of them, with {given[0]} negated")
+    return bool(wanted)
+
+
+def _is_given(value: Any) -> bool:
+    return not (isinstance(value, (int, float, sympy.Basic)) and value == 0)
+
+
+def written_costs(control: Control) -> Iterator[Entry]:
+    """What is to be least, in the form in which solvers minimise it."""
+    greatest = maximises(control)
+    for role in ("cost", "terminal_cost"):
+        what = role.replace("cost", "maximise") if greatest else role
+        written = _entry(role, what, getattr(control, what))
+        yield replace(written, expression=-written.expression) if greatest else written
 
 
 def _entry(role: str, what: str, value: Any, key: Quantity | None = None) -> Entry:
@@ -178,9 +199,20 @@ def _shifts(periodic: Any) -> Iterator[Entry]:
 
 def _relations(what: str, values: Any) -> Iterator[Entry]:
     seen: set[sympy.Expr] = set()
-    for place, value in enumerate(_sequence(what, values, "relation")):
-        found = relation(value, f"{what}[{place}]")
+    given = [*values.items()] if isinstance(values, Mapping) else _sequence(what, values, "relation")
+    for place, value in enumerate(given):
+        # A pair is a relation with its name, as mappings have them.
+        named, written = value if isinstance(value, tuple) and len(value) == 2 else ("", value)
+        given_name = _given_name(what, named) if isinstance(value, tuple) else ""
+        found = relation(written, f"{what}[{given_name or place!r}]")
+        name = given_name or found.name
         if found.expression in seen:
-            raise ExpressionError(f"{what} lists {found.name} twice", "list it once")
+            raise ExpressionError(f"{what} lists {short(name)} twice", "list it once")
         seen.add(found.expression)
-        yield Entry(what, f"{what} {found.name}", found.expression, None, found.name, found.equality)
+        yield Entry(what, f"{what} {short(name)}", found.expression, None, name, found.equality)
+
+
+def _given_name(what: str, name: Any) -> str:
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        raise ExpressionError(f"{what} has the name {name!r}", f'write {what} as {{"name": relation, ...}}')
+    return name.strip()

@@ -227,7 +227,9 @@ def _present(module: ControlModule, controls: Matrix, steps: int) -> Matrix:
         return controls
     grid, generated = module.make_grid(steps), cast("Any", module)
     _, intervals = module.views(grid, np.where(generated.free_unknowns(grid), 0.0, np.nan))
-    places = [module.metadata["interval"].index(name) for name in module.metadata["control_names"]]
+    inside = module.metadata["interval"]
+    # The last of a name: multipliers come first, one of which may be called like a control.
+    places = [len(inside) - 1 - inside[::-1].index(name) for name in module.metadata["control_names"]]
     return np.asarray(controls + intervals[0][:, places])
 
 

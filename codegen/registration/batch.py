@@ -15,7 +15,7 @@ from typing import Any
 
 from codegen import __version__
 from codegen.errors import ArgumentError, CodegenError, one_line
-from codegen.output import replacing
+from codegen.files import refused, replacing
 from codegen.registration.images.header import KINDS
 from codegen.registration.job import Job, Options, run
 
@@ -253,10 +253,10 @@ def _write_summary(path: Path, lines: Iterable[Line]) -> None:
 
 
 def make_folders(places: Places) -> None:
-    """Make the folders of the outputs; ArgumentError where the file system refuses."""
+    """Make the folders of the outputs; FileError where the file system refuses."""
     for folder in (places.out, places.field, places.report):
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise ArgumentError(f"{folder} cannot be made ({error.strerror})", "choose another folder") from error
+                raise refused(error, folder) from error

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import jinja2
 
-from codegen.output import replacing
+from codegen.files import replacing
 from codegen.registration.batch import Batch, Line
 from codegen.registration.warp_text import number
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ExtraError, ImageError
-from codegen.output import replacing
+from codegen.files import replacing
 from codegen.registration.coarse import Positions, Spacing, map_grid
 from codegen.registration.frame import pixel_grid
 from codegen.registration.register import Registration
@@ -54,8 +54,8 @@ def displacements(positions: Positions) -> NDArray[np.float64]:
 def write_field(path: Path | str, field: NDArray[np.float64], direction: str = "") -> None:
     """Write a displacement field, shape (h, w, 2), as .npz, .nii, .nii.gz or .mha; `direction` is noted in the file.
 
-    Raises ArgumentError for another kind of file or a place that cannot be written, ExtraError when the library is
-    missing (nibabel for NIfTI, SimpleITK for MetaImage), ImageError for an array that is no field.
+    Raises ArgumentError for another kind of file, FileError for a place that cannot be written, ExtraError when the
+    library is missing (nibabel for NIfTI, SimpleITK for MetaImage), ImageError for an array that is no field.
     """
     path, values = Path(path), np.asarray(field, dtype=np.float64)
     if values.ndim != 3 or values.shape[2] != 2:

@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 
 from codegen import __version__
-from codegen.output import replacing
+from codegen.files import replacing
 from codegen.registration import pair_pictures as pictures
 from codegen.registration.job import Result
 from codegen.registration.warp_text import number, rows
@@ -31,7 +31,7 @@ class Row:
 
 
 def write_report(path: Path, result: Result) -> None:
-    """Write the page; ArgumentError where the file system refuses."""
+    """Write the page; FileError where the file system refuses."""
     text = render(result)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from codegen.files import write_text
 from codegen.machine import machine
-from codegen.output import write_text
 from codegen.report import drift, leaving_out, overview, records
 from codegen.report.building import SURVEYS, Variant, Workshop, build_all, surveyed, workers
 from codegen.report.compare import Regression

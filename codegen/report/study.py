@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from codegen.files import write_text
 from codegen.machine import machine
-from codegen.output import write_text
 from codegen.report import accuracy, ansatz, dimension, effort, fastest, jumps, paths, smoothness, sweeps
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store

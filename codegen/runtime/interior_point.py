@@ -168,6 +168,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
         sure = iteration > 0 and shift == 0.0
         status = conclusion(search, iterate, measured, tolerance, at_least > PATIENCE, sure)
+        if not status and log.is_late():
+            status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
         before = mu

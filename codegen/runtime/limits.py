@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from codegen.runtime.example import BODIES, NODE, STRIDE, metadata, variable_bounds
-from codegen.runtime.layout import free_unknowns
+from codegen.runtime.example import metadata, variable_bounds
+from codegen.runtime.frame import views
+
+LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
 
 
 def at_limits(grid, unknowns):
@@ -14,21 +16,24 @@ def at_limits(grid, unknowns):
 
 
 def prescribed_beyond(grid, unknowns):
-    """Which prescribed end value violates the bound that holds at the next inner node, or nothing.
+    """Which prescribed value or path condition at an end violates what holds farther inside, or nothing.
 
     Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
     within the first interval.
     """
-    lower, upper = variable_bounds(grid)
-    pinned, chain = ~free_unknowns(grid), grid.steps * STRIDE + NODE
-    last = chain - NODE
-    for first in range(0, BODIES * chain if grid.steps > 1 else 0, chain):
-        for end, here, inner in (("start", first, first + STRIDE), ("end", first + last, first + last - STRIDE)):
-            for i, name in enumerate(metadata["node"]):
-                if not pinned[here + i]:
-                    continue
-                value, low, high = unknowns[here + i], lower[inner + i], upper[inner + i]
-                margin = 1e-9 * max(1.0, abs(value))
-                if not low - margin <= value <= high + margin:
-                    return f"{name} is prescribed as {value:g} at the {end}, beyond its bounds {low:g} to {high:g}"
+    bounds, values = variable_bounds(grid), views(grid, unknowns)
+    (low, least), (high, _) = (views(grid, bound) for bound in bounds)
+    for where, k, inner in (("start", 0, 1), ("end", -1, -2)) if grid.steps > 1 else ():
+        for i, name in enumerate(metadata["node"]):
+            value, without = values[0][:, k, i], np.isinf(low[:, k, i]) & np.isinf(high[:, k, i])
+            margin = 1e-9 * np.maximum(1.0, np.abs(value))
+            beyond = (value < low[:, inner, i] - margin) | (value > high[:, inner, i] + margin)
+            for body in np.flatnonzero(without & beyond)[:1]:
+                limits = f"{low[body, inner, i]:g} to {high[body, inner, i]:g}"
+                return f"{name} is prescribed as {value[body]:g} at the {where}, beyond its bounds {limits}"
+        for i, name in enumerate(metadata["interval"]):
+            released = least[:, k, i] < least[:, inner, i]  # a slack of what is prescribed
+            if (released & (values[1][:, k, i] < least[:, inner, i] - LEAST_SLACK)).any():
+                condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+                return f"what is prescribed at the {where} violates {condition}"
     return ""

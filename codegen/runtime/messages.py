@@ -27,14 +27,16 @@ from codegen.runtime.verdict import GROWTH, HOLDS, final_status
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
+    "time limit": "raise time_limit, take fewer steps, or start from a better guess",
     "non-finite": "change the guess or the parameters, or keep away from there by bounds",
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
-    "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
+    "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
 }
+LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
@@ -62,6 +64,9 @@ def finding(grid, guess, point, status):
         return f"the cost falls along {falling_unknown(grid, point)}"
     if status == "unbounded":
         return run_away(grid, guess, point)
+    if status == "time limit":
+        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
+        return f"{reached}; {worst_row(grid, point)}"
     return worst_row(grid, point)
 
 
@@ -88,7 +93,7 @@ def violated(grid, point):
         for place in columns[at_limits(grid, point.unknowns)[columns]]:
             name = local_name(grid, place)
             meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
-            names[meaning.removesuffix(" of an interval")] = None
+            names[shortened(meaning.removesuffix(" of an interval"))] = None
         if names:
             text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
@@ -193,20 +198,39 @@ def kernel_name(grid, place):
 
 
 def unknown_name(grid, unknowns, place):
-    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`."""
-    return f"{local_name(grid, place)}{whereabouts(grid, unknowns, place)}"
+    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, "")
+    where = whereabouts(grid, unknowns, place)
+    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
 def equation_name(grid, unknowns, place):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
     name = local_name(grid, place)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    where = whereabouts(grid, unknowns, place)
+    return placed(meaning, whereabouts(grid, unknowns, place))
+
+
+def placed(meaning, where):
+    """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
+    for tail in (" at the start", " at the end", " of an interval", ""):
+        if meaning.endswith(tail):
+            condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
+            if tail != " of an interval":
+                condition, at, inside = meaning.removesuffix(tail), "", ""
+            meaning = f"{shortened(condition)}{at}{inside}{tail}"
+            break
     if meaning.endswith(" of an interval"):
         return meaning.removesuffix("an interval") + where.removeprefix(" on ")
     if meaning.endswith((" at the start", " at the end")):
         return meaning + where.partition(")")[2]
     return meaning + where
+
+
+def shortened(text):
+    """The beginning of a long text."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
 def local_name(grid, place):

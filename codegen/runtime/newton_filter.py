@@ -55,7 +55,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if near is not None:
             limit = min(max_iterations // 2, NEARBY_ITERATIONS)
             status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
-            if status == "solved":
+            if status in ("solved", "time limit"):
                 return status, point, total
     status, point, iterations = leave_saddles(grid, guess, tolerance, max_iterations - total, log, system)
     return status, point, total + iterations
@@ -103,6 +103,8 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift.value > 0.0
             return ("saddle point" if doubtful and not is_minimum(grid, point, system) else "solved"), point, iteration
+        if log.is_late():
+            return "time limit", point, iteration
         if iteration == max_iterations:
             break
         slope, shift = regularised_step(grid, point, shift, system, step)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from codegen.files import replacing, write_text
 from codegen.machine import versions
-from codegen.output import replacing, write_text
 from codegen.stress.cases import DEFECTS, OUTCOMES, Row
 
 if TYPE_CHECKING:

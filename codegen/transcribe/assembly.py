@@ -10,6 +10,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise import STEP, PathValue, Sites
 from codegen.errors import ExpressionError
 from codegen.model import Model
+from codegen.transcribe.decided import with_decisions
 from codegen.transcribe.ends import End, Ends
 from codegen.transcribe.guesses import at_guess, control_guess
 from codegen.transcribe.names import Names, symbols
@@ -70,7 +71,7 @@ def assemble(
         slack_multipliers=path.slack_multipliers,
     )
     _require_identical_bodies(program)
-    return program
+    return with_decisions(program, path.inequalities)
 
 
 def _laid_out(

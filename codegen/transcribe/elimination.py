@@ -12,15 +12,16 @@ from collections.abc import Iterable, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
-from sympy import Expr, S, Symbol, expand
+from sympy import Add, Expr, S, Symbol, expand
 
+from codegen import expressions
+from codegen.differentiate.zeros import identically_zero
 from codegen.discretise import STEP
-from codegen.legendre import vanishes
 
 Assignment = tuple[Symbol, Expr]
 
 _EXPANSION_LIMIT = 200
-"""Operation count up to which it is worth expanding an expression to see that it is linear."""
+"""Operations, and terms, up to which sums are multiplied out to see that an expression is linear."""
 _GROWTH_LIMIT = 150
 """Operations by which substitutions may lengthen the equations; beyond it a numerical solution is cheaper."""
 
@@ -156,7 +157,7 @@ class _System:
         """Coefficient of y in equation i and the value of y, if y enters linearly and surely."""
         equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
-        if coefficient is None or vanishes(coefficient):
+        if coefficient is None or identically_zero(coefficient):
             return None
         rest = equation.xreplace({y: S.Zero})
         return coefficient, rest if coefficient == -1 else -rest / coefficient
@@ -168,11 +169,26 @@ class _System:
 
 
 def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Expr | None:
-    """The coefficient of y, free of all `variables`, or None when the expression is not linear in y in that sense."""
-    coefficient = expression.diff(y)
-    if coefficient.free_symbols & variables and coefficient.count_ops() < _EXPANSION_LIMIT:
+    """The coefficient of y, free of all `variables`, or None when the expression is not linear in y in that sense.
+
+    Long expressions are looked at as they stand; in short ones terms may cancel once they are multiplied out.
+    """
+    terms = [term for term in Add.make_args(expression) if y in term.free_symbols]
+    curved = [term for term in terms if y in _curved(term, variables)]
+    if sum(int(term.count_ops()) for term in curved) > _EXPANSION_LIMIT:
+        return None
+    coefficient = Add(*terms).diff(y)
+    if curved and expressions.multiplied_out(coefficient) <= _EXPANSION_LIMIT:
         coefficient = expand(coefficient)
     return None if coefficient.free_symbols & variables else coefficient
+
+
+def _curved(expression: Expr, variables: AbstractSet[Symbol]) -> AbstractSet[Symbol]:
+    """The variables in which an expression, as it is written, is not linear with a coefficient free of variables."""
+    varying = [part for part in expression.args if part.free_symbols & variables]
+    if expression.is_Add or (expression.is_Mul and len(varying) == 1):
+        return frozenset[Symbol]().union(*(_curved(part, variables) for part in varying))
+    return expression.free_symbols & variables if varying else frozenset()
 
 
 def _sorted(found: Sequence[Assignment], open_unknowns: AbstractSet[Symbol]) -> tuple[tuple[Assignment, ...], ...]:

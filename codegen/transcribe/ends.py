@@ -75,7 +75,7 @@ def conditioned_end(
         value = condition.expression.subs(place, simultaneous=True)
         if not value.free_symbols & unknowns:
             raise BoundaryError(
-                f"the condition {condition.name} at the {_where(suffix)} is on values that are given there",
+                f"the condition {condition} at the {_where(suffix)} is on values that are given there",
                 "leave it out, or leave a value free",
             )
         nu = names.numbered("nu")

@@ -12,6 +12,7 @@ from dataclasses import replace
 from sympy import Expr, Symbol
 
 from codegen import legendre
+from codegen.differentiate.zeros import identically_zero
 from codegen.errors import ExpressionError
 from codegen.model import Boundary, Bounds, Condition, Model
 
@@ -107,4 +108,4 @@ def occurring(quantities: Sequence[Symbol], *expressions: Expr) -> set[int]:
 def same_after(expression: Expr, shifts: dict[Symbol, Expr]) -> bool:
     """Whether an expression keeps its value when quantities are shifted, as an angle by 2 pi."""
     moved = expression.subs({q: q + shift for q, shift in shifts.items() if shift != 0}, simultaneous=True)
-    return bool(moved == expression) or legendre.vanishes(moved - expression)
+    return bool(moved == expression) or identically_zero(moved - expression)

@@ -1,12 +1,14 @@
 """Conditions that hold at every time, on the intervals and at the nodes.
 
-Where rates or controls occur, a condition holds at the points at which the scheme evaluates the dynamics:
+Where rates or controls occur, a condition holds at the points at which the scheme evaluates cost and dynamics:
 l gains y g for g = 0, and y (g + s) with a slack s >= 0 for g <= 0, both y and s being unknowns of the interval.
 
 A condition on coordinates and time alone holds at the nodes. An inequality is imposed at the right node of each
-interval, and at the start unless the coordinates are given there. An equality has its multiplier on the node, and l
-gains (y_k g_k + y_k1 g_k1)/2, because then each end can do without it where the coordinates are given (a condition on
-given numbers has no derivative, and the KKT matrix would be singular).
+interval, at the start unless the coordinates are given there, and where the scheme evaluates cost and dynamics as well.
+Otherwise nodes could alternate between two sides of a forbidden region, and the middle of every interval would lie
+inside it, where the cost is less. Between two nodes on a straight line it follows from theirs if it is convex.
+An equality has its multiplier on the node, and l gains (y_k g_k + y_k1 g_k1)/2, because then each end can do without it
+where the coordinates are given (a condition on given numbers has no derivative, and the KKT matrix would be singular).
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sympy import Expr, S, Symbol
+import sympy
+from sympy import Expr, Rational, S, Symbol
 
 from codegen.discretise import STEP, PathValue, at_nodes
 from codegen.model import Boundary, Condition, Model
@@ -22,14 +25,25 @@ from codegen.transcribe.forms import occurring, same_after
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.program import Unknown
 
+YIELDING = Rational(1, 10**8)
+"""By how much nodes may violate what holds inside intervals as well.
+
+Where a motion rests on a curved limit, both are met, and multipliers are not unique. The cost has its weight inside the
+intervals: with multipliers there, and none at nodes, the Hessian of the Lagrangian is that of a minimum.
+"""
+
 
 @dataclass(frozen=True)
 class IntervalTerms:
-    """Path conditions on one interval: multipliers, slacks with the place of their multiplier, and their share of l."""
+    """Path conditions on one interval: multipliers, slacks with the places of their multipliers, and their share of l.
+
+    `inequalities` are the values to which the slacks belong.
+    """
 
     multipliers: tuple[Unknown, ...]
     slacks: tuple[Unknown, ...]
     slack_multipliers: tuple[int, ...]
+    inequalities: tuple[PathValue, ...]
     element: Expr
     equations: tuple[tuple[str, Expr], ...]
 
@@ -46,8 +60,8 @@ class NodalTerms:
 
 
 def with_inner_path(model: Model) -> Model:
-    """The model with those path conditions only that hold inside an interval: rates or controls occur in them."""
-    return replace(model, path=tuple(g for g in model.path if not _nodal(model, g)))
+    """The model with those path conditions only that hold inside an interval: all but equalities on coordinates."""
+    return replace(model, path=tuple(g for g in model.path if not (_nodal(model, g) and g.equality)))
 
 
 def nodal_conditions(model: Model, equality: bool) -> tuple[Condition, ...]:
@@ -70,15 +84,7 @@ def start_inequalities(model: Model) -> tuple[Condition, ...]:
 
 def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: Names) -> IntervalTerms:
     """Multipliers and slacks of all conditions of an interval; `first` unknowns of the interval come before them."""
-    right = dict(zip(model.coordinates, at_nodes(model.coordinates, "_k1"), strict=True))
-    right[model.time] = model.time + STEP
-    values = [
-        *inner,
-        *(
-            PathValue(g, S.One, g.expression.subs(right, simultaneous=True))
-            for g in nodal_conditions(model, equality=False)
-        ),
-    ]
+    values = _imposed(model, inner)
     multipliers, slacks, places, equations = list[Unknown](), list[Unknown](), list[int](), list[tuple[str, Expr]]()
     element: Expr = S.Zero
     for value in values:
@@ -88,14 +94,51 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
         (y,) = symbols([multipliers[-1].name], "_k")
         term, left_side = value.value, "0"
         if not condition.equality:
-            slacks.append(Unknown(names.numbered("s"), f"slack of {where}", lower=S.Zero))
+            yields = value.condition in {other.condition for other in values if other.place != value.place}
+            least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
+            slacks.append(Unknown(names.numbered("s"), f"slack of {where}", lower=least))
             places.append(first + len(multipliers) - 1)
             (s,) = symbols([slacks[-1].name], "_k")
             term += s
             left_side = f"-{slacks[-1].name}"
         element += y * term
         equations.append((f"{left_side} ({condition.name})", value.value))
-    return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(places), element, tuple(equations))
+    inequalities = tuple(value for value in values if not value.condition.equality)
+    return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(places), inequalities, element, tuple(equations))
+
+
+def _imposed(model: Model, inner: Sequence[PathValue]) -> list[PathValue]:
+    """The values inside an interval and at its right node, without those that follow from values at nodes."""
+    nodal = nodal_conditions(model, equality=False)
+    values = [v for v in inner if v.condition not in nodal or not _follows_from_nodes(model, v)]
+    return [*values, *(PathValue(g, S.One, _at_node(model, g, S.One)) for g in nodal)]
+
+
+def _follows_from_nodes(model: Model, value: PathValue) -> bool:
+    """Whether a value is that of a node, or on the straight line between two nodes with a convex condition."""
+    if value.value in [_at_node(model, value.condition, place) for place in (S.Zero, S.One)]:
+        return True
+    along = {model.time, STEP, *model.parameters, *(free.symbol for free in model.free_parameters)}
+    along |= {q for suffix in ("_k", "_k1") for q in at_nodes(model.coordinates, suffix)}
+    return value.value.free_symbols <= along and _is_convex(model, value.condition)
+
+
+def _at_node(model: Model, condition: Condition, place: Expr) -> Expr:
+    """The value of a condition on coordinates at the left (0) or right (1) node of an interval."""
+    values: dict[Symbol, Expr] = dict(
+        zip(model.coordinates, at_nodes(model.coordinates, "_k1" if place else "_k"), strict=True)
+    )
+    values[model.time] = model.time + place * STEP
+    return condition.expression.subs(values, simultaneous=True)
+
+
+def _is_convex(model: Model, condition: Condition) -> bool:
+    """Whether a condition is proved to be convex in the coordinates, so that its second derivatives are numbers."""
+    present = [model.coordinates[i] for i in sorted(occurring(model.coordinates, condition.expression))]
+    curvature = sympy.hessian(condition.expression, present).applyfunc(sympy.expand)
+    if curvature.free_symbols or not all(entry.is_rational for entry in curvature):
+        return False
+    return bool(curvature.is_positive_semidefinite)
 
 
 def nodal_equalities(model: Model, conditions: Sequence[Condition], stem: str, names: Names) -> NodalTerms:
@@ -108,10 +151,8 @@ def nodal_equalities(model: Model, conditions: Sequence[Condition], stem: str, n
     for condition in conditions:
         name = names.numbered(stem)
         unknowns.append(Unknown(name, f"multiplier of {condition.name}", True))
-        for suffix, instant in (("_k", model.time), ("_k1", model.time + STEP)):
-            place: dict[Symbol, Expr] = dict(zip(model.coordinates, at_nodes(model.coordinates, suffix), strict=True))
-            place[model.time] = instant
-            element += symbols([name], suffix)[0] * condition.expression.subs(place, simultaneous=True) / 2
+        for suffix, place in (("_k", S.Zero), ("_k1", S.One)):
+            element += symbols([name], suffix)[0] * _at_node(model, condition, place) / 2
         assert model.end is not None, "a control problem has an end"
         if given_at(model, model.start, condition.expression):
             start_pins.append(name)

@@ -38,7 +38,10 @@ class EndElement:
     `element` is the end's own share of the Lagrangian of the optimisation problem, in the symbols of the node (suffix
     `_k` at the start, `_k1` at the end) and of the shared unknowns; `cost` is what the discrete cost gains by it.
     `shared` fixes unknowns of the end node to shared ones (local index, index of the shared unknown, offset).
-    `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative.
+    `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative. What is given or
+    determined at this end has no bounds there: `decided` names, in pairs, an unknown of the node or a slack of the
+    interval beside it, and the condition on whose limit it lies, "" where it does not. `dependent` names what follows
+    from path equalities and other values, and was left out.
     """
 
     pins: tuple[tuple[int, Expr], ...]
@@ -47,6 +50,8 @@ class EndElement:
     cost: Expr = S.Zero
     shared: tuple[tuple[int, int, Expr], ...] = ()
     slacks: tuple[tuple[int, int], ...] = ()
+    decided: tuple[tuple[str, str], ...] = ()
+    dependent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -194,9 +199,11 @@ class StepProgram:
     the left node, of inner stages and of the right node; `summary` says in formulas where they come from. Solving
     them takes three parts: `before` are explicit assignments in order, `unknowns` with `residual` are what is left
     for Newton's method (none for an explicit scheme; `linear` when one linear solve will do), `after` are explicit
-    assignments that follow. `velocities` are unknowns in place of positions, each with the two positions of which it
-    is the divided difference and the time between them. `guess` starts Newton's method. `energy` is the Hamiltonian
-    at the left node; `start` holds the initial (q, p) in terms of the parameters and of the symbols of `start_values`.
+    assignments that follow. Where a mass matrix is large, `guess` and `energy` may read `state_assignments`, which
+    depend on the left node alone. `velocities` are unknowns in place of positions, each with the two positions of
+    which it is the divided difference and the time between them. `guess` starts Newton's method. `energy` is the
+    Hamiltonian at the left node; `start` holds the initial (q, p) in terms of the parameters and of the symbols of
+    `start_values`.
 
     Of a composition all this is one step of its base, whose lengths are the symbols `lengths`; `fractions` has a row
     for each step of the base with these lengths in parts of the whole step. Otherwise the only length is h, and there
@@ -225,3 +232,4 @@ class StepProgram:
     start: tuple[Expr, ...]
     lengths: tuple[Symbol, ...]
     fractions: tuple[tuple[Expr, ...], ...] = ()
+    state_assignments: tuple[tuple[Symbol, Expr], ...] = ()

@@ -119,7 +119,9 @@ def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
         return tuple((names.get(head, head) + blank + rest, v.xreplace(places)) for (head, blank, rest), v in parts)
 
     def end(old: EndElement) -> EndElement:
-        return replace(old, element=old.element.xreplace(places), conditions=written(old.conditions))
+        decided = tuple((new.get(name, name), condition) for name, condition in old.decided)
+        conditions = written(old.conditions)
+        return replace(old, element=old.element.xreplace(places), conditions=conditions, decided=decided)
 
     return replace(
         program,

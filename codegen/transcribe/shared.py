@@ -99,7 +99,7 @@ def _independent(model: Model) -> tuple[Condition, ...]:
     for place, others in found.dropped:
         if not others:
             raise BoundaryError(
-                f"the condition {model.couplings[place].name} between bodies has no slope where it holds",
+                f"the condition {model.couplings[place]} between bodies has no slope where it holds",
                 "write it without its square, or leave it out",
             )
     return tuple(model.couplings[i] for i in found.kept)

@@ -14,6 +14,7 @@ with their number.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -32,6 +33,7 @@ from codegen.discretise import (
 )
 from codegen.errors import SchemeError
 from codegen.model import Model
+from codegen.phase_functions import phase_functions
 from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
 from codegen.transcribe.boundary import with_symbolic_boundaries
 from codegen.transcribe.elimination import Elimination, eliminate
@@ -58,12 +60,14 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     Raises SchemeError when the scheme belongs to the other method, and what the Legendre transforms raise.
     """
     model, start_values = with_symbolic_boundaries(model)
-    phase = legendre.hamiltonian_form(model)
+    stepwise = phase_functions(model) if method == "variational" else None
+    phase = legendre.in_phase_space(model) if stepwise else legendre.hamiltonian_form(model)
     left = (*at_nodes(phase.coordinates, "_k"), *at_nodes(phase.rates, "_k"))
     right = (*at_nodes(phase.coordinates, "_k1"), *at_nodes(phase.rates, "_k1"))
     lengths, part = _part(scheme)
     if method == "variational" and isinstance(part, DiscreteLagrangian):
-        step = _variational_step(legendre.lagrangian_form(model), phase, part, left, right)
+        velocities = [_at(phase, v, left) for v in stepwise.velocities] if stepwise else _mean_velocities(phase, left)
+        step = _variational_step(legendre.lagrangian_form(model), part, left, right, velocities)
     elif method == "hamiltonian" and isinstance(part, OneStep | RungeKutta):
         step = _one_step(phase, part, left, right, lengths)
     else:
@@ -88,7 +92,8 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         linear=solution.linear,
         equations=step.equations,
         summary=step.summary,
-        energy=_at(phase, phase.function, left),
+        energy=_at(phase, stepwise.energy if stepwise else phase.function, left),
+        state_assignments=tuple((w, _at(phase, value, left)) for w, value in stepwise.assignments) if stepwise else (),
         start_values=start_values,
         start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
         lengths=lengths,
@@ -104,7 +109,11 @@ def _part(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
 
 
 def _variational_step(
-    model: Model, phase: Model, scheme: DiscreteLagrangian, left: Sequence[Symbol], right: Sequence[Symbol]
+    model: Model,
+    scheme: DiscreteLagrangian,
+    left: Sequence[Symbol],
+    right: Sequence[Symbol],
+    mean_velocities: Sequence[Expr],
 ) -> _Step:
     interval = variational_interval(model, scheme)
     dimension = len(model.coordinates)
@@ -130,7 +139,7 @@ def _variational_step(
         velocities=tuple((v, *d) for v, d in zip(velocities, _differences(interval), strict=True)),
         stages=interval.inner,
         solution=_solved_for_velocities(model, interval, velocities, left, right),
-        guesses=dict(zip(velocities, _mean_velocities(phase, left) * (1 + len(points)), strict=True)),
+        guesses=dict(zip(velocities, list(mean_velocities) * (1 + len(points)), strict=True)),
     )
 
 
@@ -212,9 +221,10 @@ def _euler_guesses(
         end = places[-1]
     guesses = dict[Symbol, Expr]()
     for y in unknowns:
-        name, _, stage = y.name.rpartition("_stage")
-        c = places[int(stage) - 1] if name else end
-        x = next(x for x in left if x.name == f"{name or y.name.removesuffix('_k1')}_k")
+        stage = re.search(r"_stage(\d+)$", y.name)
+        c = places[int(stage[1]) - 1] if stage else end
+        name = y.name[: stage.start()] if stage else y.name.removesuffix("_k1")
+        x = next(x for x in left if x.name == f"{name}_k")
         guesses[y] = x + sympy.expand(c * STEP) * rates[x]
     return guesses
 

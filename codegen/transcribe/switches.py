@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Expr, S, Symbol
 
-from codegen.legendre import vanishes
+from codegen.differentiate.zeros import identically_zero
 from codegen.model import Condition, Model
 from codegen.model.values import prescribed
 from codegen.transcribe.forms import occurring
@@ -100,7 +100,7 @@ class Transition:
         expressions = [c.expression for c in self.conditions()] + [self.before.terminal_cost]
         expressions += [value for symbol, value in self.jump.items() if symbol not in rates]
         matched = occurring(rates, *expressions)
-        matched |= {i for i, (p, q) in enumerate(zip(before, after, strict=True)) if not vanishes(p - q)}
+        matched |= {i for i, (p, q) in enumerate(zip(before, after, strict=True)) if not identically_zero(p - q)}
         while True:
             further = occurring(rates, *(p for i in matched for p in (before[i], after[i])))
             if further <= matched:
@@ -155,7 +155,7 @@ def _replaced_states(transition: Transition) -> Switch:
     before = [transition.at(p) for p in momenta(transition.before)]
     after = [transition.after_jump(p) for p in momenta(transition.after)]
     for p, old, new in zip(transition.programs[1].model.rates, before, after, strict=True):
-        if not vanishes(new - old):
+        if not identically_zero(new - old):
             changed[p.name] = new
     return Switch(
         {transition.left[name]: value for name, value in changed.items()},

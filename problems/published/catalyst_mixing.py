@@ -18,5 +18,5 @@ def problem() -> Control:
         start={a: 1, b: 0},
         bounds={u: (0, 1)},
         guess={a: 1 - 0.085 * t, b: 0.05 * t, u: 1 - t},
-        steps=200,
+        steps=500,
     )

@@ -22,5 +22,5 @@ def problem() -> Control:
         start={a: 0, da: -1, b: 0, db: -2},
         end={a: 1, da: 0, b: 2, db: 0},
         bounds={u: (-4, 4), w: (-4, 4)},
-        steps=400,
+        steps=1000,
     )

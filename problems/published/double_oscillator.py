@@ -24,5 +24,5 @@ def problem() -> Control:
         duration=2 * pi,
         start={a: 0, b: 0},
         bounds={u: (-1, 1)},
-        steps=500,
+        steps=1000,
     )

@@ -28,5 +28,5 @@ def problem() -> Control:
             w: (-1, 1),
         },
         path=[u_1 + u_2 <= 1, u_3 + u_4 <= 1],
-        steps=200,
+        steps=500,
     )

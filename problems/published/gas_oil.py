@@ -37,5 +37,5 @@ def problem() -> Control:
         cost=measuring * ((a - a_measured) ** 2 + (b - b_measured) ** 2),
         duration=2 * samples,
         start={a: 1, b: 0},
-        steps=400,
+        steps=4000,
     )

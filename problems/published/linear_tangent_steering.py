@@ -22,5 +22,5 @@ def problem() -> Control:
         start={x: 0, y: 0, p: 0, q: 0},
         end={y: 5, p: 45, q: 0},
         bounds={u: (-pi / 2, pi / 2)},
-        steps=200,
+        steps=500,
     )

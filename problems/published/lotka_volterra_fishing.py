@@ -17,5 +17,5 @@ def problem() -> Control:
         duration=12,
         start={x: 0.5, y: 0.7},
         bounds={w: (0, 1)},
-        steps=400,
+        steps=1000,
     )

@@ -49,5 +49,5 @@ def problem() -> Control:
         cost=measuring * sum((x - z) ** 2 for x, z in zip(state, measured, strict=True)),
         duration=2 * samples,
         start={a: 1, b: 0, c: 0},
-        steps=640,
+        steps=1280,
     )

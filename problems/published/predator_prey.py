@@ -34,5 +34,5 @@ def problem() -> Control:
         cost=(1 - running) * ((x - x_measured) ** 2 + (y - y_measured) ** 2),
         duration=2 * samples,
         start={x: 0.4, y: 1},
-        steps=1000,
+        steps=2000,
     )

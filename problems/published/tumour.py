@@ -28,5 +28,5 @@ def problem() -> Control:
         bounds={u: (0, 75), p: (0.01, P), q: (0.01, P)},
         end_conditions=[z <= 15],
         guess={p: P / 2 * (1 + t), q: P / 4 * (1 + 3 * t), u: 75},
-        steps=200,
+        steps=500,
     )

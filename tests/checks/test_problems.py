@@ -10,6 +10,8 @@ from sympy import Symbol
 
 from codegen import checks
 
+PROBLEMS = Path(__file__).parents[2] / "problems"
+
 DRIFTING = '''"""A cart that is pushed along r drifts along phi without force."""
 
 from codegen import Control, control, coordinates
@@ -199,10 +201,8 @@ def test_saddle_point_is_no_minimum(prepared, tmp_path: Path):
     path = tmp_path / "hill.py"
     path.write_text(HILL)
     context = prepared(path)
-    assert context.solution.status == "saddle point"
-    (failure,) = failures("second-order condition", context)
-    assert "no solution to judge" in failure.detail
-    (failure,) = failures("second-order condition", with_solution(context, status="solved"))
+    on_top = with_solution(context, status="solved", unknowns=0 * context.solution.unknowns)
+    (failure,) = failures("second-order condition", on_top)
     assert "no minimum: the cost decreases to second order in " in failure.detail
 
 
@@ -246,3 +246,55 @@ def test_checks_that_do_not_apply_say_why(prepared):
         assert finding.passed
         assert not finding.applies
         assert reason in finding.detail
+
+
+def test_a_symmetry_leaves_a_minimum_that_is_not_isolated(prepared, tmp_path: Path):
+    """The isoperimetric problem: every rotation of the circle is an optimum."""
+    path = tmp_path / "area.py"
+    text = (PROBLEMS / "published" / "isoperimetric_area.py").read_text(encoding="utf-8")
+    assert "steps=2000" in text
+    path.write_text(text.replace("steps=2000", "steps=16"))
+    (finding,) = checks.apply("second-order condition", prepared(path))
+    assert finding.passed
+    assert "isolated or not" in finding.detail
+
+
+def test_default_scheme_by_its_name(tmp_path: Path):
+    """The default is recorded without a name, and named or not it is the same module."""
+    path = PROBLEMS / "double_integrator_effort.py"
+    found = checks.run(path, scheme="midpoint")
+    assert all(finding.passed for finding in found if finding.check == "provenance")
+
+
+FLAT = '''"""A reaction that runs at 350 K only, a long way from numbers about 1."""
+from sympy import exp
+from codegen import Control, control, parameters, states
+def problem() -> Control:
+    T, c = states("T c")
+    u = control("u")
+    k, E = parameters(k=7.2e10, E=8750)
+    return Control(dynamics={T: u + c * k * exp(-E / T) / 100, c: -c * k * exp(-E / T)}, cost=u**2, duration=1,
+                   start={T: 350, c: 1}, end={T: 355}, steps=20)
+'''
+
+
+def test_what_is_flat_at_most_points_is_neither_needless_nor_overlooked(prepared, damaged, tmp_path: Path):
+    path = tmp_path / "reaction.py"
+    path.write_text(FLAT)
+    context = prepared(path)
+    assert not failures("sparsity", context)
+    assert not failures("derivatives", context)
+    text = Path(context.module.__file__).read_text(encoding="utf-8")
+    first = next(line for line in text.splitlines() if "d2l/dT_k dT_k" in line)
+    broken = damaged(context, first, first.split("=")[0] + "= 0.0")
+    assert failures("derivatives", broken)
+
+
+def test_rows_that_need_a_solution_are_not_measured_where_there_is_none(prepared):
+    context = with_solution(prepared("spherical_pendulum"), status="stalled", message="stopped early")
+    for name in ("second-order condition", "holonomic drift", "momentum matching"):
+        found = [f for f in checks.apply(name, context) if "not measured" in f.detail]
+        assert len(found) == 1
+        assert found[0].passed
+        assert not found[0].applies
+        assert "stopped early" in found[0].detail

@@ -16,6 +16,7 @@ from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, T, nlp, u, v
 from sympy import exp, log, symbols
 
 from codegen.runtime import barrier, curvature, filter, interior_point, interior_steps, restoration
+from codegen.runtime.iterates import Log
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -33,7 +34,7 @@ def dense_linear_algebra() -> Iterator[None]:
 
 def solve(grid: Dense, limit: int = 300, warm: bool = False, guess: Any = None) -> tuple[str, Point, int]:
     unknowns = grid.guess.copy() if guess is None else guess
-    status, point, iterations = interior_point.minimise(grid, unknowns, 1e-10, limit, warm, [])
+    status, point, iterations = interior_point.minimise(grid, unknowns, 1e-10, limit, warm, Log())
     assert iterations <= limit + restoration.RESTORATION_STEPS
     return status, point, iterations
 

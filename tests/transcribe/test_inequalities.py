@@ -130,6 +130,11 @@ def test_path_equality_on_coordinates_holds_at_nodes(method):
     assert "y_1" in [u.name for u in program.node]
     assert "y_1" in pinned_names(program, program.start)
     assert "y_1" in pinned_names(program, program.end)
+    # Equal places have equal velocities: of the four that are prescribed one follows from the others.
+    assert (program.start.dependent, program.end.dependent) == ((), ("dy",))
+    for steps in (4, 5, 6):
+        dense = DenseProblem(program, steps)
+        assert dense.condition_number(dense.initial()) < 1e6
     dense = DenseProblem(program, 5)
     z = dense.newton(dense.initial())
     assert dense.at_nodes(z, "x") == pytest.approx(dense.at_nodes(z, "y"), abs=1e-12)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError, ImageError
-from codegen.output import replacing
+from codegen.files import replacing
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.reading import picture_from
 from codegen.registration.app.state import Work, as_record, from_record
@@ -55,7 +55,7 @@ class Store:
     folder: Path
 
     def save(self, token: str, moving: Picture, fixed: Picture | None, work: Work) -> None:
-        """Write a work, its images only where they are new. ArgumentError when the file system refuses."""
+        """Write a work, its images only where they are new. FileError when the file system refuses."""
         path = self._path(token)
         if path is None:
             return

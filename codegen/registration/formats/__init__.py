@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from codegen.errors import PointsError
-from codegen.output import replacing
+from codegen.files import replacing
 from codegen.registration.formats import bigwarp, elastix, plain, slicer, tps
 from codegen.registration.formats.base import MOST_BYTES, Format, Frames, Source
 from codegen.registration.pairs import LandmarkPairs

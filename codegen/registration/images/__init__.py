@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ImageError
-from codegen.output import replacing
+from codegen.files import replacing
 from codegen.registration.images import by_pillow, by_tifffile
 from codegen.registration.images.header import KINDS, Header, header_of, readable
 
@@ -118,7 +118,7 @@ def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> Non
     """Write an image as its suffix says, replacing the file as a whole or leaving it as it was.
 
     PNG takes 8-bit and 16-bit samples, JPEG 8-bit grey and RGB (quality 95, which loses a little), TIFF all kinds.
-    Raises ImageError where file and samples do not fit, and ArgumentError where the file system refuses.
+    Raises ImageError where file and samples do not fit, and FileError where the file system refuses.
     """
     path = Path(path)
     require_fitting(path, pixels)

@@ -1,0 +1,59 @@
+"""Writing files as a whole or not at all, and saying what is to be done where the file system refuses."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from codegen.errors import FileError
+
+_REMEDIES = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "make room on that disk, or choose another folder"),
+    **dict.fromkeys((errno.EROFS, errno.EACCES, errno.EPERM), "choose a folder that may be written to"),
+    errno.EFBIG: "raise the limit on the size of files, or choose another folder",
+    errno.EIO: "look after that disk, or choose another folder",
+}
+"""What to do about errors that are the file system's own."""
+
+
+def is_refusal(error: OSError) -> bool:
+    """Whether the file system refused, which no program can help."""
+    return error.errno in _REMEDIES
+
+
+def refused(error: OSError, path: Path | str, remedy: str = "") -> FileError:
+    """The error that names the file, the reason and the remedy."""
+    place = f"{path}: {Path(error.filename).name}" if error.filename and Path(path).is_dir() else path
+    found = remedy or _REMEDIES.get(error.errno or 0, "choose another folder")
+    return FileError(f"{place} cannot be written ({error.strerror or error})", found)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary file in the same folder that takes the name of `path` when the block ends without error.
+
+    A reader sees the old file or the new one, and what is killed or fails leaves the old one. FileError when the file
+    system refuses.
+    """
+    try:
+        handle, name = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            temporary.chmod(0o644)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise refused(error, path) from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace a file as a whole; FileError when the file system refuses."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")

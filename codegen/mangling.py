@@ -1,0 +1,132 @@
+"""Names that a problem's author chose and that generated code needs: marked on the way in, renamed on the way out.
+
+Any identifier may name a quantity. Where an emitted module, or a quantity that is derived from another one, needs the
+same name, the author's symbol carries a mark through the pipeline, so that the two are never confused. When the text is
+made, code reads the name with an underscore in place of the mark (`steps` becomes the argument `steps_` of `solve`),
+while metadata, docstrings and comments, like every message, show the name as its author wrote it.
+"""
+
+from __future__ import annotations
+
+import builtins
+import io
+import keyword
+import re
+import tokenize
+import unicodedata
+from collections.abc import Collection, Iterable
+from functools import cache
+from importlib import resources
+
+MARK = "\ua78f"
+"""A letter, so that marked names are identifiers, which nobody writes."""
+
+_TEMPLATES = {
+    "control": ("head", "identity", "kernel", "control"),
+    "simulate": ("head", "identity", "kernel", "simulate"),
+    "particles": ("head", "identity", "kernel", "pair_loop", "particle_loop", "particles"),
+    "connect": (
+        *("head", "identity", "kernel", "pair_loop", "particle_loop", "connect"),
+        *("gathered_loop", "passive_loop"),
+    ),
+}
+"""The templates that make the module of each kind of problem."""
+_IN_KERNELS = {
+    "control": "unknowns t h parameters gradient hessian block values slopes curvatures common duration body own "
+    "shared_views lower_own upper_own lower_common upper_common NODE START END BODIES PHASES node_times interval_times "
+    "with_slacks",
+    "simulate": "unknowns t h parameters state lengths interval residual jacobian",
+}
+_IN_LOOPS = (
+    "z own parameters singles rates gradient hessian products directions margin place fraction start target energy "
+    "half row_i row_j slope velocity matrix accurate_dot x_minus_log1p log1p_minus_ratio CLOSEST BLOCK factor i j row"
+)
+"""What lowering calls arguments and locals of kernels and loops, and functions of other files that they call."""
+_AT_PLACES = re.compile(r"(_k|_k1|_stage\d+)$|^_")
+"""Names of values at nodes and stages, and of temporaries."""
+_IN_PAIRS = re.compile(r"_alone$|^[hmsxy]\d+$|^(by|d)_|_[ij]$")
+"""Names of scalars of a pair and of derivatives by them, and of quantities of one of the two particles."""
+_OF_TIME = ("t", "h", "h_1", "h_2", "duration")
+"""Symbols that stand beside the author's in discrete equations."""
+_DERIVED = "lambda mu nu p pi psi start end switch coupled periodic d".split()
+"""First parts of the names of multipliers, partners and boundary values of a quantity."""
+_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)$")
+
+
+def marked(name: str, task: str, others: Collection[str], *, moving: bool) -> str:
+    """The name with a mark at its end where a module for the task needs it, or derives it from one of the others.
+
+    What is `moving` has values at nodes, whose names are longer.
+    """
+    derived = {f"{stem}_{other}" for stem in _DERIVED for other in others}
+    made = bool(_AT_PLACES.search(name) or (task in ("particles", "connect") and _IN_PAIRS.search(name)))
+    if not name.isascii() or made or name in (_OF_TIME if moving else _needed(task)) or name in derived:
+        return name + MARK
+    return name
+
+
+def plain(text: str) -> str:
+    """A text with every name as its author wrote it."""
+    return text.replace(MARK, "")
+
+
+def renamed(text: str) -> str:
+    """The text of a module in which code has underscores in place of marks, and all else is as an author wrote it.
+
+    Further underscores follow where a name is taken; letters that are not ASCII are spelled out.
+    """
+    if MARK not in text:
+        return text
+    tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
+    names = {token.string for token in tokens if token.type == tokenize.NAME}
+    new = _new_names(sorted(name for name in names if MARK in name), {name for name in names if MARK not in name})
+    lines = text.splitlines(keepends=True)
+    for token in reversed(tokens):
+        if token.type == tokenize.NAME and token.string in new:
+            (row, begin), (_, end) = token.start, token.end
+            lines[row - 1] = lines[row - 1][:begin] + new[token.string] + lines[row - 1][end:]
+    told = re.sub(rf"(\w+?{MARK}){MARK}", lambda found: new[found[1]], "".join(lines))
+    return plain(told)
+
+
+def told_arguments(names: Iterable[str]) -> list[str]:
+    """Lines of a module's docstring that tell which arguments are not called as their author called the parameter."""
+    marks = [name for name in names if MARK in name]
+    listed = ", ".join(f"{name}{MARK} for {name}" for name in marks)
+    return ["", f"Arguments whose names mean something else here are called: {listed}."] if marks else []
+
+
+def _new_names(names: Iterable[str], taken: set[str]) -> dict[str, str]:
+    new = {}
+    for name in names:
+        marks = "" if not name.isascii() and plain(name) != _spelled(plain(name)) else "_"
+        while (found := _spelled(name.replace(MARK, marks))) in taken or keyword.iskeyword(found):
+            marks += "_"
+        taken.add(found)
+        new[name] = found
+    return new
+
+
+def _spelled(name: str) -> str:
+    """A name in ASCII: Greek letters by their names, others by their numbers."""
+    return "".join(letter if letter.isascii() else _word(letter) for letter in name)
+
+
+def _word(letter: str) -> str:
+    greek = _GREEK.match(unicodedata.name(letter, ""))
+    if greek:
+        return greek[2].lower() if greek[1] == "SMALL" else greek[2].capitalize()
+    return f"u{ord(letter):04x}"
+
+
+@cache
+def _needed(task: str) -> frozenset[str]:
+    """What templates call by a name, and what lowering does, beside the names that Python itself has."""
+    words = {*dir(builtins), *keyword.kwlist, *keyword.softkwlist, "np", "math", "prange", "body"}
+    words |= {*_IN_KERNELS.get(task, _IN_LOOPS).split(), *_OF_TIME}
+    for template in _TEMPLATES[task]:
+        text = resources.files("codegen").joinpath("templates", f"{template}.py.j2").read_text(encoding="utf-8")
+        for other in (r"\{%.*?%\}", r"\{\{.*?\}\}", r'""".*?"""', r"#[^\n]*", r'f?"[^"\n]*"'):
+            text = re.sub(other, " ", text, flags=re.DOTALL)
+        words |= set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", text))
+    return frozenset(words)

@@ -1,0 +1,38 @@
+"""The polygamma functions: digamma psi(x) = (log gamma(x))' and its derivatives.
+
+The recurrence psi_n(x) = psi_n(x + 1) - (-1)^n n!/x^(n + 1) leads to large arguments, where the asymptotic series has
+all digits. Source: Abramowitz and Stegun (1972), 6.4.6 and 6.4.11.
+"""
+
+import math
+
+from numba import njit
+
+BERNOULLI = (1 / 6, -1 / 30, 1 / 42, -1 / 30, 5 / 66, -691 / 2730, 7 / 6, -3617 / 510, 43867 / 798, -174611 / 330)
+
+FARTHEST = -1e4  # as many steps of the recurrence are made
+
+
+@njit(cache=True, error_model="numpy")
+def polygamma(n, x):
+    """The derivative number n >= 0 of the digamma function; infinite at its poles 0, -1, ..., NaN far below."""
+    if x < FARTHEST:
+        return math.nan
+    factorial, total = math.gamma(n + 1.0), 0.0
+    sign = -1.0 if n % 2 == 0 else 1.0
+    while x < 15.0 + n:
+        total += sign * factorial / x ** (n + 1)
+        x += 1.0
+    if n == 0:
+        return total + math.log(x) - 0.5 / x - asymptotic_sum(n, x)
+    return total + sign * (factorial / (n * x**n) + 0.5 * factorial / x ** (n + 1) + asymptotic_sum(n, x))
+
+
+@njit(cache=True, error_model="numpy")
+def asymptotic_sum(n, x):
+    """Sum of B_2k (2k + n - 1)!/((2k)! x^(2k + n)) over k = 1, 2, ..."""
+    total, factor = 0.0, math.gamma(n + 2.0) / (2.0 * x ** (n + 2))
+    for k in range(1, len(BERNOULLI) + 1):
+        total += BERNOULLI[k - 1] * factor
+        factor *= (2 * k + n) * (2 * k + n + 1) / ((2 * k + 1) * (2 * k + 2) * x * x)
+    return total

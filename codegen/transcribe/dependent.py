@@ -1,0 +1,131 @@
+"""Values at the ends that follow from path equalities and from other values, found by the rank of all equations.
+
+Two coordinates that are equal at every node have equal velocities: where those are prescribed at both ends, one of
+them follows from the rest, and the equations of motion with all conditions depend on each other. That is a matter of
+the scheme (an explicit step leaves over a value at the start, not at the end), so that the Jacobian of all equations on
+a few intervals decides. What depends on the others everywhere is left out, and what contradicts them is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from sympy import S
+
+from codegen.errors import BoundaryError
+from codegen.transcribe.chain_jacobian import ChainJacobian
+from codegen.transcribe.path_conditions import nodal_conditions
+from codegen.transcribe.program import ControlProgram
+
+_SINGULAR = 1e-10
+"""Singular values of the scaled Jacobian below it, relative to the largest, count as rounding."""
+_AGREES = 1e-8
+_STEPS = (4, 5)
+"""Numbers of intervals: alternating modes of a periodic motion exist for even ones only."""
+_POINTS = 3
+"""Random points; that with the highest rank counts."""
+
+
+def without_dependent_values(program: ControlProgram) -> ControlProgram:
+    """Leave out values at the ends that follow from path equalities on coordinates and from the other values.
+
+    Raises BoundaryError where such a value contradicts the others at the default parameters.
+    """
+    if program.phases or not nodal_conditions(program.model, equality=True):
+        return program
+    generator = np.random.default_rng(5)
+    chains = [[ChainJacobian(program, steps, generator) for _ in range(_POINTS)] for steps in _STEPS]
+    lacking = _lacking(chains, program)
+    for candidate in _candidates(program) if any(lacking) else ():
+        changed = candidate.left_out(program)
+        fewer = _lacking(chains, changed)
+        if sum(fewer) < sum(lacking):
+            _require_agreement(chains, program, candidate)
+            program, lacking = changed, fewer
+        if not any(lacking):
+            break
+    return program
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """What could be left out at an end: an unknown of the node, and what it means to the author.
+
+    To leave out a value that is given frees the unknown; to leave out an equation, its multiplier has to vanish.
+    """
+
+    where: str
+    name: str
+    place: int
+    is_equation: bool
+
+    def left_out(self, program: ControlProgram) -> ControlProgram:
+        """The program without it."""
+        end = program.start if self.where == "start" else program.end
+        pins = tuple(pin for pin in end.pins if pin[0] != self.place)
+        if self.is_equation:
+            pins = (*pins, (self.place, S.Zero))
+        changed = replace(end, pins=pins, dependent=(*end.dependent, self.name))
+        return replace(program, start=changed) if self.where == "start" else replace(program, end=changed)
+
+
+def _candidates(program: ControlProgram) -> Iterator[_Candidate]:
+    """What could be left out at the end, and then at the start: velocities, path equalities, other given values."""
+    for where, end in (("end", program.end), ("start", program.start)):
+        names, pinned = [unknown.name for unknown in program.node], {place for place, _ in end.pins}
+        given = [value.quantity for value in program.boundary_values if value.where == where]
+        for name, quantity in _equations(program):
+            place = names.index(name) if name in names else -1
+            if place >= 0 and place not in pinned and (quantity in given or name.startswith("y_")):
+                yield _Candidate(where, quantity, place, True)
+        bound = _bound(program)
+        values = {place: value for place, value in end.pins if not program.node[place].multiplier}
+        quantities = {v.symbol: v.quantity for v in program.boundary_values}
+        for place in sorted(values, key=lambda place: (names[place] in bound, -place)):
+            written = [quantities[s] for s in values[place].free_symbols if s in quantities]  # a velocity, or several
+            yield _Candidate(where, written[0] if len(written) == 1 else names[place], place, False)
+
+
+def _equations(program: ControlProgram) -> Iterator[tuple[str, str]]:
+    """Multipliers of equations at an end that could be left out, and what these say: velocities, path equalities."""
+    model = program.model
+    for q, rate in reversed(list(zip(model.coordinates, model.rates, strict=False))):
+        yield f"lambda_{q}", rate.name
+        yield f"nu_{rate}", rate.name
+    meanings = {unknown.meaning: unknown.name for unknown in program.node}
+    for condition in nodal_conditions(model, equality=True):
+        yield meanings[f"multiplier of {condition.name}"], condition.name
+
+
+def _bound(program: ControlProgram) -> set[str]:
+    """The names of what path equalities tie."""
+    conditions = nodal_conditions(program.model, equality=True)
+    return {symbol.name for condition in conditions for symbol in condition.expression.free_symbols}
+
+
+def _lacking(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram) -> list[int]:
+    """How much rank is missing on each number of intervals."""
+    return [min(_nulls(*chain.reduced(program)).shape[1] for chain in points) for points in chains]
+
+
+def _nulls(matrix: NDArray[np.float64], _: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The left null vectors of a matrix whose rows are of like size, as columns."""
+    left, singular, _ = np.linalg.svd(matrix, full_matrices=True)
+    return left[:, int(np.sum(singular > _SINGULAR * singular.max(initial=1e-300))) :]
+
+
+def _require_agreement(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram, left: _Candidate) -> None:
+    """Refuse a value that is not what the other equations say: combinations that do not change have to vanish."""
+    for points in chains:
+        reduced = [chain.reduced(program) for chain in points]
+        matrix, residuals = min(reduced, key=lambda pair: _nulls(*pair).shape[1])
+        off = np.abs(_nulls(matrix, residuals).T @ residuals).max(initial=0.0)
+        if off > _AGREES * np.abs(residuals).max(initial=1.0):
+            others = " and ".join(g.name for g in nodal_conditions(program.model, equality=True))
+            raise BoundaryError(
+                f"{left.name} at the {left.where} contradicts {others} and the other values at the ends",
+                "correct it, or leave it out",
+            )

@@ -1,0 +1,21 @@
+"""Text of a module -> the same text, once its derivatives agree with an independent differentiation.
+
+What the text says is executed by the interpreter and compared with the program's expressions, evaluated as they stand;
+nothing is shared with the stages that made it but the expressions themselves.
+"""
+
+from __future__ import annotations
+
+from codegen.transcribe.connect import PairwiseProgram
+from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.verify.control import verify_control
+from codegen.verify.execution import Text
+from codegen.verify.steps import verify_step
+
+
+def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:
+    """Raise VerificationError, naming the entry, where a kernel is not what its program says."""
+    if isinstance(program, ControlProgram):
+        verify_control(program, Text(text))
+    elif isinstance(program, StepProgram):
+        verify_step(program, Text(text))

@@ -1,0 +1,152 @@
+"""Generated text executed by the interpreter: parts of a module as they stand, and kernels in any arithmetic."""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from types import CodeType, SimpleNamespace
+from typing import Any
+
+from codegen.special_functions import STEMS
+from codegen.verify.tape import Arithmetic
+
+
+class Text:
+    """The text of a module, of which parts are executed without compiling them to machine code."""
+
+    def __init__(self, text: str) -> None:
+        self._imports: list[ast.stmt] = []
+        self._parts: dict[str, ast.stmt] = {}
+        self._codes: dict[tuple[str, ...], CodeType] = {}
+        for node in ast.parse(text).body:
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                self._imports += [node] if not (isinstance(node, ast.ImportFrom) and node.module == "numba") else []
+            elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                self._parts[node.name] = node
+            elif isinstance(node, ast.Assign):
+                self._parts |= {target.id: node for target in node.targets if isinstance(target, ast.Name)}
+
+    def defines(self, name: str) -> bool:
+        """Whether a function, class or constant has the name."""
+        return name in self._parts
+
+    def interpreted(self, *names: str) -> dict[str, Any]:
+        """Those of the names that the module defines, and what they need, with numba's decorators doing nothing."""
+        namespace: dict[str, Any] = {"njit": _undecorated, "prange": range, "__name__": "emitted"}
+        body = [*self._imports, *self._needed(names)]
+        exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
+        return namespace
+
+    def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Callable[..., Any]]:
+        """Some functions, and what they call, in another arithmetic than that of floating-point numbers."""
+        key = tuple(names)
+        if key not in self._codes:
+            needed = [node for node in self._needed(names) if isinstance(node, ast.FunctionDef)]
+            functions = [node for node in needed if node.name not in STEMS]
+            body: list[ast.stmt] = [_Rewritten().function(node) for node in functions]
+            module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
+            self._codes[key] = compile(module, "<kernels>", "exec")
+        namespace = _namespace(arithmetic)
+        exec(self._codes[key], namespace)
+        return {name: namespace[name] for name in names if name in self._parts}
+
+    def _needed(self, names: Iterable[str]) -> list[ast.stmt]:
+        """The parts with these names and those that they read, in the order of the text."""
+        waiting, found = list(names), set[str]()
+        while waiting:
+            name = waiting.pop()
+            if name in self._parts and name not in found:
+                found.add(name)
+                waiting += _read(self._parts[name])
+        return list(dict.fromkeys(node for name, node in self._parts.items() if name in found))
+
+
+def _read(part: ast.stmt) -> set[str]:
+    """The names that a part reads and does not give a value to itself."""
+    names = [node for node in ast.walk(part) if isinstance(node, ast.Name)]
+    own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
+    own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
+    return {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
+
+
+def _undecorated(*_arguments: Any, **_options: Any) -> Callable[[Any], Any]:
+    return lambda function: function
+
+
+class _Functions:
+    """Stands for the module `math`, or `np`, of a text."""
+
+    def __init__(self, arithmetic: Arithmetic) -> None:
+        self._arithmetic = arithmetic
+
+    def __getattr__(self, name: str) -> Any:
+        if name in _NUMBERS:
+            return self._arithmetic.number(_NUMBERS[name])
+        return self._arithmetic.sign if name == "sign" else self._arithmetic.function(name)
+
+
+class _Rewritten(ast.NodeTransformer):
+    """Powers, choices and comparisons as calls, which operators of Python do not express for arrays."""
+
+    def function(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        """The function itself, without decorators; what has been rewritten once stays as it is."""
+        visited = self.visit(node)
+        assert isinstance(visited, ast.FunctionDef)
+        visited.decorator_list = []
+        return visited
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        self.generic_visit(node)
+        return _call("_power", node.left, node.right) if isinstance(node.op, ast.Pow) else node
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
+        self.generic_visit(node)
+        return _call("_where", node.test, node.body, node.orelse)
+
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+        self.generic_visit(node)
+        return _call(f"_{type(node.ops[0]).__name__}", node.left, node.comparators[0])
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
+        self.generic_visit(node)
+        result = node.values[0]
+        for value in node.values[1:]:
+            result = _call(f"_{type(node.op).__name__}", result, value)
+        return result
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
+        self.generic_visit(node)
+        return _call("_Not", node.operand) if isinstance(node.op, ast.Not) else node
+
+
+def _call(name: str, *arguments: ast.expr) -> ast.Call:
+    return ast.Call(func=ast.Name(id=name, ctx=ast.Load()), args=list(arguments), keywords=[])
+
+
+def _namespace(a: Arithmetic) -> dict[str, Any]:
+    def compared(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        return lambda one, other: operation(a.real(one), a.real(other))
+
+    comparisons = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
+    comparisons |= {"Eq": operator.eq, "NotEq": operator.ne}
+    functions = _Functions(a)
+
+    def family(stem: str) -> Callable[[int, Any], Any]:
+        return lambda order, x: a.function(f"{stem}_{order}")(x)
+
+    return {
+        **{stem: family(stem) for stem in STEMS},
+        **{f"_{name}": compared(operation) for name, operation in comparisons.items()},
+        **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
+        **{"_power": a.power, "_where": a.where, "abs": a.absolute, "max": a.maximum, "min": a.minimum},
+        **{"math": functions, "np": SimpleNamespace(**{"sign": a.sign}), "range": range},
+    }
+
+
+_NUMBERS = {
+    "pi": "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798",
+    "e": "2.71828182845904523536028747135266249775724709369995957496696762772407663035354759457138217852516642743",
+    "nan": "nan",
+    "inf": "inf",
+}

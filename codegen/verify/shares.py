@@ -1,0 +1,128 @@
+"""Shares of the Lagrangian: emitted gradient and Hessian against complex steps.
+
+The gradient is compared with complex steps of the expression as it stands, and the Hessian with complex steps of the
+emitted gradient, which by then is known to be right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from sympy import Expr, Symbol
+
+from codegen.verify.digits import EXACT, SIZED, Sized, difference, sized
+from codegen.verify.execution import Text
+from codegen.verify.judgement import complex_numbers, judge, step_of
+from codegen.verify.points import Values, finite_points
+from codegen.verify.tape import Tape
+
+Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
+"""Calls a kernel with values of symbols and a list to fill."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """A scalar, what the kernel of its gradient returns beside it, and the two kernels as they are called.
+
+    `places` are those of the unknowns whose derivatives are emitted; `pattern` has pairs of unknowns.
+    """
+
+    name: str
+    scalar: Expr
+    beside: Expr
+    unknowns: tuple[Symbol, ...]
+    places: tuple[int, ...]
+    pattern: tuple[tuple[int, int], ...]
+    gradient: str
+    hessian: str
+    call_gradient: Call
+    call_hessian: Call
+
+
+class ShareComparison:
+    """One share at those of the points where it has a value."""
+
+    def __init__(self, share: Share, text: Text, candidates: Sequence[Values]) -> None:
+        self.share, self.text = share, text
+        self.tape = Tape([share.scalar, share.beside])
+        self.points, self.count = finite_points(self.tape, candidates)
+        rows = (p for p in share.places)
+        self.pairs = [(row, column) for row in rows for column in share.places if column <= row]
+        self._evaluations: dict[Any, tuple[Any, ...]] = {}
+        self._sized: dict[tuple[str, int], tuple[list[Any], Any]] = {}
+
+    def verify(self) -> None:
+        """Raise VerificationError for an entry that is wrong; what is beside comes first, the Hessian last."""
+        if not self.count:
+            return
+        share = self.share
+        self._judge([f"the cost of the {share.name}"], 0, lambda entry: [])
+        of, unknowns = f"of {share.name}'s share of the Lagrangian by", share.unknowns
+        names = [f"the derivative {of} {unknowns[place]}" for place in share.places]
+        self._judge(names, 1, lambda entry: [share.places[entry]])
+        names = [f"the second derivative {of} {unknowns[row]} and {unknowns[column]}" for row, column in self.pairs]
+        self._judge(names, 2, lambda entry: list(self.pairs[entry]))
+
+    def _judge(self, names: Sequence[str], order: int, by: Callable[[int], list[int]]) -> None:
+        judge(names, lambda kind: self._evaluated(kind)[order], lambda e, p: self._opinion(order, by(e), p))
+
+    def _evaluated(self, kind: Any) -> tuple[Any, ...]:
+        """Emitted and exact values of what is beside, of the gradient, and of the Hessian; (points, entries)."""
+        if kind not in self._evaluations:
+            self._evaluations[kind] = self._evaluate(kind)
+        return self._evaluations[kind]
+
+    def _evaluate(self, kind: Any) -> tuple[Any, ...]:
+        share, numbers, step = self.share, complex_numbers(kind), step_of(kind)
+        size, chosen = len(share.unknowns), list(share.places)
+        shape = self.count, size
+        plain = {symbol: array.astype(kind)[:, None] for symbol, array in self.points.items()}
+        moved = dict(plain)
+        for place, symbol in enumerate(share.unknowns):
+            moved[symbol] = np.tile(plain[symbol], (1, size))
+            moved[symbol][:, place] += 1j * step
+        scalar, beside = (np.broadcast_to(value, shape) for value in self.tape.evaluate(moved, numbers))
+        gradient: list[Any] = [kind(0)] * size
+        kernels = self.text.kernels((share.gradient, share.hessian), numbers)
+        returned = share.call_gradient(kernels[share.gradient], moved, gradient)
+        columns = np.stack([np.broadcast_to(np.asarray(value, kind), shape) for value in gradient], axis=1)
+        entries: list[Any] = [kind(0)] * len(share.pattern)
+        if share.pattern:
+            share.call_hessian(kernels[share.hessian], plain, entries)
+        hessian = np.zeros((self.count, size, size), np.finfo(kind).dtype)
+        for (row, column), value in zip(share.pattern, entries, strict=True):
+            hessian[:, row, column] += np.broadcast_to(np.asarray(value).real.reshape(-1), self.count)
+        rows, below = [row for row, _ in self.pairs], [column for _, column in self.pairs]
+        return (
+            (np.broadcast_to(np.asarray(returned, kind), shape)[:, :1].real, beside[:, :1].real),
+            (columns[:, chosen, 0].real, scalar.imag[:, chosen] / step),
+            (hessian[:, rows, below], (columns.imag / step)[:, rows, below]),
+        )
+
+    def _opinion(self, order: int, by: list[int], point: int) -> tuple[Sized, Any, Any]:
+        at = {symbol: float(array[point]) for symbol, array in self.points.items()}
+        place = 0 if order else 1
+        names = [self.share.unknowns[i] for i in by]
+        exact, error = difference(lambda values: self.tape.evaluate(values, EXACT)[place], at, names)
+        return self._with_digits(order, by, point, at), exact, error
+
+    def _with_digits(self, order: int, by: list[int], point: int, at: Mapping[Symbol, float]) -> Sized:
+        share = self.share
+        if order == 2 and tuple(by) not in share.pattern:
+            return Sized(0)
+        name, call = (share.hessian, share.call_hessian) if order == 2 else (share.gradient, share.call_gradient)
+        if (name, point) not in self._sized:
+            filled: list[Any] = [Sized(0)] * (len(share.pattern) if order == 2 else len(share.unknowns))
+            given = {symbol: Sized(value) for symbol, value in at.items()}
+            returned = call(self.text.kernels((name,), SIZED)[name], given, filled)
+            self._sized[name, point] = filled, returned
+        filled, returned = self._sized[name, point]
+        if order == 2:
+            entries = [value for value, pair in zip(filled, share.pattern, strict=True) if pair == tuple(by)]
+            return reduce(Sized.__add__, entries, Sized(0))
+        value: Any = filled[by[0]] if order else returned
+        return sized(value)

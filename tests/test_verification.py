@@ -1,0 +1,225 @@
+"""What a build emits is verified before it is written: planted defects are found, right modules are left alone."""
+
+import re
+
+import pytest
+import sympy
+from sympy import Integer, Rational, cos, exp, sin, tanh
+
+from codegen import (
+    Control,
+    Simulate,
+    compiler,
+    control,
+    coordinates,
+    derive,
+    differentiate,
+    emit,
+    lower,
+    parameters,
+    states,
+    time,
+    transcribe,
+    verify,
+)
+from codegen.compiler import Choices, generate_from_model
+from codegen.differentiate.straight_line import written_out
+from codegen.errors import VerificationError
+from codegen.lower.module import Origin
+from codegen.model import normalise
+
+ORIGIN = Origin("test.py", "codegen build test.py", "0", ("codegen",))
+
+
+def cart() -> Control:
+    """A pendulum on a cart, with a terminal cost that is curved."""
+    (x, a), (dx, da) = coordinates("x a")
+    u, t, (m, M, g) = control("u"), time(), parameters(m=0.3, M=1.2, g=9.81)
+    lagrangian = (M + m) * dx**2 / 2 + m * dx * da * cos(a) + m * da**2 / 2 + m * g * cos(a)
+    return Control(
+        lagrangian=lagrangian,
+        force={x: u - dx / 5},
+        cost=u**2 + sin(t) ** 2 * x**2 / 3,
+        terminal_cost=(x - 1) ** 4 * m,
+        duration=2,
+        start={x: 0, a: 0, dx: 0, da: 0},
+        end={a: sympy.pi, dx: 0.1, da: 0},
+        guess={x: t / 2, a: sympy.pi * t / 2},
+        steps=10,
+    )
+
+
+def swinging() -> Simulate:
+    """A spring pendulum, of which a step leaves two equations to be solved."""
+    (r, a), (dr, da) = coordinates("r a")
+    k, g = parameters(k=40.0, g=9.81)
+    lagrangian = (dr**2 + r**2 * da**2) / 2 + g * r * cos(a) - k * (r - 1) ** 2 / 2
+    return Simulate(lagrangian=lagrangian, duration=1, start={r: 1.1, a: 0.4, dr: 0, da: 0}, steps=20)
+
+
+def prepared(problem, **choices):
+    program = transcribe.transcribe(normalise(problem), choices.get("scheme"), choices.get("method"), "interval")
+    return program, emit.render(lower.lower(program, derive.derivatives(program)), ORIGIN)
+
+
+@pytest.fixture(scope="module")
+def of_cart():
+    return prepared(cart())
+
+
+@pytest.fixture(scope="module")
+def of_pendulum():
+    return prepared(swinging())
+
+
+@pytest.fixture(scope="module")
+def of_explicit_pendulum():
+    return prepared(swinging(), scheme="explicit-euler", method="hamiltonian")
+
+
+def changed(text: str, function: str, pattern: str, replacement: str) -> str:
+    """The text with the first match inside a function replaced; the match must exist and matter."""
+    begin = text.index(f"def {function}(")
+    end = text.index("\n\n\n", begin)
+    body, count = re.subn(pattern, replacement, text[begin:end], count=1)
+    assert count == 1, f"no {pattern} in {function}"
+    return text[:begin] + body + text[end:]
+
+
+DEFECTS = {
+    "sign of a gradient": ("interval_gradient", r"gradient\[1\] = (.*?)(  #|\n)", r"gradient[1] = -(\1)\2"),
+    "factor in a Hessian": ("interval_hessian", r"hessian\[3\] = (.*?)(  #|\n)", r"hessian[3] = 1.000001*(\1)\2"),
+    "dropped entry": ("interval_hessian", r"hessian\[4\] = (.*?)(  #|\n)", r"hessian[4] = 0.0\2"),
+    "wrong place": ("interval_hessian", r"hessian\[2\] = ", "hessian[3] = "),
+    "term missing": ("interval_gradient", r"gradient\[5\] = .*? [+-] ", "gradient[5] = "),
+    "wrong exponent": ("interval_gradient", r"\*\*2", "**3"),
+    "wrong parameter": ("interval_gradient", r"parameters\[0\]", "parameters[1]"),
+    "wrong unknown": ("interval_hessian", r"= unknowns\[1\]", "= unknowns[0]"),
+    "sine for cosine": ("interval_hessian", r"math\.cos\(", "math.sin("),
+    "wrong coefficient": ("interval_gradient", r"0\.5\*", "0.25*"),
+    "cost": ("interval_gradient", r"return (.*)", r"return 1.0001*(\1)"),
+    "gradient at an end": ("end_gradient", r"gradient\[(\d+)\] \+= (.*?)(  #|\n)", r"gradient[\1] += -(\2)\3"),
+    "cost at an end": ("end_gradient", r"return (.*)", r"return 2*(\1)"),
+    "Hessian at an end": ("end_hessian", r"hessian\[0\] = (.*?)(  #|\n)", r"hessian[0] = 1.01*(\1)\2"),
+    "block of the controls": ("control_hessian", r"block\[0, 0\] = (.*?)(  #|\n)", r"block[0, 0] = 2*(\1)\2"),
+}
+
+
+@pytest.mark.parametrize("name", DEFECTS)
+def test_planted_defect_is_found(of_cart, name):
+    program, text = of_cart
+    broken = changed(text, *DEFECTS[name])
+    with pytest.raises(VerificationError, match="the emitted code gives"):
+        verify.verify(program, broken)
+
+
+def test_swapped_rows_of_the_pattern_are_found(of_cart):
+    program, text = of_cart
+    rows = re.search(r"^HESSIAN_ROWS = .*$", text, re.MULTILINE)
+    numbers = [int(n) for n in re.findall(r"\d+", rows.group().split("[")[1].split("]")[0])]
+    i = next(i for i, n in enumerate(numbers) if n != numbers[0])
+    numbers[0], numbers[i] = numbers[i], numbers[0]
+    line = re.sub(r"\[.*?\]", str(numbers), rows.group(), count=1)
+    with pytest.raises(VerificationError, match="second derivative"):
+        verify.verify(program, text.replace(rows.group(), line))
+
+
+STEP_DEFECTS = {
+    "residual": ("step_residual", r"residual\[1\] = (.*)", r"residual[1] = -(\1)"),
+    "residual beside the Jacobian": ("step_jacobian", r"residual\[0\] = (.*)", r"residual[0] = 2*(\1)"),
+    "Jacobian": ("step_jacobian", r"jacobian\[0, 1\] = (.*?)(  #|\n)", r"jacobian[0, 1] = 1.001*(\1)\2"),
+    "state after the step": ("complete_step", r"interval\[0\] = (.*?)(  #|\n)", r"interval[0] = 1.001*(\1)\2"),
+    "equations": ("step_equations", r"residual\[2\] = (.*?)(  #|\n)", r"residual[2] = 1.001*(\1)\2"),
+    "energy": ("energy", r"return (.*)", r"return 1.001*(\1)"),
+}
+
+
+@pytest.mark.parametrize("name", STEP_DEFECTS)
+def test_planted_defect_of_a_step_is_found(of_pendulum, name):
+    program, text = of_pendulum
+    with pytest.raises(VerificationError, match="the emitted code gives"):
+        verify.verify(program, changed(text, *STEP_DEFECTS[name]))
+
+
+def test_planted_defect_of_an_explicit_step_is_found(of_explicit_pendulum):
+    program, text = of_explicit_pendulum
+    with pytest.raises(VerificationError, match="of a step"):
+        verify.verify(
+            program, changed(text, "explicit_step", r"interval\[3\] = (.*?)(  #|\n)", r"interval[3] = -(\1)\2")
+        )
+
+
+def test_what_is_emitted_passes(of_cart, of_pendulum, of_explicit_pendulum):
+    for program, text in (of_cart, of_pendulum, of_explicit_pendulum):
+        verify.verify(program, text)
+
+
+FLAT = {
+    "reaction": (lambda x: Rational(72) * 10**9 * exp(-8750 / x), 350),
+    "logistic": (lambda x: 1 / (1 + exp(-50 * (x - 8))), 8),
+    "gaussian": (lambda x: exp(-((x - 20) ** 2)), 20),
+    "steep": (lambda x: tanh(200 * (x - 5)), 5),
+    "tiny": (lambda x: x**2 / Integer(10) ** 42, 10**10),
+}
+
+
+@pytest.mark.parametrize("name", FLAT)
+def test_entries_lost_because_they_are_small_elsewhere_are_found(name, monkeypatch):
+    """With a test for zero by size, entries go missing where the motion is, and no module is written."""
+    term, place = FLAT[name]
+    x, v = states("x v")
+    u = control("u")
+    model = normalise(
+        Control(
+            dynamics={x: v, v: u + term(x) * v},
+            cost=u**2,
+            duration=1,
+            start={x: place, v: 0},
+            end={x: place + 0.1, v: 0},
+            steps=8,
+        )
+    )
+    monkeypatch.setattr(derive, "_LONG", 0)
+    generate_from_model(model, Choices(), ORIGIN)
+    monkeypatch.setattr(differentiate, "vanishing", lambda graph, roots: {r for r in roots if size(graph, r) < 1e-40})
+    with pytest.raises(VerificationError, match="for the second derivative"):
+        generate_from_model(model, Choices(), ORIGIN)
+
+
+def size(graph, root) -> float:
+    """The size of a value where all symbols are 0.7."""
+    value = written_out(graph, root)
+    return abs(value.evalf(60, subs=dict.fromkeys(value.free_symbols, 0.7)))
+
+
+def test_nothing_is_written_where_a_derivative_is_wrong(tmp_path, monkeypatch):
+    file = tmp_path / "falling.py"
+    file.write_text(
+        '"Falling through air."\n'
+        "from codegen import Control, control, states\n"
+        "def problem():\n"
+        "    x, v = states('x v')\n"
+        "    u = control('u')\n"
+        "    return Control(dynamics={x: v, v: u - v**2}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1})\n"
+    )
+    original = emit.render
+
+    def broken(module, origin):
+        return changed(original(module, origin), "interval_hessian", r"hessian\[0\] = ", "hessian[0] = 3 + ")
+
+    monkeypatch.setattr(emit, "render", broken)
+    with pytest.raises(VerificationError, match="the emitted code gives"):
+        compiler.build(file, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_where_no_condition_of_a_piecewise_function_holds_there_is_no_number():
+    x, v = states("x v")
+    u, t = control("u"), time()
+    pushed = sympy.Piecewise((t, t < 0.5), (1 - t, t < 1))
+    problem = Control(
+        dynamics={x: v, v: u + pushed * x**2}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1}, steps=4
+    )
+    text = generate_from_model(normalise(problem), Choices(), ORIGIN)
+    assert "else math.nan)" in text
+    assert "else None)" not in text
