@@ -8,6 +8,7 @@ from codegen.runtime.layout import free_unknowns
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
+NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
 ESCAPES = 3  # how often a saddle point is left
 LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
 
@@ -25,6 +26,11 @@ def least_shift(grid, unknowns, system, curvature=0.0):
             return shift
         shift *= 10.0
     return np.inf
+
+
+def is_nearly_stationary(point):
+    """Whether a descent that cannot go on may have come to a saddle point, towards which shifted steps are slow."""
+    return max(point.residual, point.stationarity) <= NEARLY
 
 
 def is_below(point, saddle):

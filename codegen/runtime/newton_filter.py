@@ -11,7 +11,7 @@ import numpy as np
 
 from codegen.runtime.apart import allocate_system
 from codegen.runtime.system import factor_kkt, is_factored, solve_kkt
-from codegen.runtime.curvature import ESCAPES, FLAT, LEFT, is_below, steps_aside
+from codegen.runtime.curvature import ESCAPES, FLAT, LEFT, is_below, is_nearly_stationary, steps_aside
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import layout
@@ -78,7 +78,9 @@ def leave_saddles(grid, guess, tolerance, max_iterations, log, system):
                 break
             failed = failed or ended not in LEFT
         escapes += 1
-    return "solved" if status == "saddle point" and escapes == ESCAPES and not failed else status, saddle, total
+    if status == "saddle point" and escapes == ESCAPES and not failed:
+        status = "solved" if is_solved(grid, saddle, tolerance) else "stalled"
+    return status, saddle, total
 
 
 def is_gross(grid, point):
@@ -110,6 +112,8 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             return "rank-deficient", point, iteration
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
+            if shift.value > 0.0 and is_nearly_stationary(point) and not is_minimum(grid, point, system):
+                return "saddle point", point, iteration
             if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point.violation, point.cost))

@@ -90,6 +90,15 @@ def bounds_of(grid: Dense) -> tuple[Vector, Vector]:
     return grid.lower, grid.upper
 
 
+def views(grid: Dense, unknowns: Vector) -> tuple[Vector, Vector]:
+    """All unknowns as those of intervals, of which each is one quantity."""
+    return np.zeros((1, 2, 0)), unknowns.reshape(1, -1, 1)
+
+
+def with_tied_values(grid: Dense, unknowns: Vector) -> Vector:
+    return np.where(grid.free, unknowns, grid.guess)
+
+
 def free_unknowns(grid: Dense) -> NDArray[np.bool_]:
     return grid.free
 

@@ -15,7 +15,7 @@ from dense_problem import INFINITY, Dense, Motion, Point, transcribe
 from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, T, nlp, u, v, x1, x2, x3
 from sympy import exp, log, symbols
 
-from codegen.runtime import barrier, curvature, filter, interior_point, restoration
+from codegen.runtime import barrier, curvature, filter, interior_point, interior_steps, restoration
 from codegen.runtime.iterates import Log
 
 
@@ -23,10 +23,10 @@ from codegen.runtime.iterates import Log
 def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (barrier, curvature, filter, interior_point, restoration):
+        for module in (barrier, curvature, filter, interior_point, interior_steps, restoration):
             for name in set(vars(module)) & {
                 "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved",
-                "bounds_of", "multiplier_unknowns", "solve_kkt",
+                "bounds_of", "multiplier_unknowns", "solve_kkt", "views", "with_tied_values",
             }:  # fmt: skip
                 patch.setattr(module, name, getattr(dense_problem, name))
         yield
@@ -232,3 +232,15 @@ def test_filter() -> None:
     assert not filter.accept(0.0, 2.0, 0.0, 2.1, -1.0, 1.0, 1e-4, filtered)
     assert filter.accept(0.0, 0.0, 0.0, -0.5, -1.0, 0.5, 1e-4, filtered)
     assert len(filtered) == 1
+
+
+def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
+    """A step of a sixteenth once, then four in turn: only these count, and a whole step lowers the shift again."""
+    whole = interior_steps.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, 1e-3)
+    assert interior_steps.damped(0.0, whole, 1 / 16, 1) == 0.0
+    shifts = [0.0]
+    for in_turn in (3, 4):
+        shifts.append(interior_steps.damped(shifts[-1], whole, 1 / 16, in_turn))
+    assert shifts == pytest.approx([0.0, 4e-3, 16e-3])
+    assert interior_steps.damped(shifts[-1], whole, 1.0, 0) == pytest.approx(8e-3)
+    assert interior_steps.damped(1e-6, whole, 1.0, 0) == 0.0

@@ -1,0 +1,78 @@
+"""Minimal problems on which a solver may give up too soon: values forced onto bounds, saddle points, rounding."""
+
+import pytest
+from interpreted import of_problem
+from sympy import cos, exp, pi, sin
+
+from codegen import Control, control, controls, states
+
+HILL = 8.33032459938
+"""IPOPT 3.14 from y = sin(pi t), at a tolerance of 1e-10, on the program of `around_a_hill`."""
+
+
+def going_nowhere():
+    """With x from 0 to 0 and v >= 0, all speeds are zero: the equations leave no room inside the bound."""
+    x, v = states("x v")
+    u = control("u")
+    return Control(
+        dynamics={x: v, v: u}, cost=(u - 1) ** 2, duration=1, start={x: 0}, end={x: 0}, bounds={v: (0, None)}, steps=10
+    )
+
+
+def test_states_that_equations_force_onto_their_bound():
+    """The cost is the integral of (0 - 1)^2."""
+    solution = of_problem(going_nowhere()).solve()
+    assert solution.status == "solved"
+    assert solution.cost == pytest.approx(1.0, abs=1e-9)
+    assert (solution.q[:, 1] >= 0.0).all()
+
+
+def flying_robot():
+    """Problem 10.43 of Betts (2010), whose robot starts on the limit |x| <= 10 and cannot leave it at once."""
+    x, y, a, p, q, w = states("x y a p q w")
+    u1, u2, u3, u4 = controls("u1 u2 u3 u4")
+    left, right = u1 - u2, u3 - u4
+    rest = {p: 0, q: 0, w: 0}
+    return Control(
+        dynamics={x: p, y: q, a: w, p: (left + right) * cos(a), q: (left + right) * sin(a), w: (left - right) / 5},
+        cost=u1 + u2 + u3 + u4,
+        duration=12,
+        start={x: -10, y: -10, a: pi / 2, **rest},
+        end={x: 0, y: 0, a: 0, **rest},
+        bounds={
+            **dict.fromkeys((u1, u2, u3, u4), (0, None)),
+            **dict.fromkeys((x, y), (-10, 10)),
+            **dict.fromkeys((p, q), (-2, 2)),
+            a: (-pi, pi),
+            w: (-1, 1),
+        },
+        path=[u1 + u2 <= 1, u3 + u4 <= 1],
+        steps=40,
+    )
+
+
+def test_start_on_a_bound_ends_at_rounding():
+    """IPOPT 3.14 finds 7.9486121696 on the same program, with bounds relaxed by 1e-8; the gap must reach 1e-9."""
+    solution = of_problem(flying_robot()).solve()
+    assert solution.status == "solved"
+    assert solution.cost == pytest.approx(7.9486121696, abs=1e-6)
+    assert solution.residual <= 1e-10
+    assert solution.iterations <= 60
+
+
+def around_a_hill(bounded):
+    """Straight over the hill is stationary by symmetry, and costs 10.74."""
+    x, y = states("x y")
+    u, w = controls("u w")
+    cost = u**2 + w**2 + 20 * exp(-4 * (x**2 + y**2))
+    ends = {"start": {x: -1, y: 0}, "end": {x: 1, y: 0}}
+    bounds = {u: (-9, 9)} if bounded else {}
+    return Control(dynamics={x: u, y: w}, cost=cost, duration=1, steps=20, bounds=bounds, **ends)
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+def test_saddle_point_is_left(bounded):
+    """IPOPT 3.14 from the straight line ends on the hill as well."""
+    solution = of_problem(around_a_hill(bounded)).solve()
+    assert solution.status == "solved"
+    assert solution.cost == pytest.approx(HILL, rel=1e-8)
