@@ -1,9 +1,11 @@
 """What a build emits is verified before it is written: planted defects are found, right modules are left alone."""
 
+import contextlib
 import re
 
 import pytest
 import sympy
+from random_scalars import random_problem
 from sympy import Integer, Rational, cos, exp, sin, tanh
 
 from codegen import (
@@ -24,8 +26,9 @@ from codegen import (
 )
 from codegen.compiler import Choices, generate_from_model
 from codegen.differentiate.straight_line import written_out
-from codegen.errors import VerificationError
+from codegen.errors import ExpressionError, VerificationError
 from codegen.lower.module import Origin
+from codegen.lower.printer import scalar_code
 from codegen.model import normalise
 
 ORIGIN = Origin("test.py", "codegen build test.py", "0", ("codegen",))
@@ -223,3 +226,19 @@ def test_where_no_condition_of_a_piecewise_function_holds_there_is_no_number():
     text = generate_from_model(normalise(problem), Choices(), ORIGIN)
     assert "else math.nan)" in text
     assert "else None)" not in text
+
+
+@pytest.mark.parametrize(
+    "number", [Integer(10) ** 400, Rational(1, 10**400), sympy.Float("1e-400"), -sympy.Float("1e330")]
+)
+def test_constants_that_double_precision_cannot_hold_are_refused(number):
+    with pytest.raises(ExpressionError, match="which double precision cannot hold"):
+        scalar_code(number * sympy.Symbol("x"))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_problems_with_flat_terms_and_constants_of_all_sizes(seed):
+    """`tests/benchmarks/random_derivatives.py` runs a thousand of them."""
+    problem, choices = random_problem(seed)
+    with contextlib.suppress(ExpressionError):  # products of large constants may leave double precision
+        generate_from_model(normalise(problem), choices, ORIGIN)

@@ -112,6 +112,13 @@ def test_a_term_of_any_size_beside_what_cancels(shape, constant, factor):
     assert not identically_zero(nothing + factor * shape(constant).diff(X))
 
 
+def test_deltas_of_kinks_are_zero_almost_everywhere():
+    kink = Max(X - 1, 0) ** 3 * Y
+    assert identically_zero(sympy.DiracDelta(X, 1) * Y)
+    assert not identically_zero(kink.diff(X, 2))
+    assert identically_zero(kink.diff(Y, 2))
+
+
 def test_each_prime_leaves_one_when_it_is_divided_by_the_next_and_has_roots_of_small_numbers():
     for prime, smaller in itertools.pairwise(PRIMES):
         assert prime % smaller == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +12,7 @@ from sympy.codegen.rewriting import expm1_opt, log1p_opt, optimize
 from sympy.printing.pycode import PythonCodePrinter
 
 from codegen import expressions
+from codegen.errors import ExpressionError
 
 _SHORT_DENOMINATORS = 64
 _STEEP = 16
@@ -36,11 +38,11 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
     def _print_Rational(self, expr: Any) -> str:
         p, q = int(expr.p), int(expr.q)
         if q <= _SHORT_DENOMINATORS and q & (q - 1) == 0:
-            return repr(p / q)
+            return _decimal(expr)
         if abs(p) < 10**9 and q < 10**9 and (p / q) * q == p:
             decimal = repr(p / q)
             return decimal if len(decimal) <= 8 else f"({p}/{q})"
-        return repr(p / q)
+        return _decimal(expr)
 
     def parenthesize(self, item: Any, level: int, strict: bool = False) -> str:
         """A fraction has parentheses of its own."""
@@ -48,10 +50,10 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return text[1:-1] if text.startswith("((") and isinstance(item, sympy.Rational) else text
 
     def _print_Integer(self, expr: Any) -> str:
-        return str(int(expr)) if abs(int(expr)) < 2**53 else repr(float(expr))
+        return str(int(expr)) if abs(int(expr)) < 2**53 else _decimal(expr)
 
     def _print_Float(self, expr: Any) -> str:
-        return repr(float(expr))
+        return _decimal(expr)
 
     def _print_Pow(self, expr: Any, rational: bool = False) -> str:
         base, exponent = expr.base, expr.exp
@@ -106,6 +108,20 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
 
     def _print_Exp1(self, expr: Any) -> str:
         return f"{self.module}.e"
+
+
+def _decimal(number: sympy.Number) -> str:
+    """A number in double precision; ExpressionError where that has neither its size nor its smallness."""
+    try:
+        value = number.p / number.q if number.is_Rational else float(number)
+    except OverflowError:
+        value = math.inf
+    if math.isinf(value) or (value == 0.0 and number != 0):
+        raise ExpressionError(
+            f"the derived equations hold the number {sympy.N(number, 8)}, which double precision cannot hold",
+            "choose units in which constants are of ordinary size",
+        )
+    return repr(float(value))
 
 
 class ArrayPrinter(ScalarPrinter):
