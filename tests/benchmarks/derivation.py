@@ -84,12 +84,14 @@ def main() -> None:
     for column in ("system", "command", "processor s", "clock s", "exit"):
         chart.add_column(column, justify="left" if column in ("system", "command") else "right")
     chart.add_column("said")
+    console = Console(width=150)
     for name in arguments.systems or SYSTEMS:
         for label, found in measured(name, arguments.limit):
+            console.print(f"{name}, {label}: {found.processor:.1f} s of processors, exit {found.status}", style="dim")
             exit_status = "-" if found.status is None else str(found.status)
             chart.add_row(name, label, f"{found.processor:.1f}", f"{found.clock:.1f}", exit_status, found.said[:80])
         chart.add_section()
-    Console(width=150).print(chart)
+    console.print(chart)
 
 
 if __name__ == "__main__":
