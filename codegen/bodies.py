@@ -71,6 +71,7 @@ def together(
         end=merged("end"),
         bounds=merged("bounds"),
         guess=merged("guess"),
+        scale=merged("scale"),
         periodic=_merged("periodic", [_shifts(body.periodic) for body in bodies]),
         path=listed("path", path),
         start_conditions=listed("start_conditions", start_conditions),

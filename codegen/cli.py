@@ -144,6 +144,9 @@ def solve(
         int | None, typer.Option(parser=_positive, metavar="N", help="Most iterations of an optimiser.")
     ] = None,
     time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of an optimiser.")] = None,
+    scaling: Annotated[
+        str, typer.Option(help="auto, or none for an optimiser that works in the problem's own units.")
+    ] = "auto",
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[
         int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
@@ -176,7 +179,7 @@ def solve(
         result = drivers.solve(
             module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings,
             guesses=guesses, points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
-            time_limit=time_limit, watch=watch,
+            time_limit=time_limit, watch=watch, scaling=scaling,
         )  # fmt: skip
     result = solve_options.with_options(result)
     compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)

@@ -36,6 +36,8 @@ class Grid(Protocol):
     h: float
     parameters: Matrix
     is_multiplier: NDArray[np.bool_]
+    sizes: Vector
+    weight: float
 
 
 class ControlSolution(Protocol):
@@ -88,6 +90,9 @@ class ControlModule(Protocol):
     hessian: Callable[[Grid, Vector], Entries]
     stationarity: Callable[[Grid, Vector], Vector]
     evaluate: Callable[[Grid, Vector], Any]
+    scaled_grid: Callable[[Grid, Vector], Grid]
+    plain_grid: Callable[[Grid], Grid]
+    corrected_cost: Callable[[Grid, Any], float]
     worst_row: Callable[[Grid, Any], str]
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]

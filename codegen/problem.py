@@ -83,7 +83,8 @@ class Control(Problem):
 
     `guess` maps coordinates, states and controls to expressions of parameters and time, from which the solver starts;
     without it coordinates are interpolated linearly between their end values and controls are zero. Free parameters
-    have their first guess there.
+    have their first guess there. `scale` maps coordinates, momenta, states, controls and free parameters to their
+    typical size, a positive number, where the solver is not to find it by itself.
     """
 
     task: ClassVar[str] = "control"
@@ -102,6 +103,7 @@ class Control(Problem):
     periodic: Mapping[Any, Expression] | Sequence[Any] = ()
     bodies: int = 1
     guess: Mapping[Any, Expression] = field(default_factory=dict)
+    scale: Mapping[Any, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, init=False)

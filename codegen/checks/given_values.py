@@ -19,7 +19,7 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.flat_vector import FlatVector
 from codegen.model import Model
 from codegen.model.values import prescribed
-from codegen.transcribe.program import ControlProgram, Unknown
+from codegen.transcribe.program import ControlProgram, EndElement, Unknown
 
 _STEPS = 3
 _EQUAL = 1e-12
@@ -118,6 +118,8 @@ def _bounds(context: Context, program: ControlProgram) -> Finding:
         put(flat.shared(body), program.shared, body, written[0])
         for k, end in ((0, program.start), (flat.steps, program.end)):
             lower[flat.node(body, k)[[slack for slack, _ in end.slacks]]] = 0.0
+            interval = flat.interval(body, min(k, flat.steps - 1))
+            _release(program, end, flat.node(body, k), interval, (lower, upper))
     for number in range(1, len(program.phases)):
         node = flat.node(0, number * flat.phase_steps)
         put(node, program.node, 0, _continued(context.model, number, written[number]))
@@ -128,11 +130,27 @@ def _bounds(context: Context, program: ControlProgram) -> Finding:
     return _compared_bounds(module, flat, lower, upper)
 
 
+def _release(
+    program: ControlProgram,
+    end: EndElement,
+    node: NDArray[np.intp],
+    interval: NDArray[np.intp],
+    bounds: tuple[Values, Values],
+) -> None:
+    """Take away the bounds of what is determined at an end; slacks keep one that they cannot reach."""
+    slacks = {slack.name: place for slack, place in zip(program.slacks, interval[-len(program.slacks) :], strict=False)}
+    at_node = {unknown.name: place for unknown, place in zip(program.node, node, strict=True)}
+    for name, _ in end.decided:
+        is_slack = name in slacks or name in [program.node[i].name for i, _ in end.slacks]
+        place = slacks[name] if name in slacks else at_node[name]
+        bounds[0][place], bounds[1][place] = -1.0 if is_slack else -np.inf, np.inf
+
+
 def _written(model: Model, program: ControlProgram) -> list[_Limits]:
     """The bounds of every phase by name."""
     common: _Limits = {free.symbol.name: (free.lower, free.upper) for free in model.free_parameters}
-    slacks = [*program.slacks, *(u for u in program.shared if u.meaning.startswith("slack"))]
-    common |= {slack.name: (sympy.S.Zero, None) for slack in slacks}
+    common |= {u.name: (sympy.S.Zero, None) for u in program.shared if u.meaning.startswith("slack")}
+    common |= {slack.name: (slack.lower, None) for slack in program.slacks}
     models = model.phases or (model,)
     return [common | {bound.symbol.name: (bound.lower, bound.upper) for bound in own.bounds} for own in models]
 

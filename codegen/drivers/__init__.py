@@ -41,6 +41,9 @@ class Driver:
         return getattr(import_module(f"codegen.drivers.{self.file}"), task)  # type: ignore[no-any-return]
 
 
+SCALINGS = ("auto", "none")
+"""Whether an optimiser works in parts of the sizes that it finds in a problem, or in the problem's own units."""
+
 _OF_CONTROL = (("control", "tolerance"), ("control", "max_iterations"))
 _OF_TIME = (("control", "time_limit"),)
 _ROWS = (
@@ -115,6 +118,7 @@ def solve(
     points: PointSet | None = None,
     tolerance: float | None = None,
     max_iterations: int | None = None,
+    scaling: str = "auto",
     time_limit: float | None = None,
     watch: Watch | None = None,
 ) -> Result:
@@ -127,8 +131,9 @@ def solve(
     problem needs `points`. `tolerance` is that of the equations, or of an adaptive integrator's steps, and
     `max_iterations` the most that an optimiser makes; None stands for the driver's own. `time_limit` is in seconds, for
     all guesses and grids together, and for each of `repeat` runs by itself; `watch` is called at every iterate of
-    `newton` with its number and its row of the log. Raises ArgumentError when the driver or one of its options does not
-    apply, NumericsError when a number is unusable; numerical failure is a status of the result.
+    `newton` with its number and its row of the log. `scaling="none"` has an optimiser work in the problem's own units.
+    Raises ArgumentError when the driver or one of its options does not apply, NumericsError when a number is unusable;
+    numerical failure is a status of the result.
     """
     from codegen.drivers.result import Request
     from codegen.drivers.run import run
@@ -138,6 +143,10 @@ def solve(
     _require_stops(found, task, tolerance, max_iterations, time_limit)
     if task != "control" and (warm is not None or doublings or guesses > 1):
         raise ArgumentError("warm starts, guesses and refinement are for optimisation", f"leave them out to {task}")
+    if scaling not in SCALINGS:
+        raise ArgumentError(f"scaling {scaling!r}", f"use one of {', '.join(SCALINGS)}")
+    if scaling != "auto" and task != "control":
+        raise ArgumentError("--scaling is for optimisation", f"leave it out to {task}")
     if warm is not None and guesses > 1:
         raise ArgumentError("several guesses beside a warm start", "leave one of them out")
     if task == "simulate":
@@ -160,7 +169,8 @@ def solve(
 
     def solve_from(number: int, start: Vector | None, near: bool) -> Result:
         nonlocal left
-        request = Request(number, every, start, None, tolerance, near, max_iterations, max(left, LEAST_TIME), watch)
+        stops = tolerance, near, max_iterations, max(left, LEAST_TIME), watch
+        request = Request(number, every, start, None, *stops, scaling)
         result = run(module, found, request, repeat)
         left -= result.seconds_solve
         return result

@@ -71,6 +71,8 @@ def parts(module: Any) -> list[Callable[[], Any]]:
         lambda: module.solve_kkt(grid, module.allocate_system(grid), zeros, step),  # its factors are zeros
         lambda: module.evaluate(grid, unknowns),
     ]
+    if hasattr(module, "fill_sizes"):
+        calls.append(lambda: module.scaled_grid(grid, unknowns))
     if hasattr(module, "finite_bounds"):
         calls += _interior_point_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
@@ -78,7 +80,7 @@ def parts(module: Any) -> list[Callable[[], Any]]:
     return [
         *calls,
         lambda: module.unpack(grid, unknowns),
-        lambda: module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier),
+        lambda: module.sizes_of_terms(grid, unknowns),
     ]
 
 

@@ -48,5 +48,6 @@ def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
 
 def _stops(request: Request) -> dict[str, Any]:
     """The arguments of a module's `solve` whose own defaults are not to hold."""
-    given = {"max_iterations": request.max_iterations, "time_limit": request.time_limit, "watch": request.watch}
+    given: dict[str, Any] = {"max_iterations": request.max_iterations, "time_limit": request.time_limit}
+    given |= {"watch": request.watch, "scaling": request.scaling}
     return {name: value for name, value in given.items() if value is not None and value != math.inf}

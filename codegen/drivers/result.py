@@ -42,6 +42,7 @@ class Request:
     unknowns to start from, and whether that is `near` the solution; for a connect problem the points. None as a
     tolerance, or as the most iterations of an optimiser, stands for the driver's own; `time_limit` is in seconds, and
     `watch` is called with the number and the row of the log of every iterate.
+    With the `scaling` "none" an optimiser works in the problem's own units.
     """
 
     steps: int
@@ -53,6 +54,7 @@ class Request:
     max_iterations: int | None = None
     time_limit: float = math.inf
     watch: Watch | None = None
+    scaling: str = "auto"
 
 
 @dataclass(frozen=True)

@@ -248,6 +248,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "curvature",
         "verdict",
         "messages",
+        *(("unscaled",) if derivatives.linear_quadratic else ("sizes", "scales")),
     )  # fmt: skip
 
 

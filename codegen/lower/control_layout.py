@@ -34,6 +34,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("TIED", len(program.start.shared) + len(program.end.shared)),
         ("PHASES", len(program.phases)),
         ("INEQUALITIES", int(program.has_inequalities)),
+        ("SCALED", int(not derivatives.linear_quadratic)),
         ("CARRIED", int(is_carried(program, derivatives))),
     )
 
@@ -154,8 +155,10 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
         for i, unknown in enumerate(unknowns):
             for side, value in (("lower", unknown.lower), ("upper", unknown.upper)):
                 if value is not None:
-                    target = f"{side}_{group}[{i}]" if group == "common" else f"{side}_{group}[..., {i}]"
-                    lines.append(Line(target, array_code(value), unknown.name))
+                    target, code = f"{side}_{group}[..., {i}]", array_code(value)
+                    if group == "common":
+                        target, code = f"{side}_{group}[{i}]", common_code(value)
+                    lines.append(Line(target, code, unknown.name))
                     values.append(value)
     views = bound_views(program)
     return {
@@ -163,6 +166,11 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
         "bound_views": views,
         "bound_lines": ((*lines, *slack_bounds(program)),),
     }
+
+
+def common_code(value: Expr) -> str:
+    """A bound of a number that all bodies share as code: parameters have a row for each body, all the same."""
+    return f"np.max({array_code(value)})" if value.free_symbols else array_code(value)
 
 
 def slack_bounds(program: ControlProgram) -> list[Line]:

@@ -78,6 +78,7 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("inequalities", repr(program.has_inequalities)),
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+        *((("scale", repr({s.name: size for s, size in model.scales})),) if model.scales else ()),
         *(_of_phases(program) if program.phases else ()),
     ]
 

@@ -7,7 +7,7 @@ from typing import Any
 from sympy import Expr, Max, Min, oo
 
 from codegen.lower.control_guesses import shared_guesses
-from codegen.lower.control_layout import bound_views, duration_inputs, inputs, slack_bounds
+from codegen.lower.control_layout import bound_views, common_code, duration_inputs, inputs, slack_bounds
 from codegen.lower.kernels import Line
 from codegen.lower.module import Choice
 from codegen.lower.printer import array_code, scalar_code
@@ -111,10 +111,12 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
             found += [(f"{side}_intervals[:, {where}, {j}]", v, unknown.name) for side, v in _sides(unknown)]
         if i:
             found += _common(program.phases[i - 1], phase, _switch(i))
-    for j, unknown in enumerate(program.shared):
-        found += [(f"{side}_common[{j}]", value, unknown.name) for side, value in _sides(unknown)]
     infinite = {oo: "np.inf", -oo: "-np.inf"}
     lines = [Line(target, infinite.get(value) or array_code(value), name) for target, value, name in found]
+    for j, unknown in enumerate(program.shared):
+        sides = _sides(unknown)
+        lines += [Line(f"{side}_common[{j}]", common_code(value), unknown.name) for side, value in sides]
+        found += [(side, value, unknown.name) for side, value in sides]
     return {
         "bound_inputs": inputs(program, [value for _, value, _ in found]),
         "bound_views": (Line("steps", "grid.steps // PHASES"), *bound_views(program)),

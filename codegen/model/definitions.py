@@ -77,7 +77,8 @@ class Model:
 
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
     number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
-    of `end_values` and parameters. The duration may depend on free parameters. `drawing` is for pictures alone.
+    of `end_values` and parameters. The duration may depend on free parameters. `scales` are typical sizes of unknowns
+    that the author knows. `drawing` is for pictures alone.
 
     A problem of several phases has a model for each in `phases`; with P of them, the P - 1 `jumps` give pairs
     (coordinate or rate, value after the switch in terms of those before). The model itself then holds what belongs to
@@ -120,6 +121,7 @@ class Model:
     drawing: tuple[Item, ...] = ()
     phases: tuple[Model, ...] = ()
     jumps: tuple[tuple[tuple[sympy.Symbol, sympy.Expr], ...], ...] = ()
+    scales: tuple[tuple[sympy.Symbol, float], ...] = ()
     unused: tuple[str, ...] = ()
 
     @property

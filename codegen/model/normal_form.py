@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -202,7 +203,19 @@ def _built(
             EndValue(plain[value], kinds.coordinates.index(value.partner), value.body) for value in kinds.end_values
         ),
         couplings=couplings,
+        scales=_scales(entries),
     )
+
+
+def _scales(entries: Sequence[Entry]) -> tuple[tuple[sympy.Symbol, float], ...]:
+    """The sizes that the author gives, which are positive numbers."""
+    found = []
+    for symbol, value in _pairs(entries, "scale"):
+        size = float(value)
+        if not 0.0 < size < math.inf:
+            raise ExpressionError(f"scale of {symbol} is {size:g}", "give its typical size, a positive number")
+        found.append((symbol, size))
+    return tuple(found)
 
 
 def in_plain_symbols(entry: Entry, plain: Mapping[Quantity, sympy.Symbol]) -> Entry:

@@ -169,6 +169,7 @@ def _chain(
         maximised=any(model.maximised for model in models),
         phases=tuple(replace(model, **common) for model in models),
         jumps=tuple(_jump(entries) for entries in jumps),
+        scales=tuple(pair for model in models for pair in model.scales),
     )
 
 

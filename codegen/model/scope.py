@@ -44,6 +44,7 @@ _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
     "lower bound": (Parameter, BodyNumber),
     "upper bound": (Parameter, BodyNumber),
     "first guess": (Parameter,),
+    "scale": (),
     "periodic": (Parameter,),
     "jump": (*_MOVING, *_STATIC),
 }
@@ -197,6 +198,8 @@ def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
             raise SymbolError(f"dynamics gives {key}, which is no state", "use states as keys")
         if entry.role == "guess" and not (is_position or key in kinds.controls):
             raise SymbolError(f"guess gives {key}, which is no {own} or control", f"guess {own}s and controls")
+        if entry.role == "scale" and not (is_position or isinstance(key, (Momentum, ControlInput, FreeParameter))):
+            raise SymbolError(f"scale gives {key}, which is no unknown", f"scale {own}s, controls, free parameters")
         if entry.role in ("start", "end") and not (is_position or is_rate):
             raise BoundaryError(f"{entry.role} fixes {key}", f"fix {moving} only")
         if entry.role == "periodic" and not (is_position or is_rate):

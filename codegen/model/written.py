@@ -98,6 +98,7 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
         return
     yield from _values("end", control.end)
     yield from _values("guess", control.guess)
+    yield from _values("scale", control.scale)
     yield from _bounds(control.bounds)
     yield from _shifts(control.periodic)
     yield from _relations("path", control.path)

@@ -11,6 +11,7 @@ from codegen.runtime.example import (
     END_HESSIAN_ROWS,
     NODE,
     ROOT,
+    SCALED,
     SHARED,
     START_HESSIAN_COLUMNS,
     START_HESSIAN_ROWS,
@@ -19,6 +20,7 @@ from codegen.runtime.example import (
     start_hessian,
 )
 from codegen.runtime.shared import root_place
+from codegen.runtime.sizes import add_entry
 
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
 
@@ -49,6 +51,28 @@ def add_end_hessian(entries, rows, columns, first, weight, element):
         element[row, column] += value
         if row != column:
             element[column, row] += value
+
+
+if SCALED:
+
+    @njit(error_model="numpy")
+    def note_ends(unknowns, body, steps, h, parameters, tables):
+        """Put derivatives of the ends' own shares into the tables of `sizes`."""
+        first = body * (steps * STRIDE + NODE)
+        last = first + steps * STRIDE
+        entries = zero_vector(START_HESSIAN_ROWS.size)
+        start_hessian(unknowns[first : first + NODE], 0.0, parameters[body], entries)
+        for j in range(entries.size):
+            add_entry(end_kind(START_HESSIAN_ROWS[j]), end_kind(START_HESSIAN_COLUMNS[j]), abs(entries[j]), tables)
+        entries = zero_vector(END_HESSIAN_ROWS.size)
+        end_hessian(unknowns[last : last + NODE], steps * h, parameters[body], entries)
+        for j in range(entries.size):
+            add_entry(end_kind(END_HESSIAN_ROWS[j]), end_kind(END_HESSIAN_COLUMNS[j]), abs(entries[j]), tables)
+
+    @njit(error_model="numpy")
+    def end_kind(local):
+        """The kind of an unknown of an end: of its node, or a shared one."""
+        return local if local < NODE else STRIDE + local - NODE
 
 
 def end_entries(grid, unknowns):

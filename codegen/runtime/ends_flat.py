@@ -4,12 +4,20 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.elements import pin_ends
+from codegen.runtime.example import SCALED
 
 
 @njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
     """Pin what is given."""
     pin_ends(k, steps, diagonal, element)
+
+
+if SCALED:
+
+    @njit(error_model="numpy")
+    def note_ends(unknowns, body, steps, h, parameters, tables):
+        """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
 
 
 def end_entries(grid, unknowns):

@@ -4,12 +4,14 @@ Variational midpoint rule, unknowns (q, lambda) on nodes and u on intervals; par
 v(0), q(T), v(T). Exists so that the files of this folder can be imported and tested; never included anywhere.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
 NODE, CONDENSED, STRIDE, ELEMENT = 2, 1, 3, 5
 BODIES, OWN, SHARED, COUPLINGS, ROOT, TIED, PHASES, INEQUALITIES = 1, 0, 0, 0, 0, 0, 0, 0
-CARRIED, SEVERAL = 1, 0
+CARRIED, SEVERAL, SCALED = 1, 0, 1
 PHASE_LACKS = SWITCH_LACKS = np.zeros((0, 1), bool)
 SHARED_IS_MULTIPLIER = np.zeros(0, bool)
 IS_MULTIPLIER = np.array([False, True, False])
@@ -23,7 +25,8 @@ COUPLING_PLACES = np.zeros((0, 0), np.int64)
 HESSIAN_ROWS = np.array([0, 1, 2, 2, 3, 3, 3, 4, 4, 4])
 HESSIAN_COLUMNS = np.array([0, 0, 1, 2, 0, 1, 3, 0, 2, 3])
 START_HESSIAN_ROWS = START_HESSIAN_COLUMNS = END_HESSIAN_ROWS = END_HESSIAN_COLUMNS = np.zeros(0, np.int64)
-metadata = {"node": ("q", "lambda_q"), "interval": ("u",), "shared": (), "meanings": {}, "parameters": {}}
+metadata: dict[str, Any] = {"node": ("q", "lambda_q"), "interval": ("u",), "shared": (), "free_parameters": ()}
+metadata |= {"meanings": {}, "parameters": {}}
 
 
 @njit(error_model="numpy")

@@ -9,6 +9,9 @@ from codegen.runtime.layout import layout
 from codegen.runtime.point import Grid
 
 
+NONE = np.zeros(0)  # sizes of unknowns that are not scaled
+
+
 def checked_grid(steps, duration, parameters):
     """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
     if isinstance(steps, bool) or int(steps) != steps or steps < 1:
@@ -28,7 +31,12 @@ def checked_grid(steps, duration, parameters):
     steps = int(steps)
     if PHASES:
         steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy())
+    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+
+
+def plain_grid(grid):
+    """The same grid without sizes, in the problem's own units."""
+    return grid._replace(sizes=NONE, forces=NONE, weight=1.0, bounds=())
 
 
 def replace_values(boundary, where, values):

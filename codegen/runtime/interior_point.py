@@ -23,9 +23,10 @@ from codegen.runtime.barrier import (
     relaxation,
 )
 from codegen.runtime.curvature import ESCAPES, FLAT, LEFT, is_below, steps_aside
-from codegen.runtime.example import TIED, variable_bounds, with_pinned_values
+from codegen.runtime.example import TIED
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import multiplier_unknowns
+from codegen.runtime.limits import bounds_of, with_tied_values
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_solved
@@ -110,7 +111,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     that keeps unknowns away from their bounds for longer. If no attempt succeeds, the first one is reported.
     `max_iterations` is for all of them together; steps of the restoration are not counted.
     """
-    lower, upper = variable_bounds(grid)
+    lower, upper = bounds_of(grid)
     bounds, box = finite_bounds(lower, upper), (lower, upper)
     search = Search(grid, bounds, allocate_system(grid), multiplier_unknowns(grid), box)
     primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
@@ -136,7 +137,7 @@ def within_bounds(search, point, tolerance):
     grid, (lower, upper) = search.grid, search.box
     unknowns = np.minimum(np.maximum(point.unknowns, lower), upper)
     if TIED:
-        unknowns = with_pinned_values(grid, unknowns)
+        unknowns = with_tied_values(grid, unknowns)
     if not point.error < np.inf or (unknowns == point.unknowns).all():
         return point
     inside, stationarity = evaluate(grid, unknowns), point.stationarity  # with the duals of bounds
@@ -284,7 +285,7 @@ def tightened(search, iterate, before, mu):
     unknowns[bounds.place[outside]] += bounds.side[outside] * (0.1 * relaxed - distance)[outside]
     distance[outside] = 0.1 * relaxed[outside]
     if TIED:
-        unknowns = with_pinned_values(search.grid, unknowns)
+        unknowns = with_tied_values(search.grid, unknowns)
     return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
 
 
@@ -306,7 +307,7 @@ def begin(search, unknowns, attempt, central=False):
     bounds, mu = search.bounds, attempt.weight
     unknowns = push_inside(*search.box, unknowns, attempt.push)
     if TIED:
-        unknowns = with_pinned_values(search.grid, unknowns)  # nodes move with the shared unknowns that they equal
+        unknowns = with_tied_values(search.grid, unknowns)  # nodes move with the shared unknowns that they equal
     distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(bounds, mu)
     return with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3) if central else None)
 

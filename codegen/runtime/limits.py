@@ -2,15 +2,27 @@
 
 import numpy as np
 
-from codegen.runtime.example import metadata, variable_bounds
+from codegen.runtime.example import metadata, variable_bounds, with_pinned_values
 from codegen.runtime.frame import views
 
 LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
 
 
+def bounds_of(grid):
+    """Least and greatest values of all unknowns, in parts of sizes where the grid has them."""
+    return grid.bounds or variable_bounds(grid)
+
+
+def with_tied_values(grid, unknowns):
+    """A copy of the unknowns with prescribed values, and with what equals a shared unknown, as they must be."""
+    if grid.sizes.size:
+        return with_pinned_values(grid, unknowns * grid.sizes) / grid.sizes
+    return with_pinned_values(grid, unknowns)
+
+
 def at_limits(grid, unknowns):
     """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
-    lower, upper = variable_bounds(grid)
+    lower, upper = bounds_of(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
 

@@ -13,14 +13,17 @@ from codegen.runtime.example import (
     NODE,
     PHASES,
     ROOT,
+    SCALED,
     SHARED,
     STRIDE,
     duration_of,
     interval_gradient,
     metadata,
 )
+from codegen.runtime.frame import plain_grid
 from codegen.runtime.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.limits import at_limits, prescribed_beyond
+from codegen.runtime.point import evaluate
 from codegen.runtime.phases import node_times
 from codegen.runtime.shared import least_duration, read_shared
 from codegen.runtime.verdict import GROWTH, HOLDS, final_status
@@ -42,13 +45,16 @@ NAMED = 3  # how many equations a message names
 
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence."""
-    status = final_status(grid, guess, point, status)
+    status, error = final_status(grid, guess, point, status), point.error
+    if SCALED and grid.sizes.size:
+        sizes, grid = grid.sizes, plain_grid(grid)
+        guess, point = guess * sizes, evaluate(grid, point.unknowns * sizes)
     if INEQUALITIES:
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:
             return "infeasible", f"infeasible: {beyond}; change the value or the bound"
     if status == "solved":
-        return status, f"all equations hold to {point.error:.1e}"
+        return status, f"all equations hold to {error:.1e}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 

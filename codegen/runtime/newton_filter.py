@@ -16,7 +16,7 @@ from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import layout
 from codegen.runtime.point import evaluate
-from codegen.runtime.rounding import is_solved, term_sizes
+from codegen.runtime.rounding import is_solved, sizes_of_terms
 from codegen.runtime.standstill import is_rounding
 
 SHORTEST_STEP = 1e-10
@@ -83,7 +83,7 @@ def leave_saddles(grid, guess, tolerance, max_iterations, log, system):
 
 def is_gross(grid, point):
     """Whether the residual is more than a small part of the equations' largest terms."""
-    terms, _ = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    terms, _ = sizes_of_terms(grid, point.unknowns)
     return point.residual > GROSS * terms
 
 

@@ -6,7 +6,7 @@ from codegen.runtime.apart import allocate_system
 from codegen.runtime.system import factor_kkt, is_factored, solve_kkt
 from codegen.runtime.curvature import FLAT, least_shift
 from codegen.runtime.point import evaluate
-from codegen.runtime.rounding import is_solved
+from codegen.runtime.rounding import WORTH_MEASURING, is_solved
 
 CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
 LARGE = 1e6  # steps beyond it lead to infinity
@@ -28,7 +28,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             return "non-finite", point, iteration
         if excess != 0:
             return *without_minimum(grid, point, system), iteration
-        if is_solved(grid, point, tolerance):
+        if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance):
             return "solved", point, iteration
         step = np.empty_like(unknowns)
         solve_kkt(grid, system, point.gradient, step, carried=iteration == 0)

@@ -10,6 +10,7 @@ from codegen.runtime.example import (
     HESSIAN_ROWS,
     NODE,
     ROOT,
+    SCALED,
     SHARED,
     STRIDE,
     interval_hessian,
@@ -21,7 +22,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, steps, h, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
@@ -29,6 +30,8 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     """
     hessian = zero_vector(HESSIAN_ROWS.size)
     sums = zero_vector(unknowns.size)
+    if SCALED and sizes.size:
+        unknowns = unknowns * sizes
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
@@ -47,6 +50,8 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
                     sums[column] += abs(hessian[j] * unknowns[row])
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
+        if SCALED and sizes.size:
+            sums[i] *= weight * sizes[i]
         if is_multiplier[i]:
             if sums[i] > equations:
                 equations = sums[i]
@@ -55,15 +60,20 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     return equations, stationarity
 
 
+def sizes_of_terms(grid, unknowns):
+    """The same of a grid, in parts of sizes where it has them."""
+    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+
+
 def is_solved(grid, point, tolerance):
     """Whether residual and stationarity are within the tolerance, or as small as rounding errors allow.
 
     The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
     so that a problem in small units is not called solved too early.
     """
-    if point.error > max(tolerance, WORTH_MEASURING):
+    if SCALED and point.error > max(tolerance, WORTH_MEASURING):
         return False
-    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    equations, stationarity = sizes_of_terms(grid, point.unknowns)
     return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
 
 

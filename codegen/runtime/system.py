@@ -1,7 +1,7 @@
 """The linear system of a Newton step: factor the KKT matrix, solve with the factors."""
 
 from codegen.runtime.apart import factor, substitute
-from codegen.runtime.example import CARRIED
+from codegen.runtime.example import CARRIED, SCALED
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
@@ -14,6 +14,9 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
     """
     factors, equations = system
+    if SCALED and grid.sizes.size:
+        unknowns, diagonal = unknowns * grid.sizes, diagonal / (grid.forces * grid.sizes)
+        gradient = None if gradient is None else gradient / grid.forces
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
     regular, excess = factor(
         unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
@@ -31,7 +34,11 @@ def solve_kkt(grid, system, gradient, step, carried=False):
 
     That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
+    if SCALED and grid.sizes.size:
+        gradient = gradient / grid.forces
     if CARRIED:
         substitute(gradient, carried, grid.steps, *system[0], step)
     else:
         substitute(gradient, False, grid.steps, *system[0], step)
+    if SCALED and grid.sizes.size:
+        step /= grid.sizes

@@ -26,9 +26,11 @@ def final_status(grid, guess, point, status):
     """
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
-    if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, point.unknowns)):
+    if not point.error < np.inf or (
+        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+    ):
         return "non-finite"
-    if SHARED and not least_duration(grid, point.unknowns) > 0.0:
+    if SHARED and not least_duration(grid, own_values(grid, point.unknowns)) > 0.0:
         return "unbounded"
     if runaways(grid, guess, point, status == "solved").any():
         return "unbounded"
@@ -37,6 +39,11 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
+
+
+def own_values(grid, unknowns):
+    """Unknowns in the problem's own units."""
+    return unknowns * grid.sizes if grid.sizes.size else unknowns
 
 
 def is_finite_matrix(grid, unknowns):

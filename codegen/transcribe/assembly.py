@@ -139,10 +139,9 @@ def _idle_controls(program: ControlProgram) -> list[str]:
 def in_scaled_time(program: ControlProgram) -> ControlProgram:
     """Measure t and h in fractions of a duration that is optimised along: h -> D h and t -> D t everywhere."""
     model = program.model
-    duration = model.duration
-    if not duration.free_symbols & {parameter.symbol for parameter in model.free_parameters}:
+    if not model.duration.free_symbols & {parameter.symbol for parameter in model.free_parameters}:
         return program
-    scales = {STEP: duration * STEP, model.time: duration * model.time}
+    scales = _scales(model)
 
     def pairs(written: Sequence[tuple[str, Expr]]) -> tuple[tuple[str, Expr], ...]:
         return tuple((name, value.xreplace(scales)) for name, value in written)
@@ -164,6 +163,15 @@ def in_scaled_time(program: ControlProgram) -> ControlProgram:
         end=end(program.end),
         scaled_time=True,
     )
+
+
+def scaled_in_time(model: Model, expression: Expr) -> Expr:
+    """An expression of t and h in which both are fractions of the duration."""
+    return expression.xreplace(_scales(model))
+
+
+def _scales(model: Model) -> dict[Symbol, Expr]:
+    return {STEP: model.duration * STEP, model.time: model.duration * model.time}
 
 
 def _bounded(unknowns: Sequence[Unknown], model: Model) -> tuple[Unknown, ...]:

@@ -120,7 +120,7 @@ def _follows_from_nodes(model: Model, value: PathValue) -> bool:
         return True
     along = {model.time, STEP, *model.parameters, *(free.symbol for free in model.free_parameters)}
     along |= {q for suffix in ("_k", "_k1") for q in at_nodes(model.coordinates, suffix)}
-    return value.value.free_symbols <= along and _is_convex(model, value.condition)
+    return value.value.free_symbols <= along and is_convex(model, value.condition)
 
 
 def _at_node(model: Model, condition: Condition, place: Expr) -> Expr:
@@ -132,9 +132,12 @@ def _at_node(model: Model, condition: Condition, place: Expr) -> Expr:
     return condition.expression.subs(values, simultaneous=True)
 
 
-def _is_convex(model: Model, condition: Condition) -> bool:
-    """Whether a condition is proved to be convex in the coordinates, so that its second derivatives are numbers."""
-    present = [model.coordinates[i] for i in sorted(occurring(model.coordinates, condition.expression))]
+def is_convex(model: Model, condition: Condition) -> bool:
+    """Whether a condition is proved to be convex in the quantities of nodes: its second derivatives are numbers."""
+    quantities = (*model.coordinates, *model.rates)
+    present = [quantities[i] for i in sorted(occurring(quantities, condition.expression))]
+    if not present:
+        return True
     curvature = sympy.hessian(condition.expression, present).applyfunc(sympy.expand)
     if curvature.free_symbols or not all(entry.is_rational for entry in curvature):
         return False

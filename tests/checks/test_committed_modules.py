@@ -17,6 +17,7 @@ ABOUT_CONTROL = {
     "momentum matching",
     "boundary rank",
     "null controls",
+    "path between nodes",
     "holonomic drift",
     "switches",
     "second-order condition",
@@ -31,18 +32,36 @@ ABOUT_MECHANICS = {
 }
 SILENT = {
     "pendulum": {*ABOUT_CONTROL, "discrete Noether"},
-    "linear_pendulum": {"discrete Noether", "holonomic drift", "switches"},
-    "orbital_transfer": {"area preservation", "holonomic drift", "switches"},
-    "hovercraft": {"area preservation", "holonomic drift", "switches", "optimum"},  # several bodies, coupled at the end
-    "double_integrator": {"holonomic drift", "switches", "optimum"},  # free duration, bounded control
-    "low_thrust": {
+    "linear_pendulum": {"path between nodes", "discrete Noether", "holonomic drift", "switches"},
+    "orbital_transfer": {"path between nodes", "area preservation", "holonomic drift", "switches"},
+    "hovercraft": {
+        "path between nodes",
         "area preservation",
         "holonomic drift",
         "switches",
         "optimum",
+    },  # several bodies, coupled at the end
+    "double_integrator": {
+        "path between nodes",
+        "holonomic drift",
+        "switches",
+        "optimum",
+    },  # free duration, bounded control
+    "low_thrust": {
+        "area preservation",
+        "path between nodes",
+        "holonomic drift",
+        "switches",
+        "optimum",
     },  # path inequality, end condition, end cost
-    "spherical_pendulum": {"area preservation", "switches", "optimum"},  # holonomic constraint
-    "van_der_pol": {*ABOUT_MECHANICS, "holonomic drift", "switches", "optimum"},  # first-order system
+    "spherical_pendulum": {"path between nodes", "area preservation", "switches", "optimum"},  # holonomic constraint
+    "van_der_pol": {
+        *ABOUT_MECHANICS,
+        "path between nodes",
+        "holonomic drift",
+        "switches",
+        "optimum",
+    },  # first-order system
 }
 """Checks that do not apply: a simulation has no boundary value problem, and so on; see test_phase_checks for phases."""
 

@@ -86,7 +86,7 @@ def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector, ca
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
 
-def variable_bounds(grid: Dense) -> tuple[Vector, Vector]:
+def bounds_of(grid: Dense) -> tuple[Vector, Vector]:
     return grid.lower, grid.upper
 
 

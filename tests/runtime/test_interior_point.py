@@ -26,7 +26,7 @@ def dense_linear_algebra() -> Iterator[None]:
         for module in (barrier, curvature, filter, interior_point, restoration):
             for name in set(vars(module)) & {
                 "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved",
-                "multiplier_unknowns", "solve_kkt", "variable_bounds",
+                "bounds_of", "multiplier_unknowns", "solve_kkt",
             }:  # fmt: skip
                 patch.setattr(module, name, getattr(dense_problem, name))
         yield
@@ -216,7 +216,7 @@ def test_distances_are_finer_than_the_rounding_of_unknowns() -> None:
 
 def test_start_is_pushed_inside() -> None:
     grid = nlp((-5, 9, 0.5), x1 + x2 + x3, [], [], {x1: (0, 1), x2: (-INFINITY, 4), x3: (0, 1)})
-    pushed = barrier.push_inside(*dense_problem.variable_bounds(grid), grid.guess, 1e-2)
+    pushed = barrier.push_inside(*dense_problem.bounds_of(grid), grid.guess, 1e-2)
     np.testing.assert_allclose(pushed, [0.01, 4 - 0.04, 0.5])
 
 

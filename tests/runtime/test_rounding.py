@@ -13,7 +13,7 @@ def test_sizes_are_those_of_the_point_that_is_asked_for(interpreted):
     here, elsewhere = (trial_point(module, grid, seed, 0.1) for seed in (1, 2))
 
     def sizes(unknowns):
-        return module.term_sizes(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+        return module.sizes_of_terms(grid, unknowns)
 
     module.evaluate(grid, here)
     expected = sizes(here)

@@ -16,6 +16,21 @@ from .casadi_gallery import Array, PreparedGallery
 PROBLEMS = Path(__file__).resolve().parents[3] / "problems"
 
 
+def perturbed(module: Any, grid: Any, size: float, seed: int) -> Array:
+    """A problem's guess with noise on every unknown that is neither given nor a multiplier.
+
+    The noise is normal, with the deviation `size` times the sum of the unknown's magnitude and of a tenth of the
+    greatest one. Ends that are copies of perturbed unknowns follow them.
+    """
+    unknowns = module.initial_guess(grid)
+    places = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
+    magnitude = np.abs(unknowns[places])
+    noise = np.random.default_rng(seed).standard_normal(magnitude.size)
+    unknowns[places] += size * noise * (magnitude + 0.1 * magnitude.max(initial=0.0))
+    completed: Array = module.with_pinned_values(grid, unknowns)
+    return completed
+
+
 class GeneratedGallery:
     """The generated solver of one problem, run and reported like a `PreparedGallery`, whose program judges it."""
 
@@ -39,18 +54,8 @@ class GeneratedGallery:
         self.solution = self.module.solve(steps=self.steps, tolerance=self.tolerance, guess=guess, max_iterations=1000)
 
     def perturbed_guess(self, size: float, seed: int) -> Array:
-        """The problem's guess with noise on every unknown that is neither given nor a multiplier.
-
-        The noise is normal, with the deviation `size` times the sum of the unknown's magnitude and of a tenth of the
-        greatest one. Ends that are copies of perturbed unknowns follow them, so that both solvers see the same guess.
-        """
-        unknowns = self.module.initial_guess(self.grid)
-        places = self.module.free_unknowns(self.grid) & ~np.asarray(self.grid.is_multiplier)
-        magnitude = np.abs(unknowns[places])
-        noise = np.random.default_rng(seed).standard_normal(magnitude.size)
-        unknowns[places] += size * noise * (magnitude + 0.1 * magnitude.max(initial=0.0))
-        completed: Array = self.module.with_pinned_values(self.grid, unknowns)
-        return completed
+        """As `perturbed` says; both solvers see the same guess."""
+        return perturbed(self.module, self.grid, size, seed)
 
     def as_casadi(self, unknowns: Array) -> Array:
         """The coordinates, controls and duration of our unknowns in CasADi's order; the rest as CasADi guesses it."""

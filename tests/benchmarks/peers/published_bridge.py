@@ -1,0 +1,87 @@
+"""The published problems by the generated solver and by IPOPT, on the same program: the module's own callbacks."""
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cyipopt
+import numpy as np
+
+from codegen.compiler import build
+from codegen.drivers import prepare
+from codegen.drivers.ipopt import _Callbacks
+from codegen.drivers.processes import compilers
+from codegen.drivers.result import Request
+from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.loading import load
+
+from .casadi_gallery import Array
+from .gallery_bridge import PROBLEMS, perturbed
+
+_STATUSES = {0: "solved", 1: "solved", 2: "infeasible", -1: "iteration limit", -4: "time limit"}
+
+
+class UnscaledProblem(ScaledProblem):
+    """The program as it is, for an optimiser that scales by itself."""
+
+    @cached_property
+    def row_scale(self) -> Array:
+        return np.ones(self.dual.size)
+
+    @cached_property
+    def cost_scale(self) -> float:
+        return 1.0
+
+
+class PublishedProblem:
+    """One published problem on N intervals, for both solvers with default options, but at most `limit` seconds."""
+
+    def __init__(self, name: str, most_steps: int, limit: float) -> None:
+        """Build and load the module; CodegenError when it cannot be built."""
+        path: Path = build(PROBLEMS / "published" / f"{name}.py").path
+        with compilers() as processes:
+            prepare(path, processes)
+        self.module: Any = load(path)
+        self.steps, self.limit = min(most_steps, self.module.metadata["steps"]), limit
+        self.grid = self.module.make_grid(self.steps)
+
+    def perturbed_guess(self, size: float, seed: int) -> Array:
+        """As `GeneratedGallery.perturbed_guess`."""
+        return perturbed(self.module, self.grid, size, seed)
+
+    def by_codegen(self, guess: Array) -> dict[str, Any]:
+        """The report of the generated solver."""
+        solution = self.module.solve(self.steps, guess=guess, time_limit=self.limit)
+        return self._report(solution.status, solution.unknowns, solution.iterations)
+
+    def by_ipopt(self, guess: Array) -> dict[str, Any]:
+        """The report of IPOPT with its own scaling, relaxed bounds and tolerances."""
+        problem = UnscaledProblem.on_grid(self.module, Request(self.steps, guess=guess))
+        callbacks, zero = _Callbacks(problem), np.zeros(problem.dual.size)
+        with quiet_single_thread():
+            sizes = problem.primal.size, problem.dual.size
+            program = cyipopt.Problem(*sizes, callbacks, *problem.bounds, zero, zero)
+            for name, value in {"print_level": 0, "sb": "yes", "max_cpu_time": self.limit}.items():
+                program.add_option(name, value)
+            x, details = program.solve(problem.start)
+        status = _STATUSES.get(int(details["status"]), "stalled")
+        return self._report(status, problem.unknowns(x, details["mult_g"]), callbacks.iterations)
+
+    def _report(self, status: str, unknowns: Array, iterations: int) -> dict[str, Any]:
+        cost = float(self.module.cost(self.grid, unknowns))
+        residual = self.violation(unknowns)
+        return {"status": str(status), "cost": cost, "residual": residual, "iterations": int(iterations)}
+
+    def violation(self, unknowns: Array) -> float:
+        """The largest violation of an equation or bound, each in units of its largest term where that exceeds one."""
+        rows, columns, values = self.module.jacobian(self.grid, unknowns)
+        primal = unknowns[self.module.primal_unknowns(self.grid)]
+        residuals = np.abs(self.module.constraints(self.grid, unknowns))
+        size = np.ones(residuals.size)
+        np.maximum.at(size, rows, np.abs(values * primal[columns]))
+        worst = float((residuals / size).max(initial=0.0))
+        if self.module.metadata["inequalities"]:
+            lower, upper = self.module.variable_bounds(self.grid)
+            beyond = np.maximum(lower - unknowns, unknowns - upper) / np.maximum(1.0, np.abs(unknowns))
+            worst = max(worst, float(beyond[self.module.primal_unknowns(self.grid)].max(initial=0.0)))
+        return worst if np.isfinite(worst) else float("inf")
