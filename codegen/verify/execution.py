@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ast
+import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from types import CodeType, SimpleNamespace
 from typing import Any
+
+import numpy as np
 
 from codegen.special_functions import STEMS
 from codegen.verify.tape import Arithmetic
@@ -36,6 +39,7 @@ class Text:
         namespace: dict[str, Any] = {"njit": _undecorated, "prange": range, "__name__": "emitted"}
         body = [*self._imports, *self._needed(names)]
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
+        namespace["math"] = _QuietMath()  # which the functions read when they are called
         return namespace
 
     def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Callable[..., Any]]:
@@ -68,6 +72,24 @@ def _read(part: ast.stmt) -> set[str]:
     own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
     own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
     return {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
+
+
+class _QuietMath:
+    """The functions of `math` with NaN and infinity where Python's raise errors, as machine code has them."""
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(math, name)
+        return _quiet(found) if callable(found) else found
+
+
+def _quiet(function: Callable[..., float]) -> Callable[..., Any]:
+    def called(*arguments: float) -> Any:
+        try:
+            return np.float64(function(*arguments))
+        except (ValueError, OverflowError):
+            return np.float64(np.nan)
+
+    return called
 
 
 def _undecorated(*_arguments: Any, **_options: Any) -> Callable[[Any], Any]:

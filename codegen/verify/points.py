@@ -59,7 +59,8 @@ class GuessedPoints:
     def __init__(self, module: Mapping[str, Any], steps: int) -> None:
         self.module = module
         self.grid = module["make_grid"](min(steps, _STEPS))
-        self.unknowns = module["initial_guess"](self.grid)
+        with np.errstate(all="ignore"):
+            self.unknowns = module["initial_guess"](self.grid)
         if "read_shared" in module:
             for body in range(module["BODIES"]):
                 module["read_shared"](self.unknowns, body, self.grid.parameters)
