@@ -115,8 +115,9 @@ def _gradient(conditions: Sequence[Condition], symbols: Sequence[sympy.Symbol]) 
 
 
 def _is_constant(condition: Condition, symbols: Sequence[sympy.Symbol], points: Points) -> bool:
-    """Whether a condition does not depend on any of the symbols, wherever it is tried."""
+    """Whether a condition does not depend on any of the symbols, wherever it is tried; short slopes come first."""
     inside = [symbol for symbol in symbols if symbol in condition.expression.free_symbols]
+    inside.sort(key=lambda symbol: sympy.count_ops(sympy.diff(condition.expression, symbol)))
     return all(_dependent([condition], [symbol], points) for symbol in inside)
 
 

@@ -31,5 +31,5 @@ def problem() -> Control:
         start={q_1: 0, q_2: 0, q_3: 0, q_4: 1, w_1: 0, w_2: 0, w_3: 0},
         end={q_1: sin(rad(75)), q_2: 0, q_3: 0, w_1: 0, w_2: 0, w_3: 0},
         bounds=dict.fromkeys(torques, (-50, 50)),
-        steps=500,
+        steps=400,
     )
