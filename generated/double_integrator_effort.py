@@ -49,9 +49,14 @@ Operations per interval, before and after common subexpressions are shared:
     end_gradient: 1 -> 1
 """
 
+import hashlib
+import io
 import math
+import pickletools
 import sys
 from functools import lru_cache
+from time import perf_counter
+from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -199,6 +204,31 @@ def clear(matrix):
             matrix[i, j] = 0.0
 
 
+# The log of a search, which also tells when its time is up.
+
+
+class Log:
+    """The rows of all iterates; `watch`, if there is one, is called with the number of each and its row."""
+
+    def __init__(self, time_limit=math.inf, watch=None):
+        if not time_limit > 0.0:
+            raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
+        self.rows, self.watch, self.deadline = [], watch, perf_counter() + time_limit
+        self.weight = 1.0  # by which costs in rows are multiplied
+
+    def append(self, row):
+        """Keep a row, and show it to whoever watches."""
+        if self.weight != 1.0:
+            row = row[0] / self.weight, *row[1:]
+        self.rows.append(row)
+        if self.watch is not None:
+            self.watch(len(self.rows) - 1, row)
+
+    def is_late(self):
+        """Whether the time is up."""
+        return perf_counter() > self.deadline
+
+
 # Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 #
 # Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
@@ -273,12 +303,18 @@ class Grid(NamedTuple):
     """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
+    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
+    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
     """
 
     steps: int
     h: float
     parameters: np.ndarray
     is_multiplier: np.ndarray
+    sizes: np.ndarray
+    forces: np.ndarray
+    weight: float
+    bounds: tuple[np.ndarray, ...]
 
 
 class Point(NamedTuple):
@@ -303,12 +339,22 @@ def evaluate(grid, unknowns):
     return Point(
         unknowns,
         gradient,
-        *measured_gradient(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient),
+        *measured_gradient(
+            unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient
+        ),
     )
 
 
+def lagrangian(grid, point):
+    """The cost where the equations hold exactly, to first order: what is left of them costs multipliers times residual.
+
+    The error of the Lagrangian's value is of second order.
+    """
+    return point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier]
+
+
 @njit(cache=True, error_model="numpy")
-def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
+def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
     """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
     cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
@@ -1025,7 +1071,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, steps, h, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
@@ -1053,15 +1099,18 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     return equations, stationarity
 
 
+def sizes_of_terms(grid, unknowns):
+    """The same of a grid, in parts of sizes where it has them."""
+    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+
+
 def is_solved(grid, point, tolerance):
     """Whether residual and stationarity are within the tolerance, or as small as rounding errors allow.
 
     The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
     so that a problem in small units is not called solved too early.
     """
-    if point.error > max(tolerance, WORTH_MEASURING):
-        return False
-    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    equations, stationarity = sizes_of_terms(grid, point.unknowns)
     return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
 
 
@@ -1092,7 +1141,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             return "non-finite", point, iteration
         if excess != 0:
             return *without_minimum(grid, point, system), iteration
-        if is_solved(grid, point, tolerance):
+        if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance):
             return "solved", point, iteration
         step = np.empty_like(unknowns)
         solve_kkt(grid, system, point.gradient, step, carried=iteration == 0)
@@ -1157,6 +1206,8 @@ def interval_momenta(unknowns, steps, h, parameters, momenta):
 
 # What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
 
+NONE = np.zeros(0)  # sizes of unknowns that are not scaled
+
 
 def checked_grid(steps, duration, parameters):
     """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
@@ -1175,7 +1226,12 @@ def checked_grid(steps, duration, parameters):
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy())
+    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+
+
+def plain_grid(grid):
+    """The same grid without sizes, in the problem's own units."""
+    return grid._replace(sizes=NONE, forces=NONE, weight=1.0, bounds=())
 
 
 def replace_values(boundary, where, values):
@@ -1328,27 +1384,55 @@ def interval_hessians(unknowns, steps, h, parameters, values):
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
+NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
+ESCAPES = 3  # how often a saddle point is left
+LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
 
 
-def least_shift(grid, unknowns, system):
+def least_shift(grid, unknowns, system, curvature=0.0):
     """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
 
-    No more than ten times as much as is needed, and infinite where no shift helps.
+    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where no
+    shift helps.
     """
     shift = FLAT
     while shift < 1e20:
-        diagonal = np.where(grid.is_multiplier, -FLAT, shift)
+        diagonal = np.where(grid.is_multiplier, -FLAT, shift + curvature)
         if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
             return shift
         shift *= 10.0
     return np.inf
 
 
-def falling_direction(grid, unknowns):
-    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps."""
+def is_nearly_stationary(point):
+    """Whether a descent that cannot go on may have come to a saddle point, towards which shifted steps are slow."""
+    return max(point.residual, point.stationarity) <= NEARLY
+
+
+def is_below(point, saddle):
+    """Whether the cost is lower than at a saddle point, by more than rounding."""
+    return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
+
+
+def steps_aside(grid, unknowns, curvature, escapes):
+    """Steps along the falling direction to both sides; the more escapes there were, the longer.
+
+    The first are a tenth of the greatest unknown long, or of one where that is smaller.
+    """
+    direction = falling_direction(grid, unknowns, curvature)
+    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
+    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
+    return direction, -direction
+
+
+def falling_direction(grid, unknowns, curvature=0.0):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
+
+    `curvature` is what a barrier adds to the Hessian's diagonal.
+    """
     system = allocate_system(grid)
     direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_shift(grid, unknowns, system) == np.inf:
+    if least_shift(grid, unknowns, system, curvature) == np.inf:
         return np.zeros(unknowns.size)
     free = free_unknowns(grid) & ~grid.is_multiplier
     for _ in range(ITERATIONS):
@@ -1375,7 +1459,9 @@ def final_status(grid, guess, point, status):
     """
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
-    if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, point.unknowns)):
+    if not point.error < np.inf or (
+        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+    ):
         return "non-finite"
     if runaways(grid, guess, point, status == "solved").any():
         return "unbounded"
@@ -1384,6 +1470,11 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
+
+
+def own_values(grid, unknowns):
+    """Unknowns in the problem's own units."""
+    return unknowns * grid.sizes if grid.sizes.size else unknowns
 
 
 def is_finite_matrix(grid, unknowns):
@@ -1434,22 +1525,24 @@ def newton_step(grid, point):
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
+    "time limit": "raise time_limit, take fewer steps, or start from a better guess",
     "non-finite": "change the guess or the parameters, or keep away from there by bounds",
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
-    "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
+    "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
 }
+LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence."""
-    status = final_status(grid, guess, point, status)
+    status, error = final_status(grid, guess, point, status), point.error
     if status == "solved":
-        return status, f"all equations hold to {point.error:.1e}"
+        return status, f"all equations hold to {error:.1e}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 
@@ -1465,6 +1558,9 @@ def finding(grid, guess, point, status):
         return f"the cost falls along {falling_unknown(grid, point)}"
     if status == "unbounded":
         return run_away(grid, guess, point)
+    if status == "time limit":
+        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
+        return f"{reached}; {worst_row(grid, point)}"
     return worst_row(grid, point)
 
 
@@ -1584,20 +1680,39 @@ def kernel_name(grid, place):
 
 
 def unknown_name(grid, unknowns, place):
-    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`."""
-    return f"{local_name(grid, place)}{whereabouts(grid, unknowns, place)}"
+    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, "")
+    where = whereabouts(grid, unknowns, place)
+    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
 def equation_name(grid, unknowns, place):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
     name = local_name(grid, place)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    where = whereabouts(grid, unknowns, place)
+    return placed(meaning, whereabouts(grid, unknowns, place))
+
+
+def placed(meaning, where):
+    """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
+    for tail in (" at the start", " at the end", " of an interval", ""):
+        if meaning.endswith(tail):
+            condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
+            if tail != " of an interval":
+                condition, at, inside = meaning.removesuffix(tail), "", ""
+            meaning = f"{shortened(condition)}{at}{inside}{tail}"
+            break
     if meaning.endswith(" of an interval"):
         return meaning.removesuffix("an interval") + where.removeprefix(" on ")
     if meaning.endswith((" at the start", " at the end")):
         return meaning + where.partition(")")[2]
     return meaning + where
+
+
+def shortened(text):
+    """The beginning of a long text."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
 def local_name(grid, place):
@@ -1622,15 +1737,38 @@ def of_body(body):
     return f" of body {body}" if BODIES > 1 else ""
 
 
+# A linear-quadratic problem needs no scaling: one Newton step is the same in all units.
+
+
+def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
+    """Minimise; return (status, message, point, iterations). `scaling` has no effect."""
+    status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, log)
+    status, message = describe(grid, unknowns, point, status)
+    if status == "solved":
+        point = point._replace(cost=corrected_cost(grid, point))
+    return status, message, point, iterations
+
+
+def corrected_cost(grid, point):
+    """The cost less what the residuals are worth."""
+    return float(lagrangian(grid, point))
+
+
+def scaled_grid(grid, unknowns):
+    """The grid as it is."""
+    return grid
+
+
 # ---- What is called from outside ----
 
 
 class Solution(NamedTuple):
     """What `solve` returns; arrays run over the N + 1 nodes, or over the N intervals where it is said.
 
-    `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
-    evaluated at the solution; `u` holds controls (on intervals), `unknowns` is the vector that `guess` takes.
-    Columns of several bodies stand side by side.
+    Where the status is "solved", `cost` is corrected by what residuals are worth. `residual` is the max-norm of all
+    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution; `u` holds
+    controls (on intervals), `unknowns` is the vector that `guess` takes. Columns of several bodies stand side by
+    side.
     """
 
     status: str
@@ -1658,17 +1796,22 @@ def solve(
     end=None,
     guess=None,
     tolerance=1e-10,
-    max_iterations=100,
+    max_iterations=3000,
+    time_limit=math.inf,
     warm=False,
+    scaling="auto",
     log=False,
+    watch=None,
 ):
     """Find a local minimum on `steps` intervals and return a Solution.
 
     `start` and `end` may replace prescribed boundary values by name, as in start={"x": 0.5}.
     `duration`, if given, overrides the one that the problem states, whatever its parameters are.
-    `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. Never raises when
-    the numerics fail: then `status` is not "solved", and `message` says what happened and what to try. Raises
-    ValueError when an argument is unusable.
+    `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. The search ends
+    after `max_iterations`, or at the first iterate after `time_limit` seconds; `watch`, if given, is called with the
+    number and the row of the log of every iterate. `scaling` is "auto", or "none" for a solver that works in the
+    problem's own units. Never raises when the numerics fail: then `status` is not "solved", and `message` says what
+    happened and what to try. Raises ValueError when an argument is unusable.
     """
     grid = make_grid(
         steps,
@@ -1679,11 +1822,12 @@ def solve(
         end=end,
     )
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
-    rows = []
-    status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, rows)
-    status, message = describe(grid, unknowns, point, status)
+    iterates = Log(time_limit, watch)
+    status, message, point, iterations = optimise(
+        grid, unknowns, tolerance, max_iterations, warm, scaling, iterates
+    )
     if log:
-        print_log(rows)
+        print_log(iterates.rows)
     return Solution(
         status,
         message,
@@ -1693,7 +1837,7 @@ def solve(
         iterations,
         *unpack(grid, point.unknowns),
         point.unknowns,
-        np.array(rows),
+        np.array(iterates.rows),
     )
 
 
@@ -1769,12 +1913,70 @@ def unpack(grid, unknowns):
     return t, side_by_side(nodes[:, :, :1]), side_by_side(p), side_by_side(intervals[:, :, 0:1]), side_by_side(nodes[:, :, 1:2])
 
 
-# ---- Where numba looks for machine code ----
+# ---- Machine code on the disk ----
+# Machine code that numba keeps on the disk, looked through before numba reads it.
+#
+# numba trusts what it reads: a file that was cut off ends in an error of pickle, one that was altered in anything, and
+# an index that was written just before its process was killed may name the machine code of an older text. Such files
+# are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
+# nothing reads on; of other files it is only seen whether they can be read to their end.
+
+SEAL = b"\nsha256 of all before: "
+PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
+
+
+def remove_unfit_code(functions, identity):
+    """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
+    damaged = []
+    for file in kept_code(functions):
+        try:
+            data = file.read_bytes()
+        except FileNotFoundError:  # another process was quicker
+            continue
+        if not is_whole(data, PICKLES[file.suffix]):
+            damaged.append(file)
+        elif file.suffix == ".nbi" or identity.encode() in data:
+            continue
+        file.unlink(missing_ok=True)
+    if damaged:
+        count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
+        print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
+    return len(damaged)
+
+
+def kept_code(functions):
+    """The files in which numba keeps compiled functions of the modules that some functions belong to."""
+    statistics = [(getattr(function, "stats", None), function) for function in functions]
+    places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
+    return [
+        file
+        for folder, source in sorted(places)
+        for file in sorted(Path(folder).glob("*.nb[ic]"))
+        if file.name.startswith(f"{Path(source).stem}.")
+    ]
+
+
+def is_whole(data, pickles):
+    """Whether the bytes of a file fit their digest, or, if they have none, can be read to their end."""
+    body, seal, digest = data.rpartition(SEAL)
+    if seal:
+        return hashlib.sha256(body).digest() == digest
+    stream = io.BytesIO(data)
+    try:
+        for _ in range(pickles):
+            for _ in pickletools.genops(stream):
+                pass
+    except ValueError:
+        return False
+    return True
+
 
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_double_integrator_effort_135d52fd88d83797"
+_IDENTITY = "codegen_double_integrator_effort_daad8f0af427439b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
-for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
+_COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
+for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
+DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)

@@ -35,8 +35,12 @@ Operations of one pair, before and after common subexpressions are shared:
     hamiltonian_gradient: 46 -> 35
 """
 
+import hashlib
+import io
 import math
+import pickletools
 import sys
+from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -2039,12 +2043,70 @@ def make_case(
     )
 
 
-# ---- Where numba looks for machine code ----
+# ---- Machine code on the disk ----
+# Machine code that numba keeps on the disk, looked through before numba reads it.
+#
+# numba trusts what it reads: a file that was cut off ends in an error of pickle, one that was altered in anything, and
+# an index that was written just before its process was killed may name the machine code of an older text. Such files
+# are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
+# nothing reads on; of other files it is only seen whether they can be read to their end.
+
+SEAL = b"\nsha256 of all before: "
+PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
+
+
+def remove_unfit_code(functions, identity):
+    """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
+    damaged = []
+    for file in kept_code(functions):
+        try:
+            data = file.read_bytes()
+        except FileNotFoundError:  # another process was quicker
+            continue
+        if not is_whole(data, PICKLES[file.suffix]):
+            damaged.append(file)
+        elif file.suffix == ".nbi" or identity.encode() in data:
+            continue
+        file.unlink(missing_ok=True)
+    if damaged:
+        count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
+        print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
+    return len(damaged)
+
+
+def kept_code(functions):
+    """The files in which numba keeps compiled functions of the modules that some functions belong to."""
+    statistics = [(getattr(function, "stats", None), function) for function in functions]
+    places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
+    return [
+        file
+        for folder, source in sorted(places)
+        for file in sorted(Path(folder).glob("*.nb[ic]"))
+        if file.name.startswith(f"{Path(source).stem}.")
+    ]
+
+
+def is_whole(data, pickles):
+    """Whether the bytes of a file fit their digest, or, if they have none, can be read to their end."""
+    body, seal, digest = data.rpartition(SEAL)
+    if seal:
+        return hashlib.sha256(body).digest() == digest
+    stream = io.BytesIO(data)
+    try:
+        for _ in range(pickles):
+            for _ in pickletools.genops(stream):
+                pass
+    except ValueError:
+        return False
+    return True
+
 
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_a6750219efb52b67"
+_IDENTITY = "codegen_image_registration_fe54e738b2a12eb0"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
-for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
+_COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
+for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
+DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)

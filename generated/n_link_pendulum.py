@@ -51,9 +51,14 @@ Operations per interval, before and after common subexpressions are shared:
     end_gradient: 68 -> 36
 """
 
+import hashlib
+import io
 import math
+import pickletools
 import sys
 from functools import lru_cache
+from time import perf_counter
+from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -435,6 +440,31 @@ def clear(matrix):
             matrix[i, j] = 0.0
 
 
+# The log of a search, which also tells when its time is up.
+
+
+class Log:
+    """The rows of all iterates; `watch`, if there is one, is called with the number of each and its row."""
+
+    def __init__(self, time_limit=math.inf, watch=None):
+        if not time_limit > 0.0:
+            raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
+        self.rows, self.watch, self.deadline = [], watch, perf_counter() + time_limit
+        self.weight = 1.0  # by which costs in rows are multiplied
+
+    def append(self, row):
+        """Keep a row, and show it to whoever watches."""
+        if self.weight != 1.0:
+            row = row[0] / self.weight, *row[1:]
+        self.rows.append(row)
+        if self.watch is not None:
+            self.watch(len(self.rows) - 1, row)
+
+    def is_late(self):
+        """Whether the time is up."""
+        return perf_counter() > self.deadline
+
+
 # Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 #
 # Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
@@ -509,12 +539,18 @@ class Grid(NamedTuple):
     """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
+    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
+    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
     """
 
     steps: int
     h: float
     parameters: np.ndarray
     is_multiplier: np.ndarray
+    sizes: np.ndarray
+    forces: np.ndarray
+    weight: float
+    bounds: tuple[np.ndarray, ...]
 
 
 class Point(NamedTuple):
@@ -539,14 +575,29 @@ def evaluate(grid, unknowns):
     return Point(
         unknowns,
         gradient,
-        *measured_gradient(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient),
+        *measured_gradient(
+            unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient
+        ),
     )
 
 
+def lagrangian(grid, point):
+    """The cost where the equations hold exactly, to first order: what is left of them costs multipliers times residual.
+
+    The error of the Lagrangian's value is of second order.
+    """
+    return point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier]
+
+
 @njit(cache=True, error_model="numpy")
-def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
+def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
     """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
-    cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+    if sizes.size:
+        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
+        for i in range(gradient.size):
+            gradient[i] *= weight * sizes[i]
+    else:
+        cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
     error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
     return cost, residual, violation, stationarity, error
@@ -616,6 +667,11 @@ def pin(place, element):
 def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
     """Pin what is given."""
     pin_ends(k, steps, diagonal, element)
+
+
+@njit(error_model="numpy")
+def note_ends(unknowns, body, steps, h, parameters, tables):
+    """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
 
 
 def end_entries(grid, unknowns):
@@ -1234,6 +1290,9 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
     """
     factors, equations = system
+    if grid.sizes.size:
+        unknowns, diagonal = unknowns * grid.sizes, diagonal / (grid.forces * grid.sizes)
+        gradient = None if gradient is None else gradient / grid.forces
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
     regular, excess = factor(
         unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
@@ -1251,7 +1310,11 @@ def solve_kkt(grid, system, gradient, step, carried=False):
 
     That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
+    if grid.sizes.size:
+        gradient = gradient / grid.forces
     substitute(gradient, carried, grid.steps, *system[0], step)
+    if grid.sizes.size:
+        step /= grid.sizes
 
 
 # How large the terms of the equations are: what a residual has to be compared with.
@@ -1261,7 +1324,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, steps, h, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
@@ -1269,6 +1332,8 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     """
     hessian = zero_vector(HESSIAN_ROWS.size)
     sums = zero_vector(unknowns.size)
+    if sizes.size:
+        unknowns = unknowns * sizes
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
@@ -1281,12 +1346,19 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
                     sums[column] += abs(hessian[j] * unknowns[row])
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
+        if sizes.size:
+            sums[i] *= weight * sizes[i]
         if is_multiplier[i]:
             if sums[i] > equations:
                 equations = sums[i]
         elif sums[i] > stationarity:
             stationarity = sums[i]
     return equations, stationarity
+
+
+def sizes_of_terms(grid, unknowns):
+    """The same of a grid, in parts of sizes where it has them."""
+    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
 
 
 def is_solved(grid, point, tolerance):
@@ -1297,7 +1369,7 @@ def is_solved(grid, point, tolerance):
     """
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
-    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    equations, stationarity = sizes_of_terms(grid, point.unknowns)
     return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
 
 
@@ -1311,7 +1383,7 @@ def is_small(value, size, tolerance):
 
 def is_rounding(grid, point):
     """Whether residual and stationarity are no larger than a thousand rounding errors."""
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    sizes = sizes_of_terms(grid, point.unknowns)
     return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]
 
 
@@ -1374,6 +1446,7 @@ SHORTEST_STEP = 1e-10
 RESTORATION_STEPS = 50
 GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
 NEARBY = 1e-2  # part of the guess's violation that is left where a search begins nearby
+NEARBY_ITERATIONS = 100  # for that search, and half of what is allowed at most
 SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
 
 
@@ -1393,7 +1466,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
     Where the guess violates the equations grossly, the search begins at a point near it that nearly obeys them: a full
-    Newton step, which knows of no distance, would leave for another optimum. If half of the iterations do not solve
+    Newton step, which knows of no distance, would leave for another optimum. If so many iterations do not solve
     the problem from there, the search begins at the guess itself, and how that ends is reported. `warm` has no
     effect: Newton's method needs no telling. A row (cost, residual, stationarity, Hessian's shift, step length) is
     appended to `log` at every iterate; steps of the restoration are not counted.
@@ -1403,16 +1476,39 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     if guess.error < np.inf and is_gross(grid, guess):
         near = restore(grid, guess, NEARBY, [], system)
         if near is not None:
-            status, point, total = descend(grid, near, tolerance, max_iterations // 2, log, system)
-            if status == "solved":
+            limit = min(max_iterations // 2, NEARBY_ITERATIONS)
+            status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
+            if status in ("solved", "time limit"):
                 return status, point, total
-    status, point, iterations = descend(grid, guess, tolerance, max_iterations - total, log, system)
+    status, point, iterations = leave_saddles(grid, guess, tolerance, max_iterations - total, log, system)
     return status, point, total + iterations
+
+
+def leave_saddles(grid, guess, tolerance, max_iterations, log, system):
+    """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
+
+    Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
+    """
+    status, saddle, total = descend(grid, guess, tolerance, max_iterations, log, system)
+    failed, escapes = False, 0
+    while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        for step in steps_aside(grid, saddle.unknowns, 0.0, escapes):
+            beside = without_multipliers(grid, saddle.unknowns + step)
+            ended, point, iterations = descend(grid, beside, tolerance, max_iterations - total, log, system)
+            total += iterations
+            if ended in LEFT and is_below(point, saddle):
+                status, saddle = ended, point
+                break
+            failed = failed or ended not in LEFT
+        escapes += 1
+    if status == "saddle point" and escapes == ESCAPES and not failed:
+        status = "solved" if is_solved(grid, saddle, tolerance) else "stalled"
+    return status, saddle, total
 
 
 def is_gross(grid, point):
     """Whether the residual is more than a small part of the equations' largest terms."""
-    terms, _ = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    terms, _ = sizes_of_terms(grid, point.unknowns)
     return point.residual > GROSS * terms
 
 
@@ -1430,6 +1526,8 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
             doubtful = iteration == 0 or shift.value > 0.0
             return ("saddle point" if doubtful and not is_minimum(grid, point, system) else "solved"), point, iteration
+        if log.is_late():
+            return "time limit", point, iteration
         if iteration == max_iterations:
             break
         slope, shift = regularised_step(grid, point, shift, system, step)
@@ -1437,6 +1535,8 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             return "rank-deficient", point, iteration
         trial, length = search(grid, point, step, slope, small_violation, filtered, system)
         if trial is None:
+            if shift.value > 0.0 and is_nearly_stationary(point) and not is_minimum(grid, point, system):
+                return "saddle point", point, iteration
             if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point.violation, point.cost))
@@ -1591,6 +1691,8 @@ def interval_momenta(unknowns, steps, h, parameters, momenta):
 
 # What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
 
+NONE = np.zeros(0)  # sizes of unknowns that are not scaled
+
 
 def checked_grid(steps, duration, parameters):
     """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
@@ -1609,7 +1711,12 @@ def checked_grid(steps, duration, parameters):
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy())
+    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+
+
+def plain_grid(grid):
+    """The same grid without sizes, in the problem's own units."""
+    return grid._replace(sizes=NONE, forces=NONE, weight=1.0, bounds=())
 
 
 def replace_values(boundary, where, values):
@@ -1762,27 +1869,55 @@ def interval_hessians(unknowns, steps, h, parameters, values):
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
+NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
+ESCAPES = 3  # how often a saddle point is left
+LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
 
 
-def least_shift(grid, unknowns, system):
+def least_shift(grid, unknowns, system, curvature=0.0):
     """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
 
-    No more than ten times as much as is needed, and infinite where no shift helps.
+    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where no
+    shift helps.
     """
     shift = FLAT
     while shift < 1e20:
-        diagonal = np.where(grid.is_multiplier, -FLAT, shift)
+        diagonal = np.where(grid.is_multiplier, -FLAT, shift + curvature)
         if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
             return shift
         shift *= 10.0
     return np.inf
 
 
-def falling_direction(grid, unknowns):
-    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps."""
+def is_nearly_stationary(point):
+    """Whether a descent that cannot go on may have come to a saddle point, towards which shifted steps are slow."""
+    return max(point.residual, point.stationarity) <= NEARLY
+
+
+def is_below(point, saddle):
+    """Whether the cost is lower than at a saddle point, by more than rounding."""
+    return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
+
+
+def steps_aside(grid, unknowns, curvature, escapes):
+    """Steps along the falling direction to both sides; the more escapes there were, the longer.
+
+    The first are a tenth of the greatest unknown long, or of one where that is smaller.
+    """
+    direction = falling_direction(grid, unknowns, curvature)
+    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
+    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
+    return direction, -direction
+
+
+def falling_direction(grid, unknowns, curvature=0.0):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
+
+    `curvature` is what a barrier adds to the Hessian's diagonal.
+    """
     system = allocate_system(grid)
     direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_shift(grid, unknowns, system) == np.inf:
+    if least_shift(grid, unknowns, system, curvature) == np.inf:
         return np.zeros(unknowns.size)
     free = free_unknowns(grid) & ~grid.is_multiplier
     for _ in range(ITERATIONS):
@@ -1809,7 +1944,9 @@ def final_status(grid, guess, point, status):
     """
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
-    if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, point.unknowns)):
+    if not point.error < np.inf or (
+        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+    ):
         return "non-finite"
     if runaways(grid, guess, point, status == "solved").any():
         return "unbounded"
@@ -1818,6 +1955,11 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
+
+
+def own_values(grid, unknowns):
+    """Unknowns in the problem's own units."""
+    return unknowns * grid.sizes if grid.sizes.size else unknowns
 
 
 def is_finite_matrix(grid, unknowns):
@@ -1868,22 +2010,27 @@ def newton_step(grid, point):
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
+    "time limit": "raise time_limit, take fewer steps, or start from a better guess",
     "non-finite": "change the guess or the parameters, or keep away from there by bounds",
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
-    "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
+    "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
 }
+LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence."""
-    status = final_status(grid, guess, point, status)
+    status, error = final_status(grid, guess, point, status), point.error
+    if grid.sizes.size:
+        sizes, grid = grid.sizes, plain_grid(grid)
+        guess, point = guess * sizes, evaluate(grid, point.unknowns * sizes)
     if status == "solved":
-        return status, f"all equations hold to {point.error:.1e}"
+        return status, f"all equations hold to {error:.1e}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 
@@ -1899,6 +2046,9 @@ def finding(grid, guess, point, status):
         return f"the cost falls along {falling_unknown(grid, point)}"
     if status == "unbounded":
         return run_away(grid, guess, point)
+    if status == "time limit":
+        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
+        return f"{reached}; {worst_row(grid, point)}"
     return worst_row(grid, point)
 
 
@@ -2018,20 +2168,39 @@ def kernel_name(grid, place):
 
 
 def unknown_name(grid, unknowns, place):
-    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`."""
-    return f"{local_name(grid, place)}{whereabouts(grid, unknowns, place)}"
+    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, "")
+    where = whereabouts(grid, unknowns, place)
+    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
 def equation_name(grid, unknowns, place):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
     name = local_name(grid, place)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    where = whereabouts(grid, unknowns, place)
+    return placed(meaning, whereabouts(grid, unknowns, place))
+
+
+def placed(meaning, where):
+    """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
+    for tail in (" at the start", " at the end", " of an interval", ""):
+        if meaning.endswith(tail):
+            condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
+            if tail != " of an interval":
+                condition, at, inside = meaning.removesuffix(tail), "", ""
+            meaning = f"{shortened(condition)}{at}{inside}{tail}"
+            break
     if meaning.endswith(" of an interval"):
         return meaning.removesuffix("an interval") + where.removeprefix(" on ")
     if meaning.endswith((" at the start", " at the end")):
         return meaning + where.partition(")")[2]
     return meaning + where
+
+
+def shortened(text):
+    """The beginning of a long text."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
 def local_name(grid, place):
@@ -2056,15 +2225,317 @@ def of_body(body):
     return f" of body {body}" if BODIES > 1 else ""
 
 
+# How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
+#
+# Every kind of unknown (a coordinate at all nodes, a control on all intervals, ...) has one size, taken from its guess,
+# which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
+# matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
+# constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
+# duration. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
+# at most when one unknown changes by its size. A change of units then changes nothing but the sizes.
+
+CHANGE = 8.0  # of the scaled cost, at most, when one unknown changes by its size
+LOOSE = 1e-3  # a guess below this part of a bound says little about the size of an unknown
+DUST = 1e-6  # the same beside the other terms of every equation
+SAMPLES = 4  # intervals on which derivatives are looked at
+CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
+
+KINDS = STRIDE
+# The kind of each unknown of an element, its time in lengths of an interval, and which kinds are multipliers.
+KIND = np.concatenate([np.arange(STRIDE), np.arange(NODE), STRIDE + np.arange(SHARED)])
+PLACE = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
+KIND_IS_MULTIPLIER = np.concatenate(
+    [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
+)
+# Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
+NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
+NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
+SCALE = metadata.get("scale", {})
+GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
+
+
+@njit(cache=True, error_model="numpy")
+def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
+    """Fill in the size of every unknown; return the weight of the cost, and how far from one weights and sizes are."""
+    size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
+    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
+    for i in range(kinds.size):
+        if not KIND_IS_MULTIPLIER[kinds[i]]:
+            primal[i] = unknowns[i]
+            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
+    lagrangian_gradient(primal, steps, h, parameters, slopes)
+    for i in range(kinds.size):
+        if KIND_IS_MULTIPLIER[kinds[i]]:
+            rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+    fit_bounds(lower, upper, kinds, size)
+    measure_intervals(primal, steps, h, parameters, tables)
+    forget_dust(size, tables[1])
+    for j in range(KINDS):
+        if GIVEN[j] > 0.0:
+            size[j] = GIVEN[j]
+    spread(size, rest, tables[1])
+    for j in range(KINDS):
+        if not KIND_IS_MULTIPLIER[j]:
+            size[j] = positive(size[j])
+    weight = CHANGE / positive(change_of_cost(slopes, kinds, size, tables[2]))
+    extreme = max(weight, 1.0 / weight)
+    for i in range(KINDS):
+        if KIND_IS_MULTIPLIER[i]:
+            largest = 0.0
+            for j in range(KINDS):
+                if not KIND_IS_MULTIPLIER[j]:
+                    largest = max(largest, tables[0, i, j] * size[j])
+            largest = positive(largest)
+            extreme = max(extreme, largest, 1.0 / largest)
+            size[i] = 1.0 / (largest * weight)
+        else:
+            extreme = max(extreme, size[i], 1.0 / size[i])
+    for i in range(kinds.size):
+        sizes[i] = size[kinds[i]]
+    return weight, extreme
+
+
+@njit(error_model="numpy")
+def positive(value):
+    """A size, or one where there is none."""
+    return value if 1e-150 < value < 1e150 else 1.0
+
+
+@njit(error_model="numpy")
+def fit_bounds(lower, upper, kinds, size):
+    """Make sizes fit the largest finite bound, where there is one on either side: no less than a small part of it."""
+    bound, between = zero_vector(KINDS), zero_vector(KINDS)
+    for i in range(lower.size):
+        below, above = abs(lower[i]), abs(upper[i])
+        if max(below, above) < np.inf:
+            between[kinds[i]] = max(between[kinds[i]], below, above)
+        elif min(below, above) < np.inf:
+            bound[kinds[i]] = max(bound[kinds[i]], min(below, above))
+    for j in range(KINDS):
+        if between[j] > 0.0 and size[j] > 0.0:
+            size[j] = min(max(size[j], LOOSE * between[j]), between[j])
+        elif size[j] == 0.0:
+            size[j] = max(between[j], bound[j])
+
+
+@njit(error_model="numpy")
+def add_entry(row, column, value, tables):
+    """Note the modulus of a derivative: of an equation by an unknown, or a curvature of the cost."""
+    if KIND_IS_MULTIPLIER[row] and KIND_IS_MULTIPLIER[column]:
+        return
+    if KIND_IS_MULTIPLIER[column]:
+        row, column = column, row
+    if KIND_IS_MULTIPLIER[row]:
+        tables[0, row, column] = max(tables[0, row, column], value)
+        tables[1, row, column] = max(tables[1, row, column], value)
+    else:
+        tables[2, row, column] = max(tables[2, row, column], value)
+
+
+@njit(error_model="numpy")
+def measure_intervals(unknowns, steps, h, parameters, tables):
+    """Fill three tables by kinds from some intervals.
+
+    The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
+    quadratic in time, of size one, the third the largest curvatures of the cost.
+    """
+    intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT, KINDS, 4))
+    stride = max(1, intervals // SAMPLES)
+    for body in range(BODIES):
+        note_ends(unknowns, body, steps, h, parameters, tables)
+        for k in range(steps):
+            if k % intervals % stride > 0:
+                continue
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            moments[:] = 0.0
+            for j in range(HESSIAN_ROWS.size):
+                row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
+                if LOCAL_IS_MULTIPLIER[column]:
+                    row, column = column, row
+                if not LOCAL_IS_MULTIPLIER[row]:
+                    add_entry(KIND[row], KIND[column], abs(hessian[j]), tables)
+                elif not LOCAL_IS_MULTIPLIER[column]:
+                    ahead = PLACE[column] - PLACE[row]
+                    moments[row, KIND[column], 0] += hessian[j]
+                    moments[row, KIND[column], 1] += hessian[j] * ahead
+                    moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
+                    moments[row, KIND[column], 3] += abs(hessian[j])
+            fold(moments, intervals, tables)
+
+
+@njit(error_model="numpy")
+def fold(moments, intervals, tables):
+    """Put the moments of one interval's equations into the tables.
+
+    An equation of a node is a sum of two intervals' shares, each as large as what is equated: as a momentum, say.
+    """
+    total = zero_vector(4)
+    for row in range(moments.shape[0]):
+        if not LOCAL_IS_MULTIPLIER[row] or STRIDE <= row < ELEMENT:
+            continue
+        for column in range(KINDS):
+            largest = moments[row, column, 3]
+            for i in range(4):
+                total[i] = moments[row, column, i]
+            if row < NODE:
+                for i in range(4):
+                    total[i] += moments[STRIDE + row, column, i]
+                largest = max(
+                    change(moments[row, column], intervals, 1), change(moments[STRIDE + row, column], intervals, 1)
+                )
+            tables[0, KIND[row], column] = max(tables[0, KIND[row], column], largest)
+            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, 2))
+
+
+@njit(error_model="numpy")
+def change(moments, intervals, powers):
+    """What an equation with these moments makes of motions of size one."""
+    largest = abs(moments[0]) if abs(moments[0]) > CANCELLED * moments[3] else 0.0
+    largest = max(largest, abs(moments[1]) / intervals)
+    return max(largest, abs(moments[2]) / intervals**2) if powers == 2 else largest
+
+
+@njit(error_model="numpy")
+def forget_dust(size, effect):
+    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
+    for j in range(KINDS):
+        least = np.inf
+        for i in range(KINDS):
+            others = 0.0
+            for k in range(KINDS):
+                if k != j:
+                    others = max(others, effect[i, k] * size[k])
+            if effect[i, j] > 0.0:
+                least = min(least, others / effect[i, j])
+        if least < np.inf and size[j] < DUST * least:
+            size[j] = 0.0
+
+
+@njit(error_model="numpy")
+def spread(size, rest, effect):
+    """Give unknowns without a size the least one with which they balance an equation, until nothing is new."""
+    for _ in range(KINDS):
+        found = zero_vector(KINDS)
+        for i in range(KINDS):
+            known = rest[i]
+            for j in range(KINDS):
+                known = max(known, effect[i, j] * size[j])
+            for j in range(KINDS):
+                if size[j] == 0.0 and effect[i, j] > 0.0 and known > 0.0:
+                    balancing = known / effect[i, j]
+                    found[j] = balancing if found[j] == 0.0 else min(found[j], balancing)
+        if not found.max() > 0.0:
+            return
+        for j in range(KINDS):
+            if size[j] == 0.0:
+                size[j] = found[j]
+
+
+@njit(error_model="numpy")
+def change_of_cost(slopes, kinds, size, curvature):
+    """By how much the cost changes, at most, when one unknown changes by its size."""
+    largest = 0.0
+    for i in range(kinds.size):
+        if not KIND_IS_MULTIPLIER[kinds[i]]:
+            largest = max(largest, abs(slopes[i]) * size[kinds[i]])
+    for i in range(KINDS):
+        for j in range(KINDS):
+            largest = max(largest, curvature[i, j] * size[i] * size[j])
+    return largest
+
+
+# Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
+#
+# What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
+# all sizes are between 1/ORDINARY and ORDINARY, none is used.
+
+ORDINARY = 1e3  # sizes between its inverse and it need no scaling
+COARSE = 1e3  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
+
+
+def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
+    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations)."""
+    if scaling not in ("auto", "none"):
+        raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
+    if scaling == "auto":
+        grid = scaled_grid(grid, unknowns)
+    start, log.weight = unknowns / grid.sizes if grid.sizes.size else unknowns, grid.weight
+    status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
+    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite"):
+        # Sizes come from the guess, and may be far from those of the solution.
+        grid, start, log.weight = plain_grid(grid), unknowns, 1.0
+        status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
+        iterations += further
+    if grid.sizes.size and status == "solved":
+        grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
+        iterations += further
+    status, message = describe(grid, start, point, status)
+    cost = corrected_cost(grid, point) if status == "solved" else point.cost / grid.weight
+    return status, message, in_units(grid, point)._replace(cost=cost), iterations
+
+
+def refined(grid, start, point, tolerance, max_iterations, log):
+    """(grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
+
+    Where equations or the cost were far steeper at the guess, the tolerance means little, and the search goes on.
+    """
+    total = 0
+    while total < max_iterations:
+        unknowns = point.unknowns * grid.sizes
+        finer = scaled_grid(plain_grid(grid), unknowns)
+        if not finer.sizes.size or not (finer.forces > COARSE * grid.forces).any():
+            break
+        begin, log.weight = unknowns / finer.sizes, finer.weight
+        status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
+        total += iterations
+        if status != "solved":
+            break
+        grid, start, point = finer, begin, better
+    return grid, start, point, total
+
+
+def scaled_grid(grid, unknowns):
+    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
+    sizes, bounds = np.empty(unknowns.size), (NONE, NONE)
+    weight, extreme = fill_sizes(unknowns, *bounds, kinds_of(grid.steps), grid.steps, grid.h, grid.parameters, sizes)
+    if not extreme > ORDINARY:
+        return grid._replace(bounds=bounds)
+    return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
+
+
+def corrected_cost(grid, point):
+    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
+    return float(lagrangian(grid, point)) / grid.weight
+
+
+@lru_cache(maxsize=4)
+def kinds_of(steps):
+    """The kind of every unknown: its place in a node with the interval after it, then the shared ones."""
+    chain = np.tile(np.arange(steps * STRIDE + NODE) % STRIDE, BODIES)
+    return chain
+
+
+def in_units(grid, point):
+    """A point in the problem's own units; its stationarity is the change of the cost with parts of sizes."""
+    if not grid.sizes.size:
+        return point
+    stationarity = point.stationarity / grid.weight
+    sizes, grid = grid.sizes, plain_grid(grid)
+    point = evaluate(grid, with_pinned_values(grid, point.unknowns * sizes))
+    return point._replace(stationarity=stationarity, error=max(point.residual, stationarity))
+
+
 # ---- What is called from outside ----
 
 
 class Solution(NamedTuple):
     """What `solve` returns; arrays run over the N + 1 nodes, or over the N intervals where it is said.
 
-    `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
-    evaluated at the solution; `u` holds controls (on intervals), `unknowns` is the vector that `guess` takes.
-    Columns of several bodies stand side by side.
+    Where the status is "solved", `cost` is corrected by what residuals are worth. `residual` is the max-norm of all
+    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution; `u` holds
+    controls (on intervals), `unknowns` is the vector that `guess` takes. Columns of several bodies stand side by
+    side.
     """
 
     status: str
@@ -2093,17 +2564,22 @@ def solve(
     end=None,
     guess=None,
     tolerance=1e-10,
-    max_iterations=100,
+    max_iterations=3000,
+    time_limit=math.inf,
     warm=False,
+    scaling="auto",
     log=False,
+    watch=None,
 ):
     """Find a local minimum on `steps` intervals and return a Solution.
 
     `start` and `end` may replace prescribed boundary values by name, as in start={"q1": 0.5}.
     `duration`, if given, overrides the one that the problem states, whatever its parameters are.
-    `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. Never raises when
-    the numerics fail: then `status` is not "solved", and `message` says what happened and what to try. Raises
-    ValueError when an argument is unusable.
+    `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. The search ends
+    after `max_iterations`, or at the first iterate after `time_limit` seconds; `watch`, if given, is called with the
+    number and the row of the log of every iterate. `scaling` is "auto", or "none" for a solver that works in the
+    problem's own units. Never raises when the numerics fail: then `status` is not "solved", and `message` says what
+    happened and what to try. Raises ValueError when an argument is unusable.
     """
     grid = make_grid(
         steps,
@@ -2115,11 +2591,12 @@ def solve(
         end=end,
     )
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
-    rows = []
-    status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, rows)
-    status, message = describe(grid, unknowns, point, status)
+    iterates = Log(time_limit, watch)
+    status, message, point, iterations = optimise(
+        grid, unknowns, tolerance, max_iterations, warm, scaling, iterates
+    )
     if log:
-        print_log(rows)
+        print_log(iterates.rows)
     return Solution(
         status,
         message,
@@ -2129,7 +2606,7 @@ def solve(
         iterations,
         *unpack(grid, point.unknowns),
         point.unknowns,
-        np.array(rows),
+        np.array(iterates.rows),
     )
 
 
@@ -2218,12 +2695,70 @@ def unpack(grid, unknowns):
     return t, side_by_side(nodes[:, :, :2]), side_by_side(p), side_by_side(intervals[:, :, 0:2]), side_by_side(nodes[:, :, 2:4])
 
 
-# ---- Where numba looks for machine code ----
+# ---- Machine code on the disk ----
+# Machine code that numba keeps on the disk, looked through before numba reads it.
+#
+# numba trusts what it reads: a file that was cut off ends in an error of pickle, one that was altered in anything, and
+# an index that was written just before its process was killed may name the machine code of an older text. Such files
+# are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
+# nothing reads on; of other files it is only seen whether they can be read to their end.
+
+SEAL = b"\nsha256 of all before: "
+PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
+
+
+def remove_unfit_code(functions, identity):
+    """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
+    damaged = []
+    for file in kept_code(functions):
+        try:
+            data = file.read_bytes()
+        except FileNotFoundError:  # another process was quicker
+            continue
+        if not is_whole(data, PICKLES[file.suffix]):
+            damaged.append(file)
+        elif file.suffix == ".nbi" or identity.encode() in data:
+            continue
+        file.unlink(missing_ok=True)
+    if damaged:
+        count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
+        print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
+    return len(damaged)
+
+
+def kept_code(functions):
+    """The files in which numba keeps compiled functions of the modules that some functions belong to."""
+    statistics = [(getattr(function, "stats", None), function) for function in functions]
+    places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
+    return [
+        file
+        for folder, source in sorted(places)
+        for file in sorted(Path(folder).glob("*.nb[ic]"))
+        if file.name.startswith(f"{Path(source).stem}.")
+    ]
+
+
+def is_whole(data, pickles):
+    """Whether the bytes of a file fit their digest, or, if they have none, can be read to their end."""
+    body, seal, digest = data.rpartition(SEAL)
+    if seal:
+        return hashlib.sha256(body).digest() == digest
+    stream = io.BytesIO(data)
+    try:
+        for _ in range(pickles):
+            for _ in pickletools.genops(stream):
+                pass
+    except ValueError:
+        return False
+    return True
+
 
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_n_link_pendulum_b19458e6462e1138"
+_IDENTITY = "codegen_n_link_pendulum_37ab5589b9fc6364"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
-for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
+_COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
+for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
+DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)

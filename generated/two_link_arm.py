@@ -52,9 +52,14 @@ Operations per interval, before and after common subexpressions are shared:
     end_gradient: 18 -> 14
 """
 
+import hashlib
+import io
 import math
+import pickletools
 import sys
 from functools import lru_cache
+from time import perf_counter
+from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -427,6 +432,31 @@ def least_duration(grid, unknowns):
     return least
 
 
+# The log of a search, which also tells when its time is up.
+
+
+class Log:
+    """The rows of all iterates; `watch`, if there is one, is called with the number of each and its row."""
+
+    def __init__(self, time_limit=math.inf, watch=None):
+        if not time_limit > 0.0:
+            raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
+        self.rows, self.watch, self.deadline = [], watch, perf_counter() + time_limit
+        self.weight = 1.0  # by which costs in rows are multiplied
+
+    def append(self, row):
+        """Keep a row, and show it to whoever watches."""
+        if self.weight != 1.0:
+            row = row[0] / self.weight, *row[1:]
+        self.rows.append(row)
+        if self.watch is not None:
+            self.watch(len(self.rows) - 1, row)
+
+    def is_late(self):
+        """Whether the time is up."""
+        return perf_counter() > self.deadline
+
+
 # Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 #
 # Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
@@ -503,12 +533,18 @@ class Grid(NamedTuple):
     """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
+    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
+    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
     """
 
     steps: int
     h: float
     parameters: np.ndarray
     is_multiplier: np.ndarray
+    sizes: np.ndarray
+    forces: np.ndarray
+    weight: float
+    bounds: tuple[np.ndarray, ...]
 
 
 class Point(NamedTuple):
@@ -533,14 +569,29 @@ def evaluate(grid, unknowns):
     return Point(
         unknowns,
         gradient,
-        *measured_gradient(unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient),
+        *measured_gradient(
+            unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient
+        ),
     )
 
 
+def lagrangian(grid, point):
+    """The cost where the equations hold exactly, to first order: what is left of them costs multipliers times residual.
+
+    The error of the Lagrangian's value is of second order.
+    """
+    return point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier]
+
+
 @njit(cache=True, error_model="numpy")
-def measured_gradient(unknowns, steps, h, parameters, is_multiplier, gradient):
+def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
     """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
-    cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+    if sizes.size:
+        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
+        for i in range(gradient.size):
+            gradient[i] *= weight * sizes[i]
+    else:
+        cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
     error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
     return cost, residual, violation, stationarity, error
@@ -610,6 +661,11 @@ def pin(place, element):
 def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
     """Pin what is given."""
     pin_ends(k, steps, diagonal, element)
+
+
+@njit(error_model="numpy")
+def note_ends(unknowns, body, steps, h, parameters, tables):
+    """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
 
 
 def end_entries(grid, unknowns):
@@ -1170,6 +1226,9 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
     """
     factors, equations = system
+    if grid.sizes.size:
+        unknowns, diagonal = unknowns * grid.sizes, diagonal / (grid.forces * grid.sizes)
+        gradient = None if gradient is None else gradient / grid.forces
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
     regular, excess = factor(
         unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
@@ -1187,7 +1246,11 @@ def solve_kkt(grid, system, gradient, step, carried=False):
 
     That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
+    if grid.sizes.size:
+        gradient = gradient / grid.forces
     substitute(gradient, carried, grid.steps, *system[0], step)
+    if grid.sizes.size:
+        step /= grid.sizes
 
 
 # How large the terms of the equations are: what a residual has to be compared with.
@@ -1197,7 +1260,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, steps, h, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
@@ -1205,6 +1268,8 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
     """
     hessian = zero_vector(HESSIAN_ROWS.size)
     sums = zero_vector(unknowns.size)
+    if sizes.size:
+        unknowns = unknowns * sizes
     for body in range(BODIES):
         read_shared(unknowns, body, parameters)
         for k in range(steps):
@@ -1222,12 +1287,19 @@ def term_sizes(unknowns, steps, h, parameters, is_multiplier):
                     sums[column] += abs(hessian[j] * unknowns[row])
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
+        if sizes.size:
+            sums[i] *= weight * sizes[i]
         if is_multiplier[i]:
             if sums[i] > equations:
                 equations = sums[i]
         elif sums[i] > stationarity:
             stationarity = sums[i]
     return equations, stationarity
+
+
+def sizes_of_terms(grid, unknowns):
+    """The same of a grid, in parts of sizes where it has them."""
+    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
 
 
 def is_solved(grid, point, tolerance):
@@ -1238,7 +1310,7 @@ def is_solved(grid, point, tolerance):
     """
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
-    equations, stationarity = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    equations, stationarity = sizes_of_terms(grid, point.unknowns)
     return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
 
 
@@ -1252,7 +1324,7 @@ def is_small(value, size, tolerance):
 
 def is_rounding(grid, point):
     """Whether residual and stationarity are no larger than a thousand rounding errors."""
-    sizes = term_sizes(point.unknowns, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    sizes = sizes_of_terms(grid, point.unknowns)
     return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]
 
 
@@ -1312,6 +1384,12 @@ def accept(violation, cost, trial_violation, trial_cost, slope, length, small_vi
 # lower and -1 for an upper bound. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
 # gradient - s z = 0 and z d = mu. Eliminating the change of z = mu / d - z - (z / d) s dx from Newton's equations leaves
 # z / d on the diagonal and gradient - mu s / d on the right; see equations (11) and (13) of Waechter and Biegler (2006).
+# Distances are moved along with the unknowns instead of being computed anew, because close to a bound rounding would
+# leave nothing of a difference. Bounds are relaxed, so that equations may force unknowns onto them: by little, which goes
+# to rounding level with the weight of the barrier.
+
+RELAXED = 1e-8, 1e-12  # greatest and least relaxation of a bound, relative to its value where that exceeds one
+PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
 
 
 class Bounds(NamedTuple):
@@ -1330,6 +1408,14 @@ def finite_bounds(lower, upper):
     return Bounds(np.concatenate([below, above]), np.concatenate([lower[below], upper[above]]), side)
 
 
+def relaxation(bounds, mu):
+    """How much farther away bounds are taken to be while the barrier's weight is mu.
+
+    Where equations hold an unknown on its bound, its dual is mu / relaxation: it stays moderate for every mu.
+    """
+    return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu)) * np.maximum(1.0, np.abs(bounds.value))
+
+
 def push_inside(lower, upper, unknowns, push):
     """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
     width = push * (upper - lower)
@@ -1341,39 +1427,34 @@ def push_inside(lower, upper, unknowns, push):
 
 
 @njit(cache=True, error_model="numpy")
-def move(unknowns, step, length, place, value, side, trial, distance):
-    """Fill `trial` with unknowns + length * step and `distance`; return the sum of the logarithms of distances.
+def move(unknowns, step, length, place, side, distance, trial, moved):
+    """Fill `trial` with unknowns + length * step, and `moved` with its distances; return the sum of their logarithms.
 
-    Rounding must not put an unknown on its bound: it keeps at least one unit in the last place.
+    Rounding must not make a distance vanish.
     """
     for i in range(unknowns.size):
         trial[i] = unknowns[i] + length * step[i]
     logarithms = 0.0
     for j in range(place.size):
-        i = place[j]
-        d = side[j] * (trial[i] - value[j])
-        if not d > 0.0:
-            trial[i] = value[j] + side[j] * max(2.3e-16 * abs(value[j]), 1e-300)
-            d = side[j] * (trial[i] - value[j])
-        distance[j] = d
-        logarithms += np.log(d)
+        d = distance[j] + side[j] * (length * step[place[j]])
+        moved[j] = d if d > 1e-16 * distance[j] else 1e-16 * distance[j]
+        logarithms += np.log(moved[j])
     return logarithms
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, distance, duals):
-    """Max-norm of the stationarity, sum of complementarities z d beyond rounding, least and largest z d, and sizes.
+def measure_optimality(gradient, unknowns, is_multiplier, place, side, distance, duals):
+    """Max-norm of the stationarity, sum of complementarities z d, least and largest z d, and sizes.
 
     The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
-    excess, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
+    total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
     for j in range(place.size):
         stationary[place[j]] -= side[j] * duals[j]
         product = duals[j] * distance[j]
         lowest, highest = min(lowest, product), max(highest, product)
-        if product > 4e-16 * abs(unknowns[place[j]]) * duals[j]:
-            excess += product
+        total += product
         size += duals[j]
     stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
     for i in range(gradient.size):
@@ -1384,7 +1465,7 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, value, side, di
             stationarity = max(stationarity, abs(stationary[i]))
             largest = max(largest, abs(unknowns[i]))
     mean = (multipliers + size) / max(count + place.size, 1)
-    return stationarity, excess, lowest, highest, mean, size / max(place.size, 1), largest
+    return stationarity, total, lowest, highest, mean, size / max(place.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")
@@ -1434,9 +1515,9 @@ RESTORATION_STEPS = 200
 
 
 def restore(search, iterate, reduction, is_acceptable):
-    """("restored", unknowns) with primal unknowns that the filter accepts, or (what went wrong, the last unknowns).
+    """("restored", unknowns, distances) that the filter accepts, or (what went wrong, and the last ones).
 
-    When restored, their violation is at most `reduction` times the first.
+    When restored, the violation is at most `reduction` times the first.
     """
     grid, bounds, *_ = search
     unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
@@ -1447,16 +1528,16 @@ def restore(search, iterate, reduction, is_acceptable):
         pull = attraction(grid, point)
         error = restoration_error(grid, bounds, pull, distance, duals)
         if error <= 1e-8 * point.residual:
-            return "infeasible", point.unknowns
+            return "infeasible", point.unknowns, distance
         while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
             nu = max(1e-14, min(0.2 * nu, nu**1.5))
         taken = damped_step(search, point, pull, distance, logarithms, duals, nu, damping)
         if taken is None:
-            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), point.unknowns
+            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), point.unknowns, distance
         (point, distance, logarithms), duals, damping = taken
         if point.violation <= reduction * first and is_acceptable(point, logarithms):
-            return "restored", point.unknowns
-    return "stalled", point.unknowns
+            return "restored", point.unknowns, distance
+    return "stalled", point.unknowns, distance
 
 
 def attraction(grid, point):
@@ -1475,7 +1556,7 @@ def restoration_error(grid, bounds, pull, distance, duals):
 
 def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
     """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
-    grid, bounds, system, equations = search
+    grid, bounds, system, equations, _ = search
     size = point.unknowns.size
     diagonal, step, slopes = np.empty(size), np.empty(size), np.empty(size)
     dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
@@ -1490,7 +1571,7 @@ def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
             step[grid.is_multiplier] = 0.0
             _, length, dual_length = measure_step(point.unknowns, slopes, step, *barrier, 0.99, dual_step)
             unknowns, new_distance = np.empty(size), np.empty_like(distance)
-            new_logarithms = move(point.unknowns, step, length, *bounds, unknowns, new_distance)
+            new_logarithms = move(point.unknowns, step, length, *bounds[::2], distance, unknowns, new_distance)
             trial = evaluate(grid, unknowns)
             lowered = sum_of_squares(grid, trial) - nu * new_logarithms
             if trial.error < np.inf and lowered <= merit + 1e-4 * length * min(0.0, slopes @ step):
@@ -1506,34 +1587,29 @@ def sum_of_squares(grid, point):
     return 0.5 * (residual @ residual)
 
 
-# Primal-dual interior point method with a filter line search, for problems with bounds on unknowns.
+# Iterates of the interior point method: how they begin, are measured, and follow each other by Newton's steps.
 #
-# Bounds are replaced by a logarithmic barrier whose weight mu tends to zero; for each weight Newton's method solves the
-# optimality conditions, with the inertia of the KKT matrix corrected until the step is one of descent, and a filter
-# decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
-# line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
+# large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
-LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
-NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
-UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+SHORT = 0.25  # part of a step that is left when it counts as much too long
+SHORT_IN_TURN = 3  # so many of them make the next ones shorter beforehand
+LEAST_DAMPING = 1e-5
+FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
-class Attempt(NamedTuple):
-    """First weight of the barrier, how far inside their bounds unknowns begin, and whether nearer to feasibility.
+class Search(NamedTuple):
+    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers.
 
-    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`.
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound.
     """
 
-    weight: float
-    push: float
-    nearby: bool
-    shortest: float
-    funnel: float
-
-
-WARM, COLD = Attempt(1e-5, 1e-4, False, 1e-12, 1e4), Attempt(0.1, 1e-2, False, 1e-12, 1e4)
-OTHERS = Attempt(0.1, 1e-2, True, 1e-3, 2.0), Attempt(10.0, 1e-2, False, 1e-3, 2.0)
+    grid: NamedTuple
+    bounds: NamedTuple
+    system: tuple[NamedTuple, int]
+    equations: np.ndarray
+    box: tuple[np.ndarray, np.ndarray]
 
 
 class Iterate(NamedTuple):
@@ -1543,15 +1619,6 @@ class Iterate(NamedTuple):
     distance: np.ndarray
     logarithms: float
     duals: np.ndarray
-
-
-class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers."""
-
-    grid: NamedTuple
-    bounds: NamedTuple
-    system: tuple[NamedTuple, int]
-    equations: np.ndarray
 
 
 class Step(NamedTuple):
@@ -1566,111 +1633,32 @@ class Step(NamedTuple):
     shift: float
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
-    """Find a local minimum; return (status, point, iterations).
+class Watch(NamedTuple):
+    """Where full steps began: the iterate, its Newton step, and how many may still follow."""
 
-    A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
-    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds. Where that
-    fails, the search begins anew: at a point near the guess that violates the equations less, and then with a weight
-    that keeps unknowns away from their bounds for longer. If no attempt succeeds, the first one is reported.
-    `max_iterations` is for all of them together; steps of the restoration are not counted.
-    """
-    lower, upper = variable_bounds(grid)
-    search = Search(grid, finite_bounds(lower, upper), allocate_system(grid), multiplier_unknowns(grid))
-    primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
-    for attempt in (WARM if warm else COLD, *OTHERS):
-        # Far from a solution duals of one serve better than the central path.
-        inside = push_inside(lower, upper, primal, attempt.push)
-        iterate = with_multipliers(search, inside, attempt.weight if attempt is WARM else None)
-        status = "restored"
-        if attempt.nearby and iterate.point.error < np.inf:
-            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
-        if status == "restored":
-            status, point, iterations = descend(search, iterate, attempt, tolerance, max_iterations - total, log)
-            total += iterations
-            first = first or (status, point)
-        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
-            break
-    return *((status, point) if status == "solved" else first), total
+    iterate: NamedTuple
+    step: NamedTuple
+    left: int = FULL_STEPS
 
 
-def descend(search, iterate, attempt, tolerance, max_iterations, log):
-    """Lower the barrier's weight and follow the minima; return (status, point, iterations)."""
-    grid, mu = search.grid, attempt.weight
-    # The cost is off by the sum of all complementarities, which ends below the tolerance.
-    least = tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    first = max(1.0, iterate.point.violation)
-    small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
-    shift, last_shift, length = 0.0, 0.0, 0.0
-    for iteration in range(max_iterations + 1):
-        point, duals = iterate.point, iterate.duals
-        measured = measure_optimality(
-            point.gradient, point.unknowns, grid.is_multiplier, *search.bounds, iterate.distance, duals
-        )
-        error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
-        point = point._replace(stationarity=measured[0], error=error)  # duals of bounds take part in the stationarity
-        log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
-        if not point.error < np.inf:
-            return "non-finite", point, iteration
-        if measured[1] <= tolerance and is_solved(grid, point, tolerance):
-            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or shift > 0.0
-            minimum = not doubtful or is_minimum(search, iterate, tolerance)
-            return ("solved" if minimum else "saddle point"), point, iteration
-        if is_boundless(point, measured[6]):
-            return "unbounded", point, iteration
-        if iteration == max_iterations:
-            break
-        while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
-            # Newton's steps converge quadratically once the barrier is weak, and its weight may tend to zero as fast.
-            mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
-            filtered = filtered[:1]
-        step = regularised_step(search, iterate, mu, last_shift)
-        if step is None:
-            return "rank-deficient", point, iteration
-        shift, last_shift = step.shift, step.shift or last_shift
-        trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
-        if trial is None:
-            if is_rounding(grid, point):
-                # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
-                closed = measured[1] <= tolerance * search.bounds.place.size
-                return ("solved" if closed else "stalled"), point, iteration
-            filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
-            status, trial = restored(search, iterate, mu, 0.9, filtered)
-            if status != "restored":
-                return status, point, iteration
-        iterate = trial
-    return "iteration limit", point, max_iterations
+def begin(search, unknowns, attempt, central=False):
+    """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
+    bounds, mu = search.bounds, attempt.weight
+    unknowns = push_inside(*search.box, unknowns, attempt.push)
+    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(bounds, mu)
+    return with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3) if central else None)
 
 
-def is_minimum(search, iterate, tolerance):
-    """Whether a stationary point is a minimum to second order, with the barrier to stand for bounds.
-
-    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
-    """
-    grid, bounds, system, _ = search
-    shift = max(FLAT, 100.0 * tolerance)
-    point, (diagonal, unused) = iterate.point, np.empty((2, iterate.point.unknowns.size))
-    barrier = grid.is_multiplier, *bounds[::2], iterate.distance, iterate.duals, 0.0
-    add_barrier(point.gradient, *barrier, shift, FLAT, unused, diagonal)
-    return factor_kkt(grid, point.unknowns, 1.0, diagonal, system) == 0
-
-
-def with_multipliers(search, unknowns, mu):
-    """An iterate at primal unknowns inside their bounds, with multipliers by least squares.
-
-    Duals of the bounds lie on the central path of weight mu, or are one where that is None.
-    """
-    unknowns, distance = np.array(unknowns), np.empty(search.bounds.place.size)
-    logarithms = move(unknowns, unknowns, 0.0, *search.bounds, unknowns, distance)
-    duals = np.ones(distance.size) if mu is None else np.minimum(mu / distance, 1e3)
+def with_multipliers(search, unknowns, distance, duals=None):
+    """An iterate at primal unknowns and their distances, with multipliers by least squares, and duals, or ones."""
+    duals = np.ones(distance.size) if duals is None else duals
     unknowns = guess_multipliers(search, unknowns, duals)
-    return Iterate(evaluate(search.grid, unknowns), distance, logarithms, duals)
+    return Iterate(evaluate(search.grid, unknowns), distance, np.log(distance).sum(), duals)
 
 
 def guess_multipliers(search, unknowns, duals):
     """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
     gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
     np.subtract.at(gradient, bounds.place, bounds.side * duals)
@@ -1682,9 +1670,28 @@ def guess_multipliers(search, unknowns, duals):
     return unknowns + multipliers if np.abs(multipliers).max(initial=0.0) <= 1e3 else unknowns
 
 
-def is_boundless(point, largest):
-    """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
+def primal_part(grid, unknowns):
+    """Unknowns without their multipliers, which are zero."""
+    return np.where(grid.is_multiplier, 0.0, unknowns)
+
+
+def measured_iterate(search, iterate):
+    """The iterate with the duals of bounds taking part in its stationarity, and what measure_optimality says."""
+    point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
+    measured = measure_optimality(
+        point.gradient, point.unknowns, is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals
+    )
+    error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
+    return iterate._replace(point=point._replace(stationarity=measured[0], error=error)), measured
+
+
+def is_acceptable(grid, point, measured, tolerance):
+    """Whether a point is optimal to the tolerance, with complementarities one by one and scaled multipliers (5)."""
+    _, _, _, highest, mean, mean_dual, _ = measured
+    scaled = point.stationarity / (max(100.0, mean) / 100.0)
+    if highest / (max(100.0, mean_dual) / 100.0) > tolerance:
+        return False
+    return is_solved(grid, point._replace(stationarity=scaled, error=max(point.residual, scaled)), tolerance)
 
 
 def barrier_error(point, measured, mu):
@@ -1695,14 +1702,28 @@ def barrier_error(point, measured, mu):
     return max(stationarity / scale, point.residual, off_centre / dual_scale)
 
 
-def regularised_step(search, iterate, mu, last_shift):
+def tightened(search, iterate, before, mu):
+    """The iterate with its bounds relaxed as it belongs to a lower weight; what is then outside moves inside."""
+    bounds = search.bounds
+    relaxed = relaxation(bounds, mu)
+    distance = iterate.distance - (relaxation(bounds, before) - relaxed)
+    outside = np.flatnonzero(distance < 0.1 * relaxed)
+    if not outside.size:
+        return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
+    unknowns = iterate.point.unknowns.copy()
+    unknowns[bounds.place[outside]] += bounds.side[outside] * (0.1 * relaxed - distance)[outside]
+    distance[outside] = 0.1 * relaxed[outside]
+    return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
+
+
+def regularised_step(search, iterate, mu, last_shift, damping):
     """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
     dual = np.empty(bounds.place.size)
     barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
-    shift, dual_shift = 0.0, 0.0
+    shift, dual_shift = damping, 0.0
     while shift < 1e20:
         add_barrier(point.gradient, *barrier, shift, dual_shift, gradient, diagonal)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
@@ -1721,48 +1742,78 @@ def regularised_step(search, iterate, mu, last_shift):
     return None
 
 
+def damped(damping, step, length, shortened):
+    """The least shift of the Hessian for the next step: more where steps in turn had to be shortened much, else less.
+
+    A Hessian that is barely positive definite sends steps far beyond where it means something.
+    """
+    if length <= SHORT * step.longest and shortened >= SHORT_IN_TURN:
+        return 4.0 * max(step.shift, damping, LEAST_DAMPING)
+    if length < step.longest:
+        return damping
+    return damping / 2.0 if damping > LEAST_DAMPING else 0.0
+
+
 def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-    grid, bounds, *_ = search
-    violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
 
     def accepted(trial, length):
-        point, _, logarithms = trial
-        return point.error < np.inf and accept(
-            violation,
-            cost,
-            point.violation,
-            point.cost - mu * logarithms,
-            step.slope,
-            length,
-            small_violation,
-            filtered,
-        )
+        return is_better(trial, iterate, step, length, mu, small_violation, filtered)
 
     length = step.longest
     while length > shortest:
-        trial = moved(grid, bounds, iterate.point.unknowns, step.primal, length)
+        trial = moved(search, iterate, step.primal, length)
         if not accepted(trial, length):
-            worse = length == step.longest and trial[0].violation >= violation
+            worse = length == step.longest and trial[0].violation >= iterate.point.violation
             trial = corrected(search, iterate, step, mu, trial, accepted) if worse else None
         if trial is not None:
-            duals = np.empty_like(iterate.duals)
-            move_duals(iterate.duals, step.dual, step.dual_length, trial[1], mu, duals)
-            return Iterate(*trial, duals), length
+            return with_duals(trial, iterate, step, mu), length
         length *= 0.5
     return None, length
 
 
-def moved(grid, bounds, unknowns, step, length):
+def watched(search, iterate, step, mu, watch, small_violation, filtered):
+    """(next iterate, length, watch) after a full step that is taken untested, in the hope that one soon is better.
+
+    The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
+    better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
+    """
+    trial = moved(search, iterate, step.primal, step.longest)
+    if is_better(trial, watch.iterate, watch.step, watch.step.longest, mu, small_violation, filtered):
+        return with_duals(trial, iterate, step, mu), step.longest, None
+    if watch.left == 1 or not trial[0].error < np.inf:
+        return watch.iterate, 0.0, None
+    return with_duals(trial, iterate, step, mu), step.longest, watch._replace(left=watch.left - 1)
+
+
+def is_better(trial, iterate, step, length, mu, small_violation, filtered):
+    """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
+    point, _, logarithms = trial
+    violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
+    trial_cost = point.cost - mu * logarithms
+    return point.error < np.inf and accept(
+        violation, cost, point.violation, trial_cost, step.slope, length, small_violation, filtered
+    )
+
+
+def with_duals(trial, iterate, step, mu):
+    """The iterate at a trial point, with duals after the step's dual part."""
+    duals = np.empty_like(iterate.duals)
+    move_duals(iterate.duals, step.dual, step.dual_length, trial[1], mu, duals)
+    return Iterate(*trial, duals)
+
+
+def moved(search, iterate, step, length):
     """Point, distances and sum of their logarithms after a step of some length."""
-    trial, distance = np.empty_like(unknowns), np.empty(bounds.place.size)
-    logarithms = move(unknowns, step, length, *bounds, trial, distance)
-    return evaluate(grid, trial), distance, logarithms
+    unknowns, bounds = iterate.point.unknowns, search.bounds
+    trial, distance = np.empty_like(unknowns), np.empty_like(iterate.distance)
+    logarithms = move(unknowns, step, length, bounds.place, bounds.side, iterate.distance, trial, distance)
+    return evaluate(search.grid, trial), distance, logarithms
 
 
 def corrected(search, iterate, step, mu, trial, accepted):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
-    grid, bounds, system, _ = search
+    grid, bounds, system, *_ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
     barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
@@ -1773,7 +1824,7 @@ def corrected(search, iterate, step, mu, trial, accepted):
         if not np.isfinite(correction).all():
             return None
         _, length, _ = measure_step(iterate.point.unknowns, right, correction, *barrier, max(0.99, 1.0 - mu), unused)
-        trial = moved(grid, bounds, iterate.point.unknowns, correction, length)
+        trial = moved(search, iterate, correction, length)
         if accepted(trial, step.longest):
             return trial
         if not trial[0].violation < 0.99 * last:
@@ -1782,14 +1833,238 @@ def corrected(search, iterate, step, mu, trial, accepted):
     return None
 
 
+# Primal-dual interior point method with a filter line search, for problems with bounds on unknowns.
+#
+# Bounds are replaced by a logarithmic barrier whose weight mu tends to zero; for each weight Newton's method solves the
+# optimality conditions, with the inertia of the KKT matrix corrected until the step is one of descent, and a filter
+# decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
+# line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+
+LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
+NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
+UNLUCKY = ("infeasible", "stalled", "rank-deficient")
+SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+PATIENCE = 8  # iterations with the least weight of the barrier before a larger one has to do
+
+
+class Attempt(NamedTuple):
+    """First weight of the barrier, how far inside their bounds unknowns begin, and whether nearer to feasibility.
+
+    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`. The guess is bent
+    by a part of its size.
+    """
+
+    weight: float
+    push: float
+    nearby: bool
+    shortest: float
+    funnel: float
+    bend: float = 0.0
+
+
+WARM, COLD = Attempt(1e-5, 1e-4, False, 1e-12, 1e4), Attempt(0.1, 1e-2, False, 1e-12, 1e4)
+OTHERS = Attempt(0.1, 1e-2, True, 1e-3, 2.0), Attempt(10.0, 1e-2, False, 1e-3, 2.0)
+BENT = Attempt(0.1, 1e-2, False, 1e-12, 1e4, 0.1)  # where equations depend on each other at the guess alone
+
+
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
+    """Find a local minimum; return (status, point, iterations).
+
+    A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
+    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds. Where that
+    fails, the search begins anew: at a point near the guess that violates the equations less, and then with a weight
+    that keeps unknowns away from their bounds for longer, and from a bent guess. If no attempt succeeds, the first one
+    is reported. `max_iterations` is for all of them together; steps of the restoration are not counted.
+    """
+    lower, upper = bounds_of(grid)
+    bounds, box = finite_bounds(lower, upper), (lower, upper)
+    search = Search(grid, bounds, allocate_system(grid), multiplier_unknowns(grid), box)
+    primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
+    for attempt in (WARM if warm else COLD, *OTHERS, BENT):
+        # Far from a solution duals of one serve better than the central path.
+        iterate = begin(search, bent(grid, primal, attempt.bend), attempt, central=attempt is WARM)
+        status = "restored"
+        if attempt.nearby and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
+        point = iterate.point
+        if status == "restored":
+            status, point, iterations = leave_saddles(search, iterate, attempt, tolerance, max_iterations - total, log)
+            total += iterations
+            first = first or (status, point)
+        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+            break
+    status, point = (status, point) if status == "solved" else first
+    return status, within_bounds(search, point, tolerance), total
+
+
+def bent(grid, unknowns, part):
+    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
+    bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0)
+    if part > 0.0:
+        for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
+            sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
+            own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
+    return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
+
+
+def within_bounds(search, point, tolerance):
+    """The point with what lies beyond a bound, by its relaxation, on the bound, unless equations then fail to hold."""
+    grid, (lower, upper) = search.grid, search.box
+    unknowns = np.minimum(np.maximum(point.unknowns, lower), upper)
+    if not point.error < np.inf or (unknowns == point.unknowns).all():
+        return point
+    inside, stationarity = evaluate(grid, unknowns), point.stationarity  # with the duals of bounds
+    if not inside.residual <= max(tolerance, 2.0 * point.residual):
+        return point
+    return inside._replace(stationarity=stationarity, error=max(inside.residual, stationarity))
+
+
+def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
+    """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
+
+    Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
+    """
+    status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
+    failed, escapes = False, 0
+    while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        for beside in neighbours(search, saddle, attempt, escapes):
+            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
+            total += iterations
+            if ended in LEFT and is_below(other.point, saddle.point):
+                status, saddle = ended, other
+                break
+            failed = failed or ended not in LEFT
+        escapes += 1
+    if status == "saddle point" and escapes == ESCAPES and not failed:
+        status = "solved" if is_solved(search.grid, saddle.point, tolerance) else "stalled"
+    return status, saddle.point, total
+
+
+def neighbours(search, saddle, attempt, escapes):
+    """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
+    unknowns, bounds = saddle.point.unknowns, search.bounds
+    curvature = np.zeros(unknowns.size)
+    np.add.at(curvature, bounds.place, saddle.duals / saddle.distance)
+    for step in steps_aside(search.grid, unknowns, curvature, escapes):
+        yield begin(search, primal_part(search.grid, unknowns + step), attempt)
+
+
+def descend(search, iterate, attempt, tolerance, max_iterations, log):
+    """Lower the barrier's weight and follow the minima; return (status, iterate, iterations).
+
+    The cost is off by the sum of all complementarities, for which the weight ends so low that it is below the
+    tolerance. Where rounding does not allow that, the tolerance holds for each of them, as it does in (5), and the
+    optimality conditions are relative to the multipliers.
+    """
+    grid, mu = search.grid, attempt.weight
+    sound, least = tolerance / 10.0, tolerance / max(10.0, 2.0 * search.bounds.place.size)
+    first = max(1.0, iterate.point.violation)
+    small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
+    shift, last_shift, length, damping = 0.0, 0.0, 0.0, 0.0
+    at_least, fallback, shortened, watch = 0, None, 0, None
+    for iteration in range(max_iterations + 1):
+        iterate, measured = measured_iterate(search, iterate)
+        point = iterate.point
+        log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
+        sure = iteration > 0 and shift == 0.0
+        status = conclusion(search, iterate, measured, tolerance, at_least > PATIENCE, sure)
+        if not status and log.is_late():
+            status = "time limit"
+        if status or iteration == max_iterations:
+            return status or "iteration limit", iterate, iteration
+        before = mu
+        if at_least <= PATIENCE:
+            mu = lowered(point, measured, mu, least)
+        if mu < before:
+            filtered, fallback = filtered[:1], (iterate, before)
+            iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
+        at_least += mu == least
+        trial, step = None, regularised_step(search, iterate, mu, last_shift, damping)
+        if step is not None:
+            shift, last_shift = step.shift, step.shift or last_shift
+            watch = Watch(iterate, step) if shortened == SHORTENED else watch
+            if watch is not None:
+                iterate, length, watch = watched(search, iterate, step, mu, watch, small_violation, filtered)
+                shortened = 0
+                continue
+            trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
+            shortened = shortened + 1 if trial is None or length < step.longest else 0
+            damping = damped(damping, step, length, shortened) if trial is not None else 0.0
+        if fallback is not None and mu <= sound and (trial is None or at_least == PATIENCE):
+            if is_acceptable(grid, point, measured, tolerance):
+                return "solved", iterate, iteration
+            # So low a weight is beyond rounding: the tolerance for each complementarity is what can be had.
+            iterate, mu, before = tightened(search, *fallback, sound), sound, sound
+            fallback, at_least, filtered = None, PATIENCE + 1, filtered[:1]
+            continue
+        if step is None:
+            return "rank-deficient", iterate, iteration
+        if trial is None:
+            if shift > 0.0 and is_nearly_stationary(point) and not is_minimum(search, iterate, tolerance):
+                return "saddle point", iterate, iteration
+            if is_rounding(grid, point):
+                # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
+                closed = measured[1] <= tolerance * search.bounds.place.size
+                return ("solved" if closed else "stalled"), iterate, iteration
+            filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
+            status, trial = restored(search, iterate, mu, 0.9, filtered)
+            if status != "restored":
+                return status, trial if status == "infeasible" else iterate, iteration
+        iterate = trial
+    return "iteration limit", iterate, max_iterations
+
+
+def conclusion(search, iterate, measured, tolerance, acceptable_will_do, sure):
+    """The status with which the descent ends at an iterate, or an empty word where it goes on.
+
+    Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leave room for doubt.
+    """
+    grid, point = search.grid, iterate.point
+    if not point.error < np.inf:
+        return "non-finite"
+    closed = measured[1] <= tolerance and is_solved(grid, point, tolerance)
+    if closed or (acceptable_will_do and is_acceptable(grid, point, measured, tolerance)):
+        return "solved" if sure or is_minimum(search, iterate, tolerance) else "saddle point"
+    return "unbounded" if is_boundless(point, measured[6]) else ""
+
+
+def lowered(point, measured, mu, least):
+    """The weight for the next step: lower where the barrier problem is solved well enough.
+
+    Newton's steps converge quadratically once the barrier is weak, and its weight may tend to zero as fast.
+    """
+    while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
+        mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
+    return mu
+
+
+def is_minimum(search, iterate, tolerance):
+    """Whether a stationary point is a minimum to second order, with the barrier to stand for bounds.
+
+    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
+    """
+    grid, bounds, system, *_ = search
+    shift = max(FLAT, 100.0 * tolerance)
+    point, (diagonal, unused) = iterate.point, np.empty((2, iterate.point.unknowns.size))
+    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, 0.0
+    add_barrier(point.gradient, *barrier, shift, FLAT, unused, diagonal)
+    return factor_kkt(grid, point.unknowns, 1.0, diagonal, system) == 0
+
+
+def is_boundless(point, largest):
+    """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
+    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
+
+
 def restored(search, iterate, mu, reduction, filtered):
     """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
     def is_acceptable(point, logarithms):
         return acceptable(point.violation, point.cost - mu * logarithms, filtered)
 
-    status, unknowns = restore(search, iterate, reduction, is_acceptable)
-    return status, with_multipliers(search, np.where(search.grid.is_multiplier, 0.0, unknowns), mu)
+    status, unknowns, distance = restore(search, iterate, reduction, is_acceptable)
+    unknowns = primal_part(search.grid, unknowns)
+    return status, with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3))
 
 
 # Momenta of a discrete motion by the forced discrete Legendre transforms.
@@ -1822,6 +2097,8 @@ def interval_momenta(unknowns, steps, h, parameters, momenta):
 
 # What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
 
+NONE = np.zeros(0)  # sizes of unknowns that are not scaled
+
 
 def checked_grid(steps, duration, parameters):
     """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
@@ -1840,7 +2117,12 @@ def checked_grid(steps, duration, parameters):
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps = int(steps)
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy())
+    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+
+
+def plain_grid(grid):
+    """The same grid without sizes, in the problem's own units."""
+    return grid._replace(sizes=NONE, forces=NONE, weight=1.0, bounds=())
 
 
 def replace_values(boundary, where, values):
@@ -1996,32 +2278,49 @@ def interval_hessians(unknowns, steps, h, parameters, values):
 
 # Which unknowns lie on their bounds, and which prescribed values beyond them.
 
+LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
+
+
+def bounds_of(grid):
+    """Least and greatest values of all unknowns, in parts of sizes where the grid has them."""
+    return grid.bounds or variable_bounds(grid)
+
+
+def with_tied_values(grid, unknowns):
+    """A copy of the unknowns with prescribed values, and with what equals a shared unknown, as they must be."""
+    if grid.sizes.size:
+        return with_pinned_values(grid, unknowns * grid.sizes) / grid.sizes
+    return with_pinned_values(grid, unknowns)
+
 
 def at_limits(grid, unknowns):
     """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
-    lower, upper = variable_bounds(grid)
+    lower, upper = bounds_of(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
 
 
 def prescribed_beyond(grid, unknowns):
-    """Which prescribed end value violates the bound that holds at the next inner node, or nothing.
+    """Which prescribed value or path condition at an end violates what holds farther inside, or nothing.
 
     Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
     within the first interval.
     """
-    lower, upper = variable_bounds(grid)
-    pinned, chain = ~free_unknowns(grid), grid.steps * STRIDE + NODE
-    last = chain - NODE
-    for first in range(0, BODIES * chain if grid.steps > 1 else 0, chain):
-        for end, here, inner in (("start", first, first + STRIDE), ("end", first + last, first + last - STRIDE)):
-            for i, name in enumerate(metadata["node"]):
-                if not pinned[here + i]:
-                    continue
-                value, low, high = unknowns[here + i], lower[inner + i], upper[inner + i]
-                margin = 1e-9 * max(1.0, abs(value))
-                if not low - margin <= value <= high + margin:
-                    return f"{name} is prescribed as {value:g} at the {end}, beyond its bounds {low:g} to {high:g}"
+    bounds, values = variable_bounds(grid), views(grid, unknowns)
+    (low, least), (high, _) = (views(grid, bound) for bound in bounds)
+    for where, k, inner in (("start", 0, 1), ("end", -1, -2)) if grid.steps > 1 else ():
+        for i, name in enumerate(metadata["node"]):
+            value, without = values[0][:, k, i], np.isinf(low[:, k, i]) & np.isinf(high[:, k, i])
+            margin = 1e-9 * np.maximum(1.0, np.abs(value))
+            beyond = (value < low[:, inner, i] - margin) | (value > high[:, inner, i] + margin)
+            for body in np.flatnonzero(without & beyond)[:1]:
+                limits = f"{low[body, inner, i]:g} to {high[body, inner, i]:g}"
+                return f"{name} is prescribed as {value[body]:g} at the {where}, beyond its bounds {limits}"
+        for i, name in enumerate(metadata["interval"]):
+            released = least[:, k, i] < least[:, inner, i]  # a slack of what is prescribed
+            if (released & (values[1][:, k, i] < least[:, inner, i] - LEAST_SLACK)).any():
+                condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+                return f"what is prescribed at the {where} violates {condition}"
     return ""
 
 
@@ -2029,27 +2328,55 @@ def prescribed_beyond(grid, unknowns):
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
+NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
+ESCAPES = 3  # how often a saddle point is left
+LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
 
 
-def least_shift(grid, unknowns, system):
+def least_shift(grid, unknowns, system, curvature=0.0):
     """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
 
-    No more than ten times as much as is needed, and infinite where no shift helps.
+    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where no
+    shift helps.
     """
     shift = FLAT
     while shift < 1e20:
-        diagonal = np.where(grid.is_multiplier, -FLAT, shift)
+        diagonal = np.where(grid.is_multiplier, -FLAT, shift + curvature)
         if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
             return shift
         shift *= 10.0
     return np.inf
 
 
-def falling_direction(grid, unknowns):
-    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps."""
+def is_nearly_stationary(point):
+    """Whether a descent that cannot go on may have come to a saddle point, towards which shifted steps are slow."""
+    return max(point.residual, point.stationarity) <= NEARLY
+
+
+def is_below(point, saddle):
+    """Whether the cost is lower than at a saddle point, by more than rounding."""
+    return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
+
+
+def steps_aside(grid, unknowns, curvature, escapes):
+    """Steps along the falling direction to both sides; the more escapes there were, the longer.
+
+    The first are a tenth of the greatest unknown long, or of one where that is smaller.
+    """
+    direction = falling_direction(grid, unknowns, curvature)
+    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
+    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
+    return direction, -direction
+
+
+def falling_direction(grid, unknowns, curvature=0.0):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
+
+    `curvature` is what a barrier adds to the Hessian's diagonal.
+    """
     system = allocate_system(grid)
     direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_shift(grid, unknowns, system) == np.inf:
+    if least_shift(grid, unknowns, system, curvature) == np.inf:
         return np.zeros(unknowns.size)
     free = free_unknowns(grid) & ~grid.is_multiplier
     for _ in range(ITERATIONS):
@@ -2076,9 +2403,11 @@ def final_status(grid, guess, point, status):
     """
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
-    if not point.error < np.inf or (status == "rank-deficient" and not is_finite_matrix(grid, point.unknowns)):
+    if not point.error < np.inf or (
+        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+    ):
         return "non-finite"
-    if not least_duration(grid, point.unknowns) > 0.0:
+    if not least_duration(grid, own_values(grid, point.unknowns)) > 0.0:
         return "unbounded"
     if runaways(grid, guess, point, status == "solved").any():
         return "unbounded"
@@ -2087,6 +2416,11 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
+
+
+def own_values(grid, unknowns):
+    """Unknowns in the problem's own units."""
+    return unknowns * grid.sizes if grid.sizes.size else unknowns
 
 
 def is_finite_matrix(grid, unknowns):
@@ -2139,25 +2473,30 @@ def newton_step(grid, point):
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
+    "time limit": "raise time_limit, take fewer steps, or start from a better guess",
     "non-finite": "change the guess or the parameters, or keep away from there by bounds",
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
-    "unbounded": "the cost has no minimum under the constraints; check its sign, or add bounds",
+    "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
 }
+LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence."""
-    status = final_status(grid, guess, point, status)
+    status, error = final_status(grid, guess, point, status), point.error
+    if grid.sizes.size:
+        sizes, grid = grid.sizes, plain_grid(grid)
+        guess, point = guess * sizes, evaluate(grid, point.unknowns * sizes)
     beyond = prescribed_beyond(grid, point.unknowns)
     if beyond:
         return "infeasible", f"infeasible: {beyond}; change the value or the bound"
     if status == "solved":
-        return status, f"all equations hold to {point.error:.1e}"
+        return status, f"all equations hold to {error:.1e}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 
@@ -2173,6 +2512,9 @@ def finding(grid, guess, point, status):
         return f"the cost falls along {falling_unknown(grid, point)}"
     if status == "unbounded":
         return run_away(grid, guess, point)
+    if status == "time limit":
+        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
+        return f"{reached}; {worst_row(grid, point)}"
     return worst_row(grid, point)
 
 
@@ -2198,7 +2540,7 @@ def violated(grid, point):
     for place in columns[at_limits(grid, point.unknowns)[columns]]:
         name = local_name(grid, place)
         meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
-        names[meaning.removesuffix(" of an interval")] = None
+        names[shortened(meaning.removesuffix(" of an interval"))] = None
     if names:
         text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
@@ -2302,20 +2644,39 @@ def kernel_name(grid, place):
 
 
 def unknown_name(grid, unknowns, place):
-    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`."""
-    return f"{local_name(grid, place)}{whereabouts(grid, unknowns, place)}"
+    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, "")
+    where = whereabouts(grid, unknowns, place)
+    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
 def equation_name(grid, unknowns, place):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
     name = local_name(grid, place)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    where = whereabouts(grid, unknowns, place)
+    return placed(meaning, whereabouts(grid, unknowns, place))
+
+
+def placed(meaning, where):
+    """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
+    for tail in (" at the start", " at the end", " of an interval", ""):
+        if meaning.endswith(tail):
+            condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
+            if tail != " of an interval":
+                condition, at, inside = meaning.removesuffix(tail), "", ""
+            meaning = f"{shortened(condition)}{at}{inside}{tail}"
+            break
     if meaning.endswith(" of an interval"):
         return meaning.removesuffix("an interval") + where.removeprefix(" on ")
     if meaning.endswith((" at the start", " at the end")):
         return meaning + where.partition(")")[2]
     return meaning + where
+
+
+def shortened(text):
+    """The beginning of a long text."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
 def local_name(grid, place):
@@ -2342,15 +2703,332 @@ def of_body(body):
     return f" of body {body}" if BODIES > 1 else ""
 
 
+# How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
+#
+# Every kind of unknown (a coordinate at all nodes, a control on all intervals, ...) has one size, taken from its guess,
+# which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
+# matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
+# constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
+# duration. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
+# at most when one unknown changes by its size. A change of units then changes nothing but the sizes.
+
+CHANGE = 8.0  # of the scaled cost, at most, when one unknown changes by its size
+LOOSE = 1e-3  # a guess below this part of a bound says little about the size of an unknown
+DUST = 1e-6  # the same beside the other terms of every equation
+SAMPLES = 4  # intervals on which derivatives are looked at
+CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
+
+KINDS = STRIDE + SHARED
+# The kind of each unknown of an element, its time in lengths of an interval, and which kinds are multipliers.
+KIND = np.concatenate([np.arange(STRIDE), np.arange(NODE), STRIDE + np.arange(SHARED)])
+PLACE = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
+KIND_IS_MULTIPLIER = np.concatenate(
+    [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
+)
+# Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
+NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
+NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
+SCALE = metadata.get("scale", {})
+GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
+
+
+@njit(cache=True, error_model="numpy")
+def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
+    """Fill in the size of every unknown; return the weight of the cost, and how far from one weights and sizes are."""
+    size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
+    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
+    for i in range(kinds.size):
+        if not KIND_IS_MULTIPLIER[kinds[i]]:
+            primal[i] = unknowns[i]
+            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
+    lagrangian_gradient(primal, steps, h, parameters, slopes)
+    for i in range(kinds.size):
+        if KIND_IS_MULTIPLIER[kinds[i]]:
+            rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+    fit_bounds(lower, upper, kinds, size)
+    measure_intervals(primal, steps, h, parameters, tables)
+    forget_dust(size, tables[1])
+    for j in range(KINDS):
+        if GIVEN[j] > 0.0:
+            size[j] = GIVEN[j]
+    spread(size, rest, tables[1])
+    for j in range(KINDS):
+        if not KIND_IS_MULTIPLIER[j]:
+            size[j] = positive(size[j])
+    weight = CHANGE / positive(change_of_cost(slopes, kinds, size, tables[2]))
+    extreme = max(weight, 1.0 / weight)
+    for i in range(KINDS):
+        if KIND_IS_MULTIPLIER[i]:
+            largest = 0.0
+            for j in range(KINDS):
+                if not KIND_IS_MULTIPLIER[j]:
+                    largest = max(largest, tables[0, i, j] * size[j])
+            largest = positive(largest)
+            extreme = max(extreme, largest, 1.0 / largest)
+            size[i] = 1.0 / (largest * weight)
+        else:
+            extreme = max(extreme, size[i], 1.0 / size[i])
+    for i in range(kinds.size):
+        sizes[i] = size[kinds[i]]
+    return weight, extreme
+
+
+@njit(error_model="numpy")
+def positive(value):
+    """A size, or one where there is none."""
+    return value if 1e-150 < value < 1e150 else 1.0
+
+
+@njit(error_model="numpy")
+def fit_bounds(lower, upper, kinds, size):
+    """Make sizes fit the largest finite bound, where there is one on either side: no less than a small part of it."""
+    bound, between = zero_vector(KINDS), zero_vector(KINDS)
+    for i in range(lower.size):
+        below, above = abs(lower[i]), abs(upper[i])
+        if max(below, above) < np.inf:
+            between[kinds[i]] = max(between[kinds[i]], below, above)
+        elif min(below, above) < np.inf:
+            bound[kinds[i]] = max(bound[kinds[i]], min(below, above))
+    for j in range(KINDS):
+        if between[j] > 0.0 and size[j] > 0.0:
+            size[j] = min(max(size[j], LOOSE * between[j]), between[j])
+        elif size[j] == 0.0:
+            size[j] = max(between[j], bound[j])
+
+
+@njit(error_model="numpy")
+def add_entry(row, column, value, tables):
+    """Note the modulus of a derivative: of an equation by an unknown, or a curvature of the cost."""
+    if KIND_IS_MULTIPLIER[row] and KIND_IS_MULTIPLIER[column]:
+        return
+    if KIND_IS_MULTIPLIER[column]:
+        row, column = column, row
+    if KIND_IS_MULTIPLIER[row]:
+        tables[0, row, column] = max(tables[0, row, column], value)
+        tables[1, row, column] = max(tables[1, row, column], value)
+    else:
+        tables[2, row, column] = max(tables[2, row, column], value)
+
+
+@njit(error_model="numpy")
+def measure_intervals(unknowns, steps, h, parameters, tables):
+    """Fill three tables by kinds from some intervals.
+
+    The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
+    quadratic in time, of size one, the third the largest curvatures of the cost.
+    """
+    intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT + SHARED, KINDS, 4))
+    stride = max(1, intervals // SAMPLES)
+    for body in range(BODIES):
+        read_shared(unknowns, body, parameters)
+        note_ends(unknowns, body, steps, h, parameters, tables)
+        for k in range(steps):
+            if k % intervals % stride > 0:
+                continue
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            moments[:] = 0.0
+            for j in range(HESSIAN_ROWS.size):
+                row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
+                if LOCAL_IS_MULTIPLIER[column]:
+                    row, column = column, row
+                if not LOCAL_IS_MULTIPLIER[row]:
+                    add_entry(KIND[row], KIND[column], abs(hessian[j]), tables)
+                elif not LOCAL_IS_MULTIPLIER[column]:
+                    ahead = PLACE[column] - PLACE[row]
+                    moments[row, KIND[column], 0] += hessian[j]
+                    moments[row, KIND[column], 1] += hessian[j] * ahead
+                    moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
+                    moments[row, KIND[column], 3] += abs(hessian[j])
+            fold(moments, intervals, tables)
+
+
+@njit(error_model="numpy")
+def fold(moments, intervals, tables):
+    """Put the moments of one interval's equations into the tables.
+
+    An equation of a node is a sum of two intervals' shares, each as large as what is equated: as a momentum, say.
+    """
+    total = zero_vector(4)
+    for row in range(moments.shape[0]):
+        if not LOCAL_IS_MULTIPLIER[row] or STRIDE <= row < ELEMENT:
+            continue
+        for column in range(KINDS):
+            largest = moments[row, column, 3]
+            for i in range(4):
+                total[i] = moments[row, column, i]
+            if row < NODE:
+                for i in range(4):
+                    total[i] += moments[STRIDE + row, column, i]
+                largest = max(
+                    change(moments[row, column], intervals, 1), change(moments[STRIDE + row, column], intervals, 1)
+                )
+            tables[0, KIND[row], column] = max(tables[0, KIND[row], column], largest)
+            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, 2))
+
+
+@njit(error_model="numpy")
+def change(moments, intervals, powers):
+    """What an equation with these moments makes of motions of size one."""
+    largest = abs(moments[0]) if abs(moments[0]) > CANCELLED * moments[3] else 0.0
+    largest = max(largest, abs(moments[1]) / intervals)
+    return max(largest, abs(moments[2]) / intervals**2) if powers == 2 else largest
+
+
+@njit(error_model="numpy")
+def forget_dust(size, effect):
+    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
+    for j in range(KINDS):
+        least = np.inf
+        for i in range(KINDS):
+            others = 0.0
+            for k in range(KINDS):
+                if k != j:
+                    others = max(others, effect[i, k] * size[k])
+            if effect[i, j] > 0.0:
+                least = min(least, others / effect[i, j])
+        if least < np.inf and size[j] < DUST * least:
+            size[j] = 0.0
+
+
+@njit(error_model="numpy")
+def spread(size, rest, effect):
+    """Give unknowns without a size the least one with which they balance an equation, until nothing is new."""
+    for _ in range(KINDS):
+        found = zero_vector(KINDS)
+        for i in range(KINDS):
+            known = rest[i]
+            for j in range(KINDS):
+                known = max(known, effect[i, j] * size[j])
+            for j in range(KINDS):
+                if size[j] == 0.0 and effect[i, j] > 0.0 and known > 0.0:
+                    balancing = known / effect[i, j]
+                    found[j] = balancing if found[j] == 0.0 else min(found[j], balancing)
+        if not found.max() > 0.0:
+            return
+        for j in range(KINDS):
+            if size[j] == 0.0:
+                size[j] = found[j]
+
+
+@njit(error_model="numpy")
+def change_of_cost(slopes, kinds, size, curvature):
+    """By how much the cost changes, at most, when one unknown changes by its size."""
+    largest = 0.0
+    for i in range(kinds.size):
+        if not KIND_IS_MULTIPLIER[kinds[i]]:
+            largest = max(largest, abs(slopes[i]) * size[kinds[i]])
+    for i in range(KINDS):
+        for j in range(KINDS):
+            largest = max(largest, curvature[i, j] * size[i] * size[j])
+    return largest
+
+
+# Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
+#
+# What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
+# all sizes are between 1/ORDINARY and ORDINARY, none is used.
+
+ORDINARY = 1e3  # sizes between its inverse and it need no scaling
+COARSE = 1e3  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
+
+
+def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
+    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations)."""
+    if scaling not in ("auto", "none"):
+        raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
+    if scaling == "auto":
+        grid = scaled_grid(grid, unknowns)
+    start, log.weight = unknowns / grid.sizes if grid.sizes.size else unknowns, grid.weight
+    status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
+    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite"):
+        # Sizes come from the guess, and may be far from those of the solution.
+        grid, start, log.weight = plain_grid(grid), unknowns, 1.0
+        status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
+        iterations += further
+    if grid.sizes.size and status == "solved":
+        grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
+        iterations += further
+    status, message = describe(grid, start, point, status)
+    cost = corrected_cost(grid, point) if status == "solved" else point.cost / grid.weight
+    return status, message, in_units(grid, point)._replace(cost=cost), iterations
+
+
+def refined(grid, start, point, tolerance, max_iterations, log):
+    """(grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
+
+    Where equations or the cost were far steeper at the guess, the tolerance means little, and the search goes on.
+    """
+    total = 0
+    while total < max_iterations:
+        unknowns = point.unknowns * grid.sizes
+        finer = scaled_grid(plain_grid(grid), unknowns)
+        if not finer.sizes.size or not (finer.forces > COARSE * grid.forces).any():
+            break
+        begin, log.weight = unknowns / finer.sizes, finer.weight
+        status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
+        total += iterations
+        if status != "solved":
+            break
+        grid, start, point = finer, begin, better
+    return grid, start, point, total
+
+
+def scaled_grid(grid, unknowns):
+    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
+    sizes, bounds = np.empty(unknowns.size), (NONE, NONE)
+    bounds = variable_bounds(grid)
+    weight, extreme = fill_sizes(unknowns, *bounds, kinds_of(grid.steps), grid.steps, grid.h, grid.parameters, sizes)
+    if not extreme > ORDINARY:
+        return grid._replace(bounds=bounds)
+    bounds = bounds[0] / sizes, bounds[1] / sizes
+    return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
+
+
+def corrected_cost(grid, point):
+    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
+    return float(lagrangian(grid, point) - remaining_gap(grid, point)) / grid.weight
+
+
+def remaining_gap(grid, point):
+    """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
+    total = 0.0
+    for side, bound in zip((1.0, -1.0), bounds_of(grid), strict=True):
+        place = np.flatnonzero(np.isfinite(bound))
+        dual, distance = side * point.gradient[place], side * (point.unknowns[place] - bound[place])
+        active = np.maximum(dual, 0.0) / (np.abs(dual) + np.abs(distance) + 1e-300)
+        total += (dual * distance) @ active
+    return total
+
+
+@lru_cache(maxsize=4)
+def kinds_of(steps):
+    """The kind of every unknown: its place in a node with the interval after it, then the shared ones."""
+    chain = np.tile(np.arange(steps * STRIDE + NODE) % STRIDE, BODIES)
+    own, common = np.tile(np.arange(OWN), BODIES), np.arange(OWN, SHARED)
+    return np.concatenate([chain, STRIDE + own, STRIDE + common])
+
+
+def in_units(grid, point):
+    """A point in the problem's own units; its stationarity is the change of the cost with parts of sizes."""
+    if not grid.sizes.size:
+        return point
+    stationarity = point.stationarity / grid.weight
+    sizes, grid = grid.sizes, plain_grid(grid)
+    point = evaluate(grid, with_pinned_values(grid, point.unknowns * sizes))
+    return point._replace(stationarity=stationarity, error=max(point.residual, stationarity))
+
+
 # ---- What is called from outside ----
 
 
 class Solution(NamedTuple):
     """What `solve` returns; arrays run over the N + 1 nodes, or over the N intervals where it is said.
 
-    `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
-    evaluated at the solution; `u` holds controls (on intervals), `unknowns` is the vector that `guess` takes.
-    Columns of several bodies stand side by side.
+    Where the status is "solved", `cost` is corrected by what residuals are worth. `residual` is the max-norm of all
+    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution; `u` holds
+    controls (on intervals), `unknowns` is the vector that `guess` takes. Columns of several bodies stand side by
+    side.
     """
 
     status: str
@@ -2378,16 +3056,21 @@ def solve(
     end=None,
     guess=None,
     tolerance=1e-10,
-    max_iterations=100,
+    max_iterations=3000,
+    time_limit=math.inf,
     warm=False,
+    scaling="auto",
     log=False,
+    watch=None,
 ):
     """Find a local minimum on `steps` intervals and return a Solution.
 
     `start` and `end` may replace prescribed boundary values by name, as in start={"alpha": 0.5}.
-    `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. Never raises when
-    the numerics fail: then `status` is not "solved", and `message` says what happened and what to try. Raises
-    ValueError when an argument is unusable.
+    `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. The search ends
+    after `max_iterations`, or at the first iterate after `time_limit` seconds; `watch`, if given, is called with the
+    number and the row of the log of every iterate. `scaling` is "auto", or "none" for a solver that works in the
+    problem's own units. Never raises when the numerics fail: then `status` is not "solved", and `message` says what
+    happened and what to try. Raises ValueError when an argument is unusable.
     """
     grid = make_grid(
         steps,
@@ -2398,11 +3081,12 @@ def solve(
         end=end,
     )
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
-    rows = []
-    status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, rows)
-    status, message = describe(grid, unknowns, point, status)
+    iterates = Log(time_limit, watch)
+    status, message, point, iterations = optimise(
+        grid, unknowns, tolerance, max_iterations, warm, scaling, iterates
+    )
     if log:
-        print_log(rows)
+        print_log(iterates.rows)
     return Solution(
         status,
         message,
@@ -2412,7 +3096,7 @@ def solve(
         iterations,
         *unpack(grid, point.unknowns),
         point.unknowns,
-        np.array(rows),
+        np.array(iterates.rows),
     )
 
 
@@ -2521,12 +3205,70 @@ def unpack(grid, unknowns):
     return t, side_by_side(nodes[:, :, :2]), side_by_side(p), side_by_side(intervals[:, :, 0:2]), side_by_side(nodes[:, :, 2:4])
 
 
-# ---- Where numba looks for machine code ----
+# ---- Machine code on the disk ----
+# Machine code that numba keeps on the disk, looked through before numba reads it.
+#
+# numba trusts what it reads: a file that was cut off ends in an error of pickle, one that was altered in anything, and
+# an index that was written just before its process was killed may name the machine code of an older text. Such files
+# are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
+# nothing reads on; of other files it is only seen whether they can be read to their end.
+
+SEAL = b"\nsha256 of all before: "
+PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
+
+
+def remove_unfit_code(functions, identity):
+    """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
+    damaged = []
+    for file in kept_code(functions):
+        try:
+            data = file.read_bytes()
+        except FileNotFoundError:  # another process was quicker
+            continue
+        if not is_whole(data, PICKLES[file.suffix]):
+            damaged.append(file)
+        elif file.suffix == ".nbi" or identity.encode() in data:
+            continue
+        file.unlink(missing_ok=True)
+    if damaged:
+        count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
+        print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
+    return len(damaged)
+
+
+def kept_code(functions):
+    """The files in which numba keeps compiled functions of the modules that some functions belong to."""
+    statistics = [(getattr(function, "stats", None), function) for function in functions]
+    places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
+    return [
+        file
+        for folder, source in sorted(places)
+        for file in sorted(Path(folder).glob("*.nb[ic]"))
+        if file.name.startswith(f"{Path(source).stem}.")
+    ]
+
+
+def is_whole(data, pickles):
+    """Whether the bytes of a file fit their digest, or, if they have none, can be read to their end."""
+    body, seal, digest = data.rpartition(SEAL)
+    if seal:
+        return hashlib.sha256(body).digest() == digest
+    stream = io.BytesIO(data)
+    try:
+        for _ in range(pickles):
+            for _ in pickletools.genops(stream):
+                pass
+    except ValueError:
+        return False
+    return True
+
 
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_two_link_arm_3d32fd9782ccf968"
+_IDENTITY = "codegen_two_link_arm_c005c32da0d2177a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
-for _function in [value for value in globals().values() if hasattr(value, "py_func")]:
+_COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
+for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
+DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)

@@ -116,7 +116,7 @@ def _decimal(number: sympy.Number) -> str:
         value = number.p / number.q if number.is_Rational else float(number)
     except OverflowError:
         value = math.inf
-    if math.isinf(value) or (value == 0.0 and number != 0):
+    if math.isinf(value) or (value == 0.0 and not number.is_zero):
         raise ExpressionError(
             f"the derived equations hold the number {sympy.N(number, 8)}, which double precision cannot hold",
             "choose units in which constants are of ordinary size",
