@@ -1,7 +1,7 @@
 """The second opinion: where values in machine numbers differ, both are computed with many digits.
 
 Kernels are executed with numbers that carry the size of the terms that they are made of, so that rounding of the
-coefficients in the text, which is all that may differ, is told from an error. References are differences with 120
+coefficients in the text, which is all that may differ, is told from an error. References are differences with 400
 digits of the expressions themselves.
 """
 
@@ -16,7 +16,7 @@ from sympy import Symbol
 from codegen.special_functions import by_name
 from codegen.verify.tape import Arithmetic
 
-DIGITS = 120
+DIGITS = 400
 _INCREMENTS = ("1e-35", "1e-40")
 Exact = Callable[[Mapping[Symbol, Any]], Any]
 """A value of numbers with many digits."""
@@ -121,7 +121,9 @@ def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]
     """A value, or its first or second derivative by one or two symbols, at a point, and the error of it."""
     exact = {symbol: mpmath.mpf(float(number)) for symbol, number in point.items()}
     far, near = (_difference(value, exact, by, mpmath.mpf(increment)) for increment in _INCREMENTS)
-    return near, abs(far - near)
+    # A derivative may be lost beside terms that are far larger.
+    smallest = mpmath.mpf(_INCREMENTS[1]) ** len(by)
+    return near, abs(far - near) + abs(value(exact)) * mpmath.mpf(10) ** (5 - DIGITS) / smallest
 
 
 def _difference(value: Exact, point: Mapping[Symbol, Any], by: Sequence[Symbol], increment: Any) -> Any:

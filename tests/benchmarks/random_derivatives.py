@@ -3,7 +3,7 @@
     python tests/benchmarks/random_derivatives.py [COUNT] [FIRST]
 
 Every module is verified as each build is, against complex steps of the program's own expressions and, where machine
-numbers do not decide, against differences with 120 digits. Nothing is compiled. What takes longer than 20 s is counted
+numbers do not decide, against differences with 400 digits. Nothing is compiled. What takes longer than 20 s is counted
 as late.
 """
 
