@@ -39,10 +39,10 @@ class ChainJacobian:
         self.matrix, self.residuals = np.zeros((self.size, self.size)), np.zeros(self.size)
         self._add_all(program, values, self._point(program, values, generator))
 
-    def reduced(self, program: ControlProgram) -> tuple[Array, Array]:
-        """Jacobian and residuals of the equations of a program with these elements, in its free unknowns.
+    def reduced(self, program: ControlProgram) -> tuple[Array, Array, Array]:
+        """Jacobian, residuals and sizes of the equations of a program with these elements, in its free unknowns.
 
-        Rows and columns are scaled to the same size.
+        Rows and columns of the Jacobian are scaled to the same size; residuals are not.
         """
         free, matrix = np.ones(self.size, bool), self.matrix.copy()
         for end, k in ((program.start, 0), (program.end, self.steps)):
@@ -57,10 +57,10 @@ class ChainJacobian:
         matrix, residuals = matrix[np.ix_(rows, columns)], self.residuals[rows]
         scale = np.abs(matrix).max(axis=1, initial=0.0)
         scale[scale == 0.0] = 1.0
-        matrix, residuals = matrix / scale[:, None], residuals / scale
+        matrix = matrix / scale[:, None]
         width = np.abs(matrix).max(axis=0, initial=0.0)
         width[width == 0.0] = 1.0
-        return matrix / width, residuals
+        return matrix / width, residuals, scale
 
     def _values(self, program: ControlProgram) -> dict[Symbol, float]:
         """Numbers of parameters, free parameters, boundary values and the step."""

@@ -42,8 +42,7 @@ def without_dependent_values(program: ControlProgram) -> ControlProgram:
     for candidate in _candidates(program) if any(lacking) else ():
         changed = candidate.left_out(program)
         fewer = _lacking(chains, changed)
-        if sum(fewer) < sum(lacking):
-            _require_agreement(chains, program, candidate)
+        if sum(fewer) < sum(lacking) and _agrees(chains, program, candidate):
             program, lacking = changed, fewer
         if not any(lacking):
             break
@@ -108,24 +107,40 @@ def _bound(program: ControlProgram) -> set[str]:
 
 def _lacking(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram) -> list[int]:
     """How much rank is missing on each number of intervals."""
-    return [min(_nulls(*chain.reduced(program)).shape[1] for chain in points) for points in chains]
+    return [min(_nulls(chain.reduced(program)[0]).shape[1] for chain in points) for points in chains]
 
 
-def _nulls(matrix: NDArray[np.float64], _: NDArray[np.float64]) -> NDArray[np.float64]:
+def _nulls(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """The left null vectors of a matrix whose rows are of like size, as columns."""
     left, singular, _ = np.linalg.svd(matrix, full_matrices=True)
     return left[:, int(np.sum(singular > _SINGULAR * singular.max(initial=1e-300))) :]
 
 
-def _require_agreement(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram, left: _Candidate) -> None:
-    """Refuse a value that is not what the other equations say: combinations that do not change have to vanish."""
+def _agrees(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram, left: _Candidate) -> bool:
+    """Whether a value is what the other equations say, wherever the unknowns are; False where that is not known.
+
+    A combination of equations that does not change with the unknowns has to vanish: BoundaryError where it is another
+    number. Where it depends on the point, the equations may have a common solution all the same.
+    """
     for points in chains:
-        reduced = [chain.reduced(program) for chain in points]
-        matrix, residuals = min(reduced, key=lambda pair: _nulls(*pair).shape[1])
-        off = np.abs(_nulls(matrix, residuals).T @ residuals).max(initial=0.0)
-        if off > _AGREES * np.abs(residuals).max(initial=1.0):
-            others = " and ".join(g.name for g in nodal_conditions(program.model, equality=True))
-            raise BoundaryError(
-                f"{left.name} at the {left.where} contradicts {others} and the other values at the ends",
-                "correct it, or leave it out",
-            )
+        combined = [_combined(chain, program) for chain in points]
+        if any(value.shape != combined[0].shape for value in combined):
+            return False
+        size = max(float(np.abs(chain.residuals).max(initial=1.0)) for chain in points)
+        if all(np.abs(value).max(initial=0.0) <= _AGREES * size for value in combined):
+            continue
+        if any(np.abs(value - combined[0]).max() > _AGREES * size for value in combined):
+            return False
+        others = " and ".join(g.name for g in nodal_conditions(program.model, equality=True))
+        raise BoundaryError(
+            f"{left.name} at the {left.where} contradicts {others} and the other values at the ends",
+            "correct it, or leave it out",
+        )
+    return True
+
+
+def _combined(chain: ChainJacobian, program: ControlProgram) -> NDArray[np.float64]:
+    """The residuals' part in the space of combinations that do not change to first order."""
+    matrix, residuals, sizes = chain.reduced(program)
+    basis = np.linalg.qr(_nulls(matrix) / sizes[:, None])[0]
+    return basis @ (basis.T @ residuals)
