@@ -70,8 +70,11 @@ class Notation:
         return cls({v: q for v, q in named if v == f"d{q}"}, latex)
 
     def translated(self, expression: Expr) -> Expr:
-        """The expression in symbols whose names are what is to be printed."""
-        return expression.xreplace({s: Symbol(self.name(s), real=True) for s in expression.free_symbols})
+        """The expression in symbols whose names are what is to be printed; a prime tells two of one name apart."""
+        names = {symbol: self.name(symbol) for symbol in expression.free_symbols}
+        made = {name for symbol, name in names.items() if mangling.MARK not in symbol.name}
+        primed = {s for s, name in names.items() if mangling.MARK in s.name and name in made}
+        return expression.xreplace({s: Symbol(n + "'" * (s in primed), real=True) for s, n in names.items()})
 
     def name(self, symbol: Symbol) -> str:
         """How one symbol is written."""

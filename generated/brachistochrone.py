@@ -2086,13 +2086,6 @@ def bounds_of(grid):
     return grid.bounds or variable_bounds(grid)
 
 
-def with_tied_values(grid, unknowns):
-    """A copy of the unknowns with prescribed values, and with what equals a shared unknown, as they must be."""
-    if grid.sizes.size:
-        return with_pinned_values(grid, unknowns * grid.sizes) / grid.sizes
-    return with_pinned_values(grid, unknowns)
-
-
 def at_limits(grid, unknowns):
     """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
     lower, upper = bounds_of(grid)
@@ -2128,9 +2121,6 @@ def prescribed_beyond(grid, unknowns):
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
-NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
-ESCAPES = 3  # how often a saddle point is left
-LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
 
 
 def least_shift(grid, unknowns, system, curvature=0.0):
@@ -2146,6 +2136,30 @@ def least_shift(grid, unknowns, system, curvature=0.0):
             return shift
         shift *= 10.0
     return np.inf
+
+
+def falling_direction(grid, unknowns, curvature=0.0):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
+
+    `curvature` is what a barrier adds to the Hessian's diagonal.
+    """
+    system = allocate_system(grid)
+    direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
+    if least_shift(grid, unknowns, system, curvature) == np.inf:
+        return np.zeros(unknowns.size)
+    free = free_unknowns(grid) & ~grid.is_multiplier
+    for _ in range(ITERATIONS):
+        right = np.where(free, direction / np.abs(direction[free]).max(initial=1e-300), 0.0)
+        direction = np.empty(unknowns.size)
+        solve_kkt(grid, system, right, direction)
+    return np.where(free, direction, 0.0)
+
+
+# Saddle points of the cost on the set where the equations hold: which points may be one, and steps beside it.
+
+NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
+ESCAPES = 3  # how often a saddle point is left
+LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
 
 
 def is_nearly_stationary(point):
@@ -2167,23 +2181,6 @@ def steps_aside(grid, unknowns, curvature, escapes):
     size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
     direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
     return direction, -direction
-
-
-def falling_direction(grid, unknowns, curvature=0.0):
-    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
-
-    `curvature` is what a barrier adds to the Hessian's diagonal.
-    """
-    system = allocate_system(grid)
-    direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_shift(grid, unknowns, system, curvature) == np.inf:
-        return np.zeros(unknowns.size)
-    free = free_unknowns(grid) & ~grid.is_multiplier
-    for _ in range(ITERATIONS):
-        right = np.where(free, direction / np.abs(direction[free]).max(initial=1e-300), 0.0)
-        direction = np.empty(unknowns.size)
-        solve_kkt(grid, system, right, direction)
-    return np.where(free, direction, 0.0)
 
 
 # The word for how a solution ended, corrected by what can be seen only afterwards.
@@ -3069,7 +3066,7 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_brachistochrone_4044ee7bf37ae400"
+_IDENTITY = "codegen_brachistochrone_6c73514371e0bd15"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

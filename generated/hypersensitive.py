@@ -1319,9 +1319,6 @@ def interval_hessians(unknowns, steps, h, parameters, values):
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
-NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
-ESCAPES = 3  # how often a saddle point is left
-LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
 
 
 def least_shift(grid, unknowns, system, curvature=0.0):
@@ -1337,27 +1334,6 @@ def least_shift(grid, unknowns, system, curvature=0.0):
             return shift
         shift *= 10.0
     return np.inf
-
-
-def is_nearly_stationary(point):
-    """Whether a descent that cannot go on may have come to a saddle point, towards which shifted steps are slow."""
-    return max(point.residual, point.stationarity) <= NEARLY
-
-
-def is_below(point, saddle):
-    """Whether the cost is lower than at a saddle point, by more than rounding."""
-    return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
-
-
-def steps_aside(grid, unknowns, curvature, escapes):
-    """Steps along the falling direction to both sides; the more escapes there were, the longer.
-
-    The first are a tenth of the greatest unknown long, or of one where that is smaller.
-    """
-    direction = falling_direction(grid, unknowns, curvature)
-    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
-    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
-    return direction, -direction
 
 
 def falling_direction(grid, unknowns, curvature=0.0):
@@ -1911,7 +1887,7 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_aa9b5771867ca397"
+_IDENTITY = "codegen_hypersensitive_40f45aaae2edec5d"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -135,7 +135,7 @@ _PATHS = [
     Malformed("path-complex", optimal(path="[I*q <= 2]"), ExpressionError, "path[0] is complex"),
     Malformed("path-nowhere-real", optimal(path="[f + log(-1 - f**2)]"), ExpressionError, "no finite real"),
     Malformed("path-undeclared", optimal(path="[q <= Symbol('L')]"), SymbolError, "L in path q <= L"),
-    Malformed("path-gamma", optimal(path="[gamma(q) <= 1]"), ExpressionError, "uses gamma"),
+    Malformed("path-zeta", optimal(path="[zeta(q) <= 1]"), ExpressionError, "uses zeta"),
     Malformed("path-matrix", optimal(path="[Matrix([q])]"), ExpressionError, "path[0] is a"),
     Malformed("path-dependent", optimal(path="[f - q, 2*f - 2*q]"), DegenerateError, "depend on each other"),
     Malformed("path-at-start", optimal(path="[q >= 1]"), BoundaryError, "start violates q >= 1 by 1"),

@@ -50,4 +50,4 @@ def _stops(request: Request) -> dict[str, Any]:
     """The arguments of a module's `solve` whose own defaults are not to hold."""
     given: dict[str, Any] = {"max_iterations": request.max_iterations, "time_limit": request.time_limit}
     given |= {"watch": request.watch, "scaling": request.scaling}
-    return {name: value for name, value in given.items() if value is not None and value != math.inf}
+    return {name: value for name, value in given.items() if value not in (None, math.inf, "auto")}

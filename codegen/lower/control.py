@@ -246,6 +246,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "callbacks",
         *(("limits",) if program.has_inequalities else ()),
         "curvature",
+        *(() if derivatives.linear_quadratic else ("saddles",)),
         "verdict",
         "messages",
         *(("unscaled",) if derivatives.linear_quadratic else ("sizes", "scales")),

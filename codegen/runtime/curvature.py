@@ -8,9 +8,6 @@ from codegen.runtime.layout import free_unknowns
 
 FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
-NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
-ESCAPES = 3  # how often a saddle point is left
-LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
 
 
 def least_shift(grid, unknowns, system, curvature=0.0):
@@ -26,27 +23,6 @@ def least_shift(grid, unknowns, system, curvature=0.0):
             return shift
         shift *= 10.0
     return np.inf
-
-
-def is_nearly_stationary(point):
-    """Whether a descent that cannot go on may have come to a saddle point, towards which shifted steps are slow."""
-    return max(point.residual, point.stationarity) <= NEARLY
-
-
-def is_below(point, saddle):
-    """Whether the cost is lower than at a saddle point, by more than rounding."""
-    return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
-
-
-def steps_aside(grid, unknowns, curvature, escapes):
-    """Steps along the falling direction to both sides; the more escapes there were, the longer.
-
-    The first are a tenth of the greatest unknown long, or of one where that is smaller.
-    """
-    direction = falling_direction(grid, unknowns, curvature)
-    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
-    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
-    return direction, -direction
 
 
 def falling_direction(grid, unknowns, curvature=0.0):

@@ -12,7 +12,7 @@ import numpy as np
 
 from codegen.runtime.apart import allocate_system
 from codegen.runtime.barrier import add_barrier, finite_bounds
-from codegen.runtime.curvature import ESCAPES, FLAT, LEFT, is_below, is_nearly_stationary, steps_aside
+from codegen.runtime.curvature import FLAT
 from codegen.runtime.example import TIED
 from codegen.runtime.filter import acceptable, envelope
 from codegen.runtime.frame import views
@@ -36,6 +36,7 @@ from codegen.runtime.limits import bounds_of, with_tied_values
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_solved
+from codegen.runtime.saddles import ESCAPES, LEFT, is_below, is_nearly_stationary, steps_aside
 from codegen.runtime.standstill import is_rounding
 from codegen.runtime.system import factor_kkt
 

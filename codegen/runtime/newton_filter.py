@@ -11,12 +11,13 @@ import numpy as np
 
 from codegen.runtime.apart import allocate_system
 from codegen.runtime.system import factor_kkt, is_factored, solve_kkt
-from codegen.runtime.curvature import ESCAPES, FLAT, LEFT, is_below, is_nearly_stationary, steps_aside
+from codegen.runtime.curvature import FLAT
 from codegen.runtime.descent import slope_of
 from codegen.runtime.filter import accept, acceptable, envelope
 from codegen.runtime.layout import layout
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_solved, sizes_of_terms
+from codegen.runtime.saddles import ESCAPES, LEFT, is_below, is_nearly_stationary, steps_aside
 from codegen.runtime.standstill import is_rounding
 
 SHORTEST_STEP = 1e-10
