@@ -18,8 +18,9 @@ from codegen.transcribe.program import ControlProgram
 
 _NOTHING = (1e-9, 1e-8, 1e-7)
 """Parts of the second derivatives below which a curvature may be rounding of the elimination."""
-_HELD = 1.0
-"""From here on z / distance counts as holding an unknown; inside the bounds it is as small as the tolerance."""
+_HELD, _FAST = 1.0, 1e12
+"""From the first on z / distance counts as holding an unknown (inside the bounds it is as small as the tolerance); no
+more than the second is needed to hold it fast, and it would be infinite on the bound itself."""
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -49,7 +50,7 @@ def held_by_bounds(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDA
     lower, upper = module.variable_bounds(grid)
     for z, distance in ((gradient, unknowns - lower), (-gradient, upper - unknowns)):
         pushes = np.isfinite(distance) & (z > 0.0)
-        diagonal[pushes] += z[pushes] / np.maximum(distance[pushes], np.finfo(float).tiny)
+        diagonal[pushes] += np.minimum(z[pushes] / np.maximum(distance[pushes], 1e-100), _FAST)
     return diagonal
 
 

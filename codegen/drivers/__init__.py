@@ -144,9 +144,11 @@ def solve(
     if task != "control" and (warm is not None or doublings or guesses > 1):
         raise ArgumentError("warm starts, guesses and refinement are for optimisation", f"leave them out to {task}")
     if scaling not in SCALINGS:
-        raise ArgumentError(f"scaling {scaling!r}", f"use one of {', '.join(SCALINGS)}")
+        raise ArgumentError(f"--scaling {scaling}", f"use one of {', '.join(SCALINGS)}")
     if scaling != "auto" and task != "control":
         raise ArgumentError("--scaling is for optimisation", f"leave it out to {task}")
+    if scaling != "auto" and found.name != "newton":
+        raise ArgumentError(f"driver {found.name} takes no --scaling", "leave it out, or use newton")
     if warm is not None and guesses > 1:
         raise ArgumentError("several guesses beside a warm start", "leave one of them out")
     if task == "simulate":

@@ -75,7 +75,7 @@ def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
     if not is_implicit(module):
         raise ArgumentError(
             f"driver fsolve has nothing to solve: {module.metadata['scheme']} is explicit for this problem",
-            "use newton, or an implicit scheme such as midpoint",
+            "use newton, or a scheme that is implicit for it",
         )
     grid = module.make_grid(request.steps)
     states, evaluations = [grid.start], 0

@@ -112,8 +112,9 @@ def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
 
 def _lasting(model: Model) -> list[str]:
     """The conditions that hold at every time, as their author wrote them."""
-    at_nodes = {condition.name for equality in (False, True) for condition in nodal_conditions(model, equality)}
-    return [f"{c.name} {'at the nodes' if c.name in at_nodes else 'on the intervals'}" for c in model.path] + [
+    places = {c.name: "at the nodes" for c in nodal_conditions(model, equality=True)}
+    places |= {c.name: "at the nodes and on the intervals" for c in nodal_conditions(model, equality=False)}
+    return [f"{c.name} {places.get(c.name, 'on the intervals')}" for c in model.path] + [
         f"{sympy.sstr(constraint)} = 0 at the nodes" for constraint in model.holonomic
     ]
 

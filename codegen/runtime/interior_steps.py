@@ -26,7 +26,7 @@ from codegen.runtime.system import factor_kkt, solve_kkt
 
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
 SHORT = 0.25  # part of a step that is left when it counts as much too long
-SHORT_IN_TURN = 3  # so many of them make the next ones shorter beforehand
+SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
 LEAST_DAMPING = 1e-5
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 

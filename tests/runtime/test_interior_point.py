@@ -235,11 +235,11 @@ def test_filter() -> None:
 
 
 def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
-    """A step of a sixteenth once, then four in turn: only these count, and a whole step lowers the shift again."""
+    """Steps of a sixteenth, a few and then more in turn: only these count; a whole step lowers the shift again."""
     whole = interior_steps.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, 1e-3)
     assert interior_steps.damped(0.0, whole, 1 / 16, 1) == 0.0
     shifts = [0.0]
-    for in_turn in (3, 4):
+    for in_turn in (interior_steps.SHORT_IN_TURN, interior_steps.SHORT_IN_TURN + 1):
         shifts.append(interior_steps.damped(shifts[-1], whole, 1 / 16, in_turn))
     assert shifts == pytest.approx([0.0, 4e-3, 16e-3])
     assert interior_steps.damped(shifts[-1], whole, 1.0, 0) == pytest.approx(8e-3)
