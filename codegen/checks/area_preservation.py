@@ -5,7 +5,7 @@ By implicit differentiation of the equations of a step: with E(z0, y) = 0, y the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import sympy
 from sympy import Expr
@@ -14,6 +14,7 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.one_step import jacobians, step_equations, without_forces
 from codegen.checks.symplecticity import PRESERVED, defect_at_random_points
 from codegen.differentiate.zeros import identically_zero
+from codegen.errors import DegenerateError
 from codegen.model import Model
 from codegen.schemes import METHODS, Composition, DiscreteLagrangian, RungeKutta, Scheme
 
@@ -30,23 +31,28 @@ def check(context: Context) -> Iterator[Finding]:
         yield does_not_apply("area preservation", "there is more than one coordinate")
         return
     model = without_forces(context.model)
-    (q,), (rate,) = model.coordinates, model.rates
-    slope = sympy.diff(model.function, q)
-    curved = not all(identically_zero(sympy.diff(slope, symbol)) for symbol in (q, rate))
+    curved = not identically_zero(sympy.hessian(model.function, [*model.coordinates, *model.rates]).det())
     for method, table in METHODS.items():
-        for scheme in table.values():
-            if isinstance(scheme, Composition):
-                continue
+        try:
+            yield from _of_method(context.model, model, method, table.values(), curved)
+        except DegenerateError:
+            yield does_not_apply("area preservation", f"a degenerate Legendre transform rules out {method} schemes")
+
+
+def _of_method(forced: Model, model: Model, method: str, schemes: Iterable[Scheme], curved: bool) -> Iterator[Finding]:
+    """The rows of the schemes of a method; DegenerateError where the problem has no form for it."""
+    for scheme in schemes:
+        if not isinstance(scheme, Composition):
             claim = "symplectic" if scheme.symplectic else "not symplectic"
             if isinstance(scheme, RungeKutta) or (isinstance(scheme, DiscreteLagrangian) and len(scheme.nodes) > 2):
                 # The determinant of a step with inner stages is a long expression; for two variables it is S^T J S.
-                defect = defect_at_random_points(context.model, step_equations(model, scheme))
+                defect = defect_at_random_points(forced, step_equations(model, scheme))
                 passed = (defect < PRESERVED) == scheme.symplectic or not curved
                 detail = f"|det - 1| = {defect:.2g} at random points, and the scheme is {claim}"
                 yield Finding("area preservation", f"{scheme.name} ({method})", passed, detail)
                 continue
             determinant = area_factor(model, scheme)
-            # In a system whose potential is linear every scheme may preserve areas by accident.
+            # Where the potential or the kinetic energy is linear, every scheme may preserve areas by accident.
             passed = (determinant == 1) == scheme.symplectic or (determinant == 1 and not curved)
             detail = f"det = {sympy.sstr(determinant)}, and the scheme is {claim}"
             yield Finding("area preservation", f"{scheme.name} ({method})", passed, detail)

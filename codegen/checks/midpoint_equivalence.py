@@ -12,6 +12,7 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.evaluation import vanishing
 from codegen.checks.one_step import without_boundaries
 from codegen.discretise import STEP, at_nodes, one_step_interval, variational_interval
+from codegen.errors import DegenerateError
 from codegen.model import Model
 from codegen.phase_functions import phase_functions
 from codegen.polynomials import between
@@ -25,7 +26,12 @@ def check(context: Context) -> Iterator[Finding]:
     if context.model.form == "first-order":
         yield does_not_apply("midpoint equivalence", "a first-order system has no discrete Lagrangian")
         return
-    for name, left_over in residuals(context.model):
+    try:
+        found = residuals(context.model)
+    except DegenerateError:
+        yield does_not_apply("midpoint equivalence", "the Legendre transform is degenerate: there is no Lagrangian")
+        return
+    for name, left_over in found:
         known = vanishing(left_over)
         passed, detail = bool(known), f"p_k = -D1 Ld - f-, p_k1 = D2 Ld + f+ satisfy it, {known}"
         if not passed:

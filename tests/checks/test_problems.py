@@ -298,3 +298,20 @@ def test_rows_that_need_a_solution_are_not_measured_where_there_is_none(prepared
         assert found[0].passed
         assert not found[0].applies
         assert "stopped early" in found[0].detail
+
+
+@pytest.mark.parametrize(
+    "function", ["lagrangian=dq**2 / 2 - 9.81 * q", "hamiltonian=p + q**2 / 2", "hamiltonian=p**2 / 2 + 9.81 * q"]
+)
+def test_area_is_preserved_by_accident_where_half_of_the_energy_is_linear(prepared, tmp_path, function):
+    """The Jacobian of a step is then triangular with ones on its diagonal, whatever the scheme."""
+    symbols, rate = ("canonical_pair('q', 'p')", "p") if "hamiltonian" in function else ("coordinate('q')", "dq")
+    path = tmp_path / "linear.py"
+    path.write_text(
+        '"""Linear."""\nfrom codegen import Simulate, canonical_pair, coordinate\n\ndef problem() -> Simulate:\n'
+        f"    q, {rate} = {symbols}\n    return Simulate({function}, start={{q: 0, {rate}: 1}}, duration=2, steps=50)\n"
+    )
+    context = prepared(path)
+    found = checks.apply("area_preservation", context)
+    assert sum(finding.applies for finding in found) > 5
+    assert not [*failures("area_preservation", context), *failures("midpoint_equivalence", context)]
