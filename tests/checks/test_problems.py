@@ -312,6 +312,6 @@ def test_area_is_preserved_by_accident_where_half_of_the_energy_is_linear(prepar
         f"    q, {rate} = {symbols}\n    return Simulate({function}, start={{q: 0, {rate}: 1}}, duration=2, steps=50)\n"
     )
     context = prepared(path)
-    found = checks.apply("area_preservation", context)
+    found = checks.apply("area preservation", context)
     assert sum(finding.applies for finding in found) > 5
-    assert not [*failures("area_preservation", context), *failures("midpoint_equivalence", context)]
+    assert not [*failures("area preservation", context), *failures("midpoint equivalence", context)]
