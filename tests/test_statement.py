@@ -100,13 +100,16 @@ def mixed(tmp_path):
     return path
 
 
+_EVERYWHERE = "y >= -1 at the nodes and on the intervals"
+
+
 def test_costs_add_up_and_conditions_are_said_once_where_they_hold(mixed):
     goal, limits, *others = stated(mixed)
     assert joined(goal) == (
         "Find x, y at the nodes, u, w on the intervals, dx at an end and T that minimise the sum of Cd over all "
         "intervals plus T + dx**2 at the end, where"
     )
-    assert listed(limits) == ["duration = T", "T >= 1/2", "u + w <= 3 on the intervals", "y >= -1 at the nodes"]
+    assert listed(limits) == ["duration = T", "T >= 1/2", "u + w <= 3 on the intervals", _EVERYWHERE]
     step = next(listed(p) for p in others if "    Ld = " in p)
     assert step[-2:] == ["0 >= u_k + w_k - 3", "0 >= -y_k1 - 1"]
     assert listed(others[others.index("At the end:") + 1]) == ["p_x = dx", "x**2 + y**2 = R**2"]

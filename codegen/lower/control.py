@@ -245,6 +245,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "layout",
         "callbacks",
         *(("limits",) if program.has_inequalities else ()),
+        *(("tied",) if program.has_inequalities and (program.start.shared or program.end.shared) else ()),
         "curvature",
         *(() if derivatives.linear_quadratic else ("saddles",)),
         "verdict",

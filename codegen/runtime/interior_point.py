@@ -32,13 +32,14 @@ from codegen.runtime.interior_steps import (
     with_multipliers,
 )
 from codegen.runtime.layout import free_unknowns, multiplier_unknowns
-from codegen.runtime.limits import bounds_of, with_tied_values
+from codegen.runtime.limits import bounds_of
 from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_solved
 from codegen.runtime.saddles import ESCAPES, LEFT, is_below, is_nearly_stationary, steps_aside
 from codegen.runtime.standstill import is_rounding
 from codegen.runtime.system import factor_kkt
+from codegen.runtime.tied import with_tied_values
 
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby

@@ -19,10 +19,10 @@ from codegen.runtime.barrier import (
 )
 from codegen.runtime.example import TIED
 from codegen.runtime.filter import accept
-from codegen.runtime.limits import with_tied_values
 from codegen.runtime.point import evaluate
 from codegen.runtime.rounding import is_solved
 from codegen.runtime.system import factor_kkt, solve_kkt
+from codegen.runtime.tied import with_tied_values
 
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
 SHORT = 0.25  # part of a step that is left when it counts as much too long

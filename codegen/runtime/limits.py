@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from codegen.runtime.example import TIED, metadata, variable_bounds, with_pinned_values
+from codegen.runtime.example import metadata, variable_bounds
 from codegen.runtime.frame import views
 
 LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
@@ -11,15 +11,6 @@ LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
 def bounds_of(grid):
     """Least and greatest values of all unknowns, in parts of sizes where the grid has them."""
     return grid.bounds or variable_bounds(grid)
-
-
-if TIED:
-
-    def with_tied_values(grid, unknowns):
-        """A copy of the unknowns with prescribed values, and with what equals a shared unknown, as they must be."""
-        if grid.sizes.size:
-            return with_pinned_values(grid, unknowns * grid.sizes) / grid.sizes
-        return with_pinned_values(grid, unknowns)
 
 
 def at_limits(grid, unknowns):
