@@ -30,9 +30,13 @@ PROBLEMS = Path(__file__).parent.parent / "problems"
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where builds of this run are cached, by all of its worker processes together."""
+    """Where builds of this run are cached, by all of its worker processes together.
+
+    CODEGEN_TEST_CACHE names a folder that runs share, under several linear algebra libraries for example.
+    """
     base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "build-cache"
+    own = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "build-cache"
+    folder = Path(os.environ.get("CODEGEN_TEST_CACHE") or own)
     os.environ["CODEGEN_CACHE_DIR"] = str(folder)
     return folder
 
