@@ -22,27 +22,29 @@ PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these 
 
 
 class Bounds(NamedTuple):
-    """Places, values and sides of all finite bounds."""
+    """Places, values, sides and magnitudes, one or more, of all finite bounds."""
 
     place: np.ndarray
     value: np.ndarray
     side: np.ndarray
+    magnitude: np.ndarray
 
 
 def finite_bounds(lower, upper):
     """The bounds that exist, lower ones first."""
-    below, above = np.flatnonzero(lower > -np.inf), np.flatnonzero(upper < np.inf)
+    (below,), (above,) = (lower > -np.inf).nonzero(), (upper < np.inf).nonzero()
     side = np.ones(below.size + above.size)
     side[below.size :] = -1.0
-    return Bounds(np.concatenate([below, above]), np.concatenate([lower[below], upper[above]]), side)
+    value = np.concatenate([lower[below], upper[above]])
+    return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
 
 
-def relaxation(bounds, mu):
-    """How much farther away bounds are taken to be while the barrier's weight is mu.
+def relaxation(mu):
+    """How much farther away bounds are taken to be while the barrier's weight is mu, relative to their magnitudes.
 
     Where equations hold an unknown on its bound, its dual is mu / relaxation: it stays moderate for every mu.
     """
-    return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu)) * np.maximum(1.0, np.abs(bounds.value))
+    return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu))
 
 
 def push_inside(lower, upper, unknowns, push):

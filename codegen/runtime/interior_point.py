@@ -100,11 +100,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
 
 def bent(grid, unknowns, part):
     """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
+    if part == 0.0:
+        return unknowns
     bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0)
-    if part > 0.0:
-        for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
-            sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
-            own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
+    for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
+        sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
+        own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
     return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
 
 

@@ -6,6 +6,7 @@ from codegen.runtime.example import metadata, variable_bounds
 from codegen.runtime.frame import views
 
 LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
+END_NAMES = "start", "end"
 
 
 def bounds_of(grid):
@@ -26,19 +27,25 @@ def prescribed_beyond(grid, unknowns):
     Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
     within the first interval.
     """
-    bounds, values = variable_bounds(grid), views(grid, unknowns)
-    (low, least), (high, _) = (views(grid, bound) for bound in bounds)
-    for where, k, inner in (("start", 0, 1), ("end", -1, -2)) if grid.steps > 1 else ():
-        for i, name in enumerate(metadata["node"]):
-            value, without = values[0][:, k, i], np.isinf(low[:, k, i]) & np.isinf(high[:, k, i])
-            margin = 1e-9 * np.maximum(1.0, np.abs(value))
-            beyond = (value < low[:, inner, i] - margin) | (value > high[:, inner, i] + margin)
-            for body in np.flatnonzero(without & beyond)[:1]:
-                limits = f"{low[body, inner, i]:g} to {high[body, inner, i]:g}"
-                return f"{name} is prescribed as {value[body]:g} at the {where}, beyond its bounds {limits}"
-        for i, name in enumerate(metadata["interval"]):
-            released = least[:, k, i] < least[:, inner, i]  # a slack of what is prescribed
-            if (released & (values[1][:, k, i] < least[:, inner, i] - LEAST_SLACK)).any():
-                condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
-                return f"what is prescribed at the {where} violates {condition}"
+    steps, (nodes, intervals) = grid.steps, views(grid, unknowns)
+    if steps == 1:
+        return ""
+    (low, least), (high, _) = (views(grid, bound) for bound in bounds_of(grid))
+    ends, inner = np.s_[:, ::steps], np.s_[:, 1 : steps : max(1, steps - 2)]
+    given, margin = nodes[ends], 1e-9 * np.maximum(1.0, np.abs(nodes[ends]))
+    beyond = (given < low[inner] - margin) | (given > high[inner] + margin)
+    if beyond.any():
+        beyond &= np.isinf(low[ends]) & np.isinf(high[ends])
+        for body, end, i in np.argwhere(beyond)[:1]:
+            limits = f"{low[body, (1, -2)[end], i]:g} to {high[body, (1, -2)[end], i]:g}"
+            value = f"{metadata['node'][i]} is prescribed as {given[body, end, i]:g}"
+            return f"{value} at the {END_NAMES[end]}, beyond its bounds {limits}"
+    ends, inner = np.s_[:, :: steps - 1], np.s_[:, 1 : steps - 1 : max(1, steps - 3)] if steps > 2 else np.s_[:, ::-1]
+    violated = intervals[ends] < least[inner] - LEAST_SLACK
+    if violated.any():
+        violated &= least[ends] < least[inner]  # a slack of what is prescribed has no bound there
+        for _, end, i in np.argwhere(violated)[:1]:
+            name = metadata["interval"][i]
+            condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+            return f"what is prescribed at the {END_NAMES[end]} violates {condition}"
     return ""

@@ -98,7 +98,7 @@ if INEQUALITIES:
         """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
         total = 0.0
         for side, bound in zip((1.0, -1.0), bounds_of(grid), strict=True):
-            place = np.flatnonzero(np.isfinite(bound))
+            (place,) = np.isfinite(bound).nonzero()
             dual, distance = side * point.gradient[place], side * (point.unknowns[place] - bound[place])
             active = np.maximum(dual, 0.0) / (np.abs(dual) + np.abs(distance) + 1e-300)
             total += (dual * distance) @ active
