@@ -7,6 +7,9 @@ import numpy as np
 from codegen.drivers.result import ControlAttempt, Request, Result, component_names, max_norm, other_driver
 from codegen.loading import ControlModule, Entries, Grid, Vector
 
+LARGE_MULTIPLIERS = 100.0
+"""Mean multipliers above it make the optimality conditions' tolerance relative."""
+
 
 def control_result(module: ControlModule, driver: str, request: Request, attempt: ControlAttempt) -> Result:
     """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
@@ -86,9 +89,24 @@ def _is_accurate(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -
         return False
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
     steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
+    scale = max(1.0, steepest, _mean_multiplier(module, grid, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
     return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= 10.0 * max(
-        attempt.tolerance * max(1.0, steepest), rounding
+        attempt.tolerance * scale, rounding
     )
+
+
+def _mean_multiplier(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector, weight: float) -> float:
+    """The mean modulus of all multipliers and of the duals of bounds, the slopes that are held by them.
+
+    Where it is large, optimality conditions are sums of large terms, and the tolerance is relative to it, as it is for
+    the generated solver and IPOPT. Source: Waechter and Biegler (2006), equation (6).
+    """
+    primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    below, above = bound_distances(module, grid, unknowns)
+    slopes = weight * sizes[primal] * np.abs(module.stationarity(grid, unknowns))
+    bounded = np.isfinite(below) | np.isfinite(above)
+    total = np.abs(unknowns[multipliers] / sizes[multipliers]).sum() + slopes[bounded].sum()
+    return float(total / max(1, multipliers.size + bounded.sum()))
 
 
 def _errors(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector, weight: float) -> tuple[float, float]:

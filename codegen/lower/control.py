@@ -226,7 +226,8 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
     if derivatives.linear_quadratic:
         solver = ("newton_linear",)
     elif program.has_inequalities:
-        solver = ("standstill", "descent", "filter", "barrier", "restoration", "interior_steps", "interior_point")
+        solver = ("standstill", "descent", "filter", "barrier", "restoration")
+        solver = (*solver, "interior_steps", "exact_bounds", "interior_point")
     return (
         "arrays",
         *(("shared",) if program.shared else ()),

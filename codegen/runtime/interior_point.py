@@ -13,7 +13,7 @@ import numpy as np
 from codegen.runtime.apart import allocate_system
 from codegen.runtime.barrier import add_barrier, finite_bounds
 from codegen.runtime.curvature import FLAT
-from codegen.runtime.example import TIED
+from codegen.runtime.exact_bounds import within_bounds
 from codegen.runtime.filter import acceptable, envelope
 from codegen.runtime.frame import views
 from codegen.runtime.interior_steps import (
@@ -33,13 +33,11 @@ from codegen.runtime.interior_steps import (
 )
 from codegen.runtime.layout import free_unknowns, multiplier_unknowns
 from codegen.runtime.limits import bounds_of
-from codegen.runtime.point import evaluate
 from codegen.runtime.restoration import restore
 from codegen.runtime.rounding import is_solved
 from codegen.runtime.saddles import ESCAPES, LEFT, is_below, is_nearly_stationary, steps_aside
 from codegen.runtime.standstill import is_rounding
 from codegen.runtime.system import factor_kkt
-from codegen.runtime.tied import with_tied_values
 
 LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
@@ -87,15 +85,15 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         status = "restored"
         if attempt.nearby and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
-        point = iterate.point
         if status == "restored":
-            status, point, iterations = leave_saddles(search, iterate, attempt, tolerance, max_iterations - total, log)
+            left = max_iterations - total
+            status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
             total += iterations
-            first = first or (status, point)
+            first = first or (status, iterate)
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
-    status, point = (status, point) if status == "solved" else first
-    return status, within_bounds(search, point, tolerance), total
+    status, iterate = (status, iterate) if status == "solved" else first
+    return status, within_bounds(search, iterate, tolerance), total
 
 
 def bent(grid, unknowns, part):
@@ -107,20 +105,6 @@ def bent(grid, unknowns, part):
         sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
         own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
     return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
-
-
-def within_bounds(search, point, tolerance):
-    """The point with what lies beyond a bound, by its relaxation, on the bound, unless equations then fail to hold."""
-    grid, (lower, upper) = search.grid, search.box
-    unknowns = np.minimum(np.maximum(point.unknowns, lower), upper)
-    if TIED:
-        unknowns = with_tied_values(grid, unknowns)
-    if not point.error < np.inf or (unknowns == point.unknowns).all():
-        return point
-    inside, stationarity = evaluate(grid, unknowns), point.stationarity  # with the duals of bounds
-    if not inside.residual <= max(tolerance, 2.0 * point.residual):
-        return point
-    return inside._replace(stationarity=stationarity, error=max(inside.residual, stationarity))
 
 
 def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
@@ -141,7 +125,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
         escapes += 1
     if status == "saddle point" and escapes == ESCAPES and not failed:
         status = "solved" if is_solved(search.grid, saddle.point, tolerance) else "stalled"
-    return status, saddle.point, total
+    return status, saddle, total
 
 
 def neighbours(search, saddle, attempt, escapes):

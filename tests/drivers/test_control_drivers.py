@@ -109,6 +109,23 @@ class TestFalseClaims:
         assert result.status == "stalled"
 
 
+def test_optimality_conditions_are_relative_to_large_multipliers(interpreted):
+    """Multipliers of 470 on average make 4.7 times the tolerance of 1e-10, and ten times that is let pass."""
+    module, request = interpreted("two_stage_rocket"), Request(5, scaling="none")
+    attempt = newton(module, request)
+    place = module.multiplier_unknowns(module.make_grid(5))[10]
+
+    def with_multiplier_off_by(change):
+        unknowns = attempt.unknowns.copy()
+        unknowns[place] += change
+        return control_result(module, "newton", request, replace(attempt, unknowns=unknowns))
+
+    slope = with_multiplier_off_by(1.0).stationarity
+    assert with_multiplier_off_by(0.0).status == "solved"
+    assert with_multiplier_off_by(3e-9 / slope).status == "solved"
+    assert with_multiplier_off_by(3e-8 / slope).status == "inaccurate"
+
+
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_infeasible_problem_is_not_solved(orbital_transfer, name):
     """One interval leaves the end conditions four equations in one control."""

@@ -15,7 +15,7 @@ from dense_problem import INFINITY, Dense, Motion, Point, transcribe
 from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, T, nlp, u, v, x1, x2, x3
 from sympy import exp, log, symbols
 
-from codegen.runtime import barrier, curvature, filter, interior_point, interior_steps, restoration
+from codegen.runtime import barrier, curvature, exact_bounds, filter, interior_point, interior_steps, restoration
 from codegen.runtime.iterates import Log
 
 
@@ -23,7 +23,7 @@ from codegen.runtime.iterates import Log
 def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (barrier, curvature, filter, interior_point, interior_steps, restoration):
+        for module in (barrier, curvature, exact_bounds, filter, interior_point, interior_steps, restoration):
             for name in set(vars(module)) & {
                 "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved",
                 "bounds_of", "multiplier_unknowns", "solve_kkt", "views", "with_tied_values",
@@ -66,6 +66,16 @@ def test_known_optimum(name: str) -> None:
         assert point.cost == pytest.approx(optimum, rel=1e-6 if name in TRAJECTORIES else 1e-8, abs=1e-9)
     assert point.stationarity <= 1e-10
     assert_optimal(grid, point)
+
+
+def test_bounds_hold_exactly_and_the_optimality_conditions_there() -> None:
+    """With so steep a cost the move of 1e-12 onto the bound alone would leave a slope of 1e-7."""
+    grid = nlp((2, 3), 5e4 * (x1 - x2) ** 2 + 1000 * x1, bounds={x1: (1, INFINITY)})
+    status, point, _ = solve(grid)
+    assert status == "solved"
+    assert point.unknowns[:2] == pytest.approx([1, 1], rel=1e-12)
+    assert_optimal(grid, point)
+    assert point.stationarity <= 1e-10  # as told
 
 
 def double_integrator() -> Motion:
