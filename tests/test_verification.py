@@ -191,7 +191,7 @@ def test_entries_lost_because_they_are_small_elsewhere_are_found(name, monkeypat
 
 def size(graph, root) -> float:
     """The size of a value where all symbols are 0.7."""
-    value = written_out(graph, root)
+    (value,) = written_out(graph, [root])
     return abs(value.evalf(60, subs=dict.fromkeys(value.free_symbols, 0.7)))
 
 
