@@ -235,7 +235,13 @@ def check(
         kept = (out or compiler.GENERATED) / f"{compiler.module_name(problem, arguments, choices)}.py"
         made = kept if kept.is_file() else _compiled(_build(problem, set_, scheme, method, controls, None))
         findings = checks.run(
-            problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made, time_limit=time_limit
+            problem,
+            arguments,
+            scheme=scheme,
+            method=method,
+            controls=controls.value,
+            module=made,
+            time_limit=time_limit,
         )
     console().print(output.findings_table(findings))
     failed = [finding for finding in findings if not finding.passed]
@@ -369,7 +375,7 @@ def _build(
 
 
 def _compiled(made: Build) -> Path:
-    """The path of a module, compiled by the processes that are quick at it, not function by function as it is called."""
+    """The path of a module, compiled by the processes that are quick at it, not function by function when called."""
     from codegen import machine_code
     from codegen.loading import load
 

@@ -79,8 +79,8 @@ def build(
 
     Without `out` the module stays in the user's cache, unless ./generated already holds the very same text: then that
     file is used, and with it the machine code that numba keeps beside it. A derivation may take `time_limit` seconds of
-    processor time; what takes longer is a SizeError, which names the stage and what is large. Raises a kind of CodegenError when the
-    problem or a choice is unusable; then nothing is written.
+    processor time; what takes longer is a SizeError, which names the stage and what is large. Raises a kind of
+    CodegenError when the problem or a choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
     path = Path(path)

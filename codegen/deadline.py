@@ -63,8 +63,8 @@ class Stages:
             raise SizeError(
                 f"{self._stage} was not done after {self.limit:g} s of processor time"
                 + (f": {large}" if large else ""),
-                "give it more with codegen build --time-limit S, whose module other commands find, or write the problem "
-                "in coordinates, or with a --method or --scheme, whose expressions are shorter",
+                "give it more with codegen build --time-limit S, whose module other commands find, or take "
+                "coordinates, a --method or a --scheme whose expressions are shorter",
             ) from None
 
 

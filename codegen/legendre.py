@@ -203,9 +203,7 @@ def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr,
     if hessian.has(*rates):
         return _nonlinear_dual(model, conjugates)
     at_rest = dict.fromkeys(rates, sympy.S.Zero)
-    shifted = tuple(
-        y - slope.xreplace(at_rest) for y, slope in zip(conjugates, gradient(function, rates), strict=True)
-    )
+    shifted = tuple(y - slope.xreplace(at_rest) for y, slope in zip(conjugates, gradient(function, rates), strict=True))
     solved = solve_blocks(hessian, shifted)
     # f = x.Mx/2 + b.x - V gives y.x - f = (y - b).M^-1 (y - b)/2 + V, without the products that would cancel.
     half = sum((s * x for s, x in zip(shifted, solved, strict=True)), sympy.S.Zero) / 2

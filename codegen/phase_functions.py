@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy
-from sympy import Expr, Symbol
+from sympy import Expr
 
 from codegen import legendre
 from codegen.differentiate import Assignment, program_of

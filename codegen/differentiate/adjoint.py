@@ -119,6 +119,7 @@ class _Sweep:
             ]
         return [(a, b, curvature) for a, b, curvature in found if curvature != self.zero]
 
+
 def slopes_of_node(graph: Graph, number: int) -> Slopes:
     """The first derivatives of a node by those of its arguments that vary."""
     node, varies = graph.nodes[number], graph.varies

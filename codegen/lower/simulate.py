@@ -14,11 +14,9 @@ from codegen.discretise import STEP
 from codegen.expressions import longer_than
 from codegen.lower.kernels import Kernel, Line, Output, kernel
 from codegen.lower.module import Argument, SimulateModule
-from codegen.lower.printer import scalar_code
+from codegen.lower.printer import readable, scalar_code
 from codegen.transcribe.program import StepProgram
 
-_READABLE = 1000
-"""Operations up to which an expression is written in a description."""
 _LONG = 1000
 """Operations from which on common parts of the equations are found on a graph of their values."""
 Assignments: TypeAlias = Sequence[tuple[Symbol, Expr]]
@@ -153,7 +151,8 @@ def _equations_kernel(program: StepProgram) -> Kernel:
     outputs = [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)]
     return kernel(
         "step_equations", "The scheme's equations as they stand above; a step makes them vanish.",
-        ("state", "interval", *_arguments(program)[1:], "residual"), places, outputs, straight_line=straight.assignments,
+        ("state", "interval", *_arguments(program)[1:], "residual"), places, outputs,
+        straight_line=straight.assignments,
     )  # fmt: skip
 
 
@@ -234,7 +233,7 @@ def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
             "Each leads from t_k to t_k1 (suffixes _k and _k1 mark its nodes):",
             "",
         ]
-    lines += [f"    {name} = {_readable(value)}" for name, value in program.summary]
+    lines += [f"    {name} = {readable(value)}" for name, value in program.summary]
     if program.method == "variational":
         lines += ["", "where each p_k = -D1 Ld - f- and p_k1 = D2 Ld + f+ (position-momentum form)."]
     if program.unknowns:
@@ -245,13 +244,6 @@ def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
     lines += ["", "Operations of one evaluation, before and after common subexpressions are shared:", ""]
     lines += [f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
     return lines
-
-
-def _readable(value: Expr) -> str:
-    """An expression as text, or what it is where nobody could read it."""
-    if longer_than(_READABLE, [value]):
-        return f"an expression of more than {_READABLE} operations"
-    return sympy.sstr(value)
 
 
 def _divisor(time: Expr) -> str:

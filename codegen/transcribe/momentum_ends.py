@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import sympy
 from sympy import Expr, S, Symbol
 
 from codegen.differentiate.tangents import gradient

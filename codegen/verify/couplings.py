@@ -73,6 +73,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
         hessian=_KERNEL,
         call_gradient=call_gradient,
         call_hessian=call_hessian,
+        returned="the value of",
     )
 
 
