@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from codegen.app_command import app
+from codegen.deadline import BUILD, CHECK
 from codegen.errors import ArgumentError, one_line
 from codegen.terminal import OneLineErrors, console, progress, solving, working
 from codegen.warp_command import warp
@@ -93,6 +94,7 @@ def build(
     controls: Place = Controls.INTERVAL,
     out: Annotated[Path, typer.Option(help="Folder for the module.")] = Path("generated"),
     no_compile: Annotated[bool, typer.Option("--no-compile", help="Leave compilation to the first solve.")] = False,
+    time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,
 ) -> None:
     """Derive and write the module that solves a problem, and compile it."""
     from codegen import notes, output
@@ -101,7 +103,7 @@ def build(
     begin = time.perf_counter()
     if no_compile:
         with working("Deriving"):
-            made = _build(problem, set_, scheme, method, controls, out)
+            made = _build(problem, set_, scheme, method, controls, out, time_limit)
     else:
         from codegen import drivers
         from codegen.drivers.processes import compilers
@@ -110,7 +112,7 @@ def build(
             from codegen import machine_code  # which imports arrays; the processes should not wait for that
 
             with working("Deriving"):
-                made = _build(problem, set_, scheme, method, controls, out)
+                made = _build(problem, set_, scheme, method, controls, out, time_limit)
             with working("Compiling"):
                 drivers.prepare(made.path, processes)
         machine_code.tell(processes)
@@ -216,6 +218,7 @@ def check(
     method: Method = None,
     controls: Place = Controls.INTERVAL,
     out: Annotated[Path | None, typer.Option(help="Folder of the module to check. [default: generated]")] = None,
+    time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of all checks.")] = CHECK,
 ) -> None:
     """Check the derivation and the generated code; exit status 1 if a check fails."""
     from codegen import output
@@ -230,8 +233,16 @@ def check(
         # A module that someone keeps is checked as it stands, never rebuilt: it may have been changed by hand.
         choices = compiler.chosen(scheme, method, controls.value)
         kept = (out or compiler.GENERATED) / f"{compiler.module_name(problem, arguments, choices)}.py"
-        made = kept if kept.is_file() else _build(problem, set_, scheme, method, controls, None).path
-        findings = checks.run(problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made)
+        made = kept if kept.is_file() else _compiled(_build(problem, set_, scheme, method, controls, None))
+        findings = checks.run(
+            problem,
+            arguments,
+            scheme=scheme,
+            method=method,
+            controls=controls.value,
+            module=made,
+            time_limit=time_limit,
+        )
     console().print(output.findings_table(findings))
     failed = [finding for finding in findings if not finding.passed]
     if failed:
@@ -346,10 +357,27 @@ main.command()(app)
 
 
 def _build(
-    problem: Path, set_: list[str], scheme: str | None, method: str | None, controls: Controls, out: Path | None
+    problem: Path,
+    set_: list[str],
+    scheme: str | None,
+    method: str | None,
+    controls: Controls,
+    out: Path | None,
+    time_limit: float = BUILD,
 ) -> Build:
     from codegen import compiler
     from codegen.problem_file import parse_arguments
 
     arguments = parse_arguments(set_, problem)
-    return compiler.build(problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out)
+    return compiler.build(
+        problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out, time_limit=time_limit
+    )
+
+
+def _compiled(made: Build) -> Path:
+    """The path of a module, compiled by the processes that are quick at it, not function by function when called."""
+    from codegen import machine_code
+    from codegen.loading import load
+
+    machine_code.require(made, load(made.path))
+    return made.path

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import math
 import os
 import shlex
 import time
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen import __version__, emit
+from codegen.deadline import BUILD, Stages, described, extent
 from codegen.errors import ArgumentError, FileError
 from codegen.problem_file import input_digest, load_problem, split_points
 
@@ -71,12 +73,14 @@ def build(
     controls: str = "interval",
     general: bool = False,
     out: Path | str | None = None,
+    time_limit: float = BUILD,
 ) -> Build:
     """Derive, emit and write the module of a problem file into the folder `out`.
 
     Without `out` the module stays in the user's cache, unless ./generated already holds the very same text: then that
-    file is used, and with it the machine code that numba keeps beside it. Raises a kind of CodegenError when the
-    problem or a choice is unusable; then nothing is written.
+    file is used, and with it the machine code that numba keeps beside it. A derivation may take `time_limit` seconds of
+    processor time; what takes longer is a SizeError, which names the stage and what is large. Raises a kind of
+    CodegenError when the problem or a choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
     path = Path(path)
@@ -87,7 +91,7 @@ def build(
     choices = chosen(scheme, method, controls, general)
     store = _store(path, arguments, choices)
     kept_text = _kept_text(store)
-    name, cached, text = store.stem, bool(kept_text), kept_text or generate(path, arguments, choices)
+    name, cached, text = store.stem, bool(kept_text), kept_text or generate(path, arguments, choices, time_limit)
     if not cached:
         try:
             emit.write(store, text)
@@ -128,11 +132,12 @@ def _kept_text(store: Path) -> str:
     return text if emit.is_whole(text) else ""
 
 
-def generate(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
-    """The text of the module of a problem file, derived anew."""
-    with _rare_collections():
+def generate(path: Path, arguments: Mapping[str, str], choices: Choices, time_limit: float = BUILD) -> str:
+    """The text of the module of a problem file, derived anew within so many seconds of processor time."""
+    stages = Stages(time_limit)
+    with _rare_collections(), stages.limited():
         model = load_problem(path, arguments)
-        return generate_from_model(model, choices, origin_of(path, arguments, choices))
+        return generate_from_model(model, choices, origin_of(path, arguments, choices), stages)
 
 
 @contextmanager
@@ -146,16 +151,23 @@ def _rare_collections() -> Iterator[None]:
         gc.set_threshold(*before)
 
 
-def generate_from_model(model: Model | PairwiseModel, choices: Choices, origin: Origin) -> str:
+def generate_from_model(
+    model: Model | PairwiseModel, choices: Choices, origin: Origin, stages: Stages | None = None
+) -> str:
     """The pipeline itself, from a checked problem to the text of its module."""
     from codegen import derive, lower, transcribe, verify
 
     if choices.general:
         return emit.render(_general_module(model, choices), origin)
+    stages = stages or Stages(math.inf)
+    stages.begin("writing the equations of an interval", lambda: described(model))
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
+    stages.begin("differentiating the equations of an interval", lambda: extent(program, described(model)))
     derivatives = derive.derivatives(program)
+    stages.begin("writing the kernels of the derivatives")
     module = lower.lower(program, derivatives)
     text = emit.render(module, origin)
+    stages.begin("verifying the kernels")
     verify.verify(program, text)
     return text
 

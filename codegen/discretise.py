@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
+from codegen.differentiate.tangents import gradient, variation
 from codegen.model import Condition, Model
 from codegen.polynomials import PolynomialMotion, between
 from codegen.schemes import Composition, DiscreteLagrangian, OfSteps, RungeKutta
@@ -91,7 +92,7 @@ class VariationalInterval:
     def _derivatives(self, coordinates: Sequence[Symbol]) -> list[Expr]:
         """The derivatives of Ld by coordinates at nodes or inner points."""
         if not self.slopes:
-            return [sympy.diff(self.lagrangian, q) for q in coordinates]
+            return list(gradient(self.lagrangian, coordinates))
         known = dict(zip((*self.q.left, *self.inner, *self.q.right), self.slopes, strict=True))
         return [known[q] for q in coordinates]
 
@@ -111,12 +112,9 @@ class VariationalInterval:
             halves = (*(-p for p in self.left_momentum), *self.right_momentum, *self.inner_balance)
             work = (d * (half + impulse) for d, half, impulse in zip(displacements, halves, impulses, strict=True))
             return sum(work, sympy.S.Zero)
-        amount = sympy.Dummy("amount", real=True)
-        coordinates = (*self.q.left, *self.q.right)
-        displaced = {q: q + amount * d for q, d in zip(coordinates, displacements, strict=True)}
-        variation = sympy.diff(self.lagrangian.xreplace(displaced), amount).xreplace({amount: sympy.S.Zero})
+        along = variation(self.lagrangian, dict(zip((*self.q.left, *self.q.right), displacements, strict=True)))
         forces = zip(displacements, (*self.force_minus, *self.force_plus), impulses, strict=True)
-        return variation + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
+        return along + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
 
 
 @dataclass(frozen=True)
@@ -215,10 +213,11 @@ def _slopes_and_impulse(
     """
     slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
     impulse = [sympy.S.Zero] * len(model.coordinates)
+    of_position, of_velocity = gradient(model.function, model.coordinates), gradient(model.function, model.rates)
     for point in scheme.points:
         weight, c = point.weight, point.place
-        by_position = [at(sympy.diff(model.function, q), c) for q in model.coordinates]
-        by_velocity = [at(sympy.diff(model.function, v), c) for v in model.rates]
+        by_position = [at(slope, c) for slope in of_position]
+        by_velocity = [at(slope, c) for slope in of_velocity]
         for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
             for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
                 node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
@@ -321,8 +320,8 @@ def _vector_field(model: Model) -> tuple[Expr, ...]:
     if model.form == "first-order":
         return model.dynamics
     return (
-        *(sympy.diff(model.function, p) for p in model.rates),
-        *(f - sympy.diff(model.function, q) for q, f in zip(model.coordinates, model.force, strict=True)),
+        *gradient(model.function, model.rates),
+        *(f - slope for slope, f in zip(gradient(model.function, model.coordinates), model.force, strict=True)),
     )
 
 

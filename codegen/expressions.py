@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import random
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,15 @@ def multiplied_out(expression: sympy.Expr) -> int:
         terms, power = multiplied_out(expression.base), int(abs(expression.exp))
         return max(terms, math.comb(terms + power - 1, power))
     return max([1, *map(multiplied_out, expression.args)])
+
+
+def longer_than(limit: int, terms: Sequence[sympy.Expr]) -> bool:
+    """Whether some expressions have more operations than that together; of long ones the rest is not counted."""
+    most = 5 * (limit + len(terms))  # parts; an operation has at most two symbols, a sign and a number beside it
+    parts = (part for term in terms for part in sympy.preorder_traversal(term))
+    if sum(1 for _ in islice(parts, most + 1)) > most:
+        return True
+    return sum(int(term.count_ops()) for term in terms) > limit
 
 
 def number_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> float | None:

@@ -15,6 +15,7 @@ from sympy.functions.elementary.trigonometric import TrigonometricFunction
 from sympy.simplify.fu import TR8
 
 from codegen import expressions
+from codegen.differentiate.tangents import gradient
 from codegen.differentiate.zeros import identically_zero
 from codegen.errors import BoundaryError, DegenerateError, SizeError, SymbolError
 from codegen.model import Boundary, Model
@@ -55,14 +56,14 @@ def in_phase_space(model: Model) -> Model:
     This is all of the Hamiltonian form that does not want p = dL/dv to be solved for v. Raises SymbolError and
     BoundaryError as `hamiltonian_form` does.
     """
-    conjugates, gradient = conjugate_symbols(model), _gradient(model.function, model.rates)
+    conjugates, slopes = conjugate_symbols(model), gradient(model.function, model.rates)
     return replace(
         model,
         form="hamiltonian",
         rates=conjugates,
         function=sympy.S.Zero,
-        start=_boundary(model, "start", model.start, sympy.S.Zero, gradient, conjugates),
-        end=model.end and _boundary(model, "end", model.end, model.duration, gradient, conjugates),
+        start=_boundary(model, "start", model.start, sympy.S.Zero, slopes, conjugates),
+        end=model.end and _boundary(model, "end", model.end, model.duration, slopes, conjugates),
     )
 
 
@@ -72,7 +73,7 @@ def momentum_of_velocity(model: Model) -> tuple[sympy.Expr, ...]:
     Symbols are the model's own and, for a Hamiltonian, the velocities `d<coordinate>`. Raises as the transforms do.
     """
     if model.form == "lagrangian":
-        return _gradient(model.function, model.rates)
+        return gradient(model.function, model.rates)
     return _dual(model, conjugate_symbols(model))[1]
 
 
@@ -82,7 +83,7 @@ def velocity_of_momentum(model: Model) -> tuple[sympy.Expr, ...]:
     Symbols are the model's own and, for a Lagrangian, the momenta `p_<coordinate>`. Raises as the transforms do.
     """
     if model.form == "hamiltonian":
-        return _gradient(model.function, model.rates)
+        return gradient(model.function, model.rates)
     return _dual(model, conjugate_symbols(model))[1]
 
 
@@ -169,15 +170,11 @@ def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
     return min(candidates, key=lambda candidate: candidate.count_ops())
 
 
-def _gradient(function: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, ...]:
-    return tuple(function.diff(symbol) for symbol in symbols)
-
-
 def _transformed(model: Model, form: str) -> Model:
     conjugates = conjugate_symbols(model)
     function, old_rates = _dual(model, conjugates)
     substitution = dict(zip(model.rates, old_rates, strict=True))
-    gradient = _gradient(model.function, model.rates)
+    slopes = gradient(model.function, model.rates)
     return replace(
         model,
         form=form,
@@ -185,8 +182,8 @@ def _transformed(model: Model, form: str) -> Model:
         function=function,
         force=tuple(component.xreplace(substitution) for component in model.force),
         cost=None if model.cost is None else model.cost.xreplace(substitution),
-        start=_boundary(model, "start", model.start, sympy.S.Zero, gradient, conjugates),
-        end=model.end and _boundary(model, "end", model.end, model.duration, gradient, conjugates),
+        start=_boundary(model, "start", model.start, sympy.S.Zero, slopes, conjugates),
+        end=model.end and _boundary(model, "end", model.end, model.duration, slopes, conjugates),
     )
 
 
@@ -206,9 +203,7 @@ def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr,
     if hessian.has(*rates):
         return _nonlinear_dual(model, conjugates)
     at_rest = dict.fromkeys(rates, sympy.S.Zero)
-    shifted = tuple(
-        y - slope.xreplace(at_rest) for y, slope in zip(conjugates, _gradient(function, rates), strict=True)
-    )
+    shifted = tuple(y - slope.xreplace(at_rest) for y, slope in zip(conjugates, gradient(function, rates), strict=True))
     solved = solve_blocks(hessian, shifted)
     # f = x.Mx/2 + b.x - V gives y.x - f = (y - b).M^-1 (y - b)/2 + V, without the products that would cancel.
     half = sum((s * x for s, x in zip(shifted, solved, strict=True)), sympy.S.Zero) / 2
@@ -221,22 +216,22 @@ def _trial_points(model: Model) -> Iterator[dict[sympy.Symbol, float]]:
 
 def _nonlinear_dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
     function, rates = model.function, model.rates
-    gradient = _gradient(function, rates)
+    slopes = gradient(function, rates)
     try:
         candidates = sympy.solve(
-            [slope - y for slope, y in zip(gradient, conjugates, strict=True)], list(rates), dict=True
+            [slope - y for slope, y in zip(slopes, conjugates, strict=True)], list(rates), dict=True
         )
     except NotImplementedError:
         candidates = []
     inverses = [
         tuple(candidate[x] for x in rates)
         for candidate in candidates
-        if set(candidate) == set(rates) and _inverts(model, candidate, gradient, conjugates)
+        if set(candidate) == set(rates) and _inverts(model, candidate, slopes, conjugates)
     ]
     if len(inverses) != 1:
         names = " ".join(map(str, conjugates))
         raise DegenerateError(
-            f"{names} = {', '.join(map(str, gradient))} has {len(inverses) or 'no'} closed solutions for "
+            f"{names} = {', '.join(map(str, slopes))} has {len(inverses) or 'no'} closed solutions for "
             f"{' '.join(map(str, rates))}",
             "write the problem in the other form",
         )
@@ -249,13 +244,13 @@ def _nonlinear_dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[s
 def _inverts(
     model: Model,
     candidate: dict[sympy.Symbol, sympy.Expr],
-    gradient: Sequence[sympy.Expr],
+    slopes: Sequence[sympy.Expr],
     conjugates: Sequence[sympy.Symbol],
 ) -> bool:
     """Whether a candidate x(y) gives back x at trial points of both signs; sympy may return spurious branches."""
     tried = False
     for point in _trial_points(model):
-        image = [expressions.number_at(slope, point) for slope in gradient]
+        image = [expressions.number_at(slope, point) for slope in slopes]
         known = [value for value in image if value is not None]
         if len(known) < len(image):
             continue  # outside the domain of the function, as above the speed of light
@@ -273,7 +268,7 @@ def _boundary(
     where: str,
     boundary: Boundary,
     instant: sympy.Expr,
-    gradient: Sequence[sympy.Expr],
+    slopes: Sequence[sympy.Expr],
     conjugates: Sequence[sympy.Symbol],
 ) -> Boundary:
     """Rewrite the fixed rates at one end; a free rate leaves its conjugate free."""
@@ -282,7 +277,7 @@ def _boundary(
     fixed = {symbol: value for symbol, value in zip(symbols, values, strict=True) if value is not None}
     fixed[model.time] = instant
     rates: list[sympy.Expr | None] = []
-    for rate, slope, y, value in zip(model.rates, gradient, conjugates, boundary.rates, strict=True):
+    for rate, slope, y, value in zip(model.rates, slopes, conjugates, boundary.rates, strict=True):
         if value is None:
             rates.append(None)
             continue

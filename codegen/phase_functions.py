@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy
-from sympy import Expr, Symbol
+from sympy import Expr
 
 from codegen import legendre
 from codegen.differentiate import Assignment, program_of
 from codegen.differentiate.adjoint import accumulate
 from codegen.differentiate.graph import ONE, Graph
 from codegen.differentiate.samples import hessian_samples
+from codegen.differentiate.tangents import gradient
 from codegen.model import Model
 from codegen.model.values import trial_points
 
@@ -57,20 +58,16 @@ def phase_functions(model: Model) -> PhaseFunctions | None:
     order = _pivots(hessian_samples(model.function, model.rates, trial_points(model)))
     if order is None:
         return None
-    at_rest = graph.of(model.function.xreplace(dict.fromkeys(model.rates, sympy.S.Zero)))
-    impulses = [_at_rest(graph, model, v, p) for v, p in zip(model.rates, momenta, strict=True)]
+    still = dict.fromkeys(model.rates, sympy.S.Zero)
+    slopes = (slope.xreplace(still) for slope in gradient(model.function, model.rates))
+    impulses = [graph.of(p - slope) for p, slope in zip(momenta, slopes, strict=True)]
+    at_rest = graph.of(model.function.xreplace(still))
     solver = _Elimination(graph, mass, order)
     kinetic = solver.forward(impulses)
     velocities = solver.backward()
     energy = graph.sum([(kinetic, _HALF), (at_rest, -ONE)])
     program = program_of(graph, [*(velocities[i] for i in range(count)), energy])
     return PhaseFunctions(program.assignments, program.values[:-1], program.values[-1])
-
-
-def _at_rest(graph: Graph, model: Model, rate: Symbol, momentum: Symbol) -> int:
-    """The node of p - dL/dv at v = 0."""
-    slope = sympy.diff(model.function, rate).xreplace(dict.fromkeys(model.rates, sympy.S.Zero))
-    return graph.of(momentum - slope)
 
 
 def _largest_block(entries: Iterable[tuple[int, int]], count: int) -> int:

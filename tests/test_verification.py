@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+from pathlib import Path
 
 import pytest
 import sympy
@@ -30,6 +31,7 @@ from codegen.errors import ExpressionError, VerificationError
 from codegen.lower.module import Origin
 from codegen.lower.printer import scalar_code
 from codegen.model import normalise
+from codegen.problem_file import load_problem
 
 ORIGIN = Origin("test.py", "codegen build test.py", "0", ("codegen",))
 
@@ -157,6 +159,69 @@ def test_what_is_emitted_passes(of_cart, of_pendulum, of_explicit_pendulum):
         verify.verify(program, text)
 
 
+def prepared_file(name: str, **arguments):
+    path = Path(__file__).parents[1] / "problems" / f"{name}.py"
+    model = load_problem(path, arguments)
+    program = transcribe.transcribe(model, None, None, "interval")
+    return program, emit.render(lower.lower(program, derive.derivatives(program)), ORIGIN)
+
+
+PAIR_DEFECTS = {
+    "energy": ("hamiltonian", r"energy \+= (.*)", r"energy += 1.00001*(\1)"),
+    "gradient": ("hamiltonian_gradient", r"(gradient\[1, first \+ m, 1\]) = (.*)", r"\1 = 1.00001*(\2)"),
+    "Hessian": ("hamiltonian_hessian", r"(hessian\[.*\]) \+= (.*)", r"\1 += 1.001*(\2)"),
+    "products": ("hessian_products", r"products\[row_j, c\] \+= ", "products[row_j, c] -= "),
+    "momenta": ("momentum_matrix", r"matrix\[i, j\] \+= ", "matrix[i, j] -= "),
+}
+
+
+@pytest.fixture(scope="module")
+def of_landmarks():
+    return prepared_file("image_registration")
+
+
+@pytest.mark.parametrize("name", PAIR_DEFECTS)
+def test_planted_defect_of_particles_is_found(of_landmarks, name):
+    program, text = of_landmarks
+    verify.verify(program, text)
+    function, pattern, replacement = PAIR_DEFECTS[name]
+    with pytest.raises(VerificationError, match="the emitted code gives"):
+        verify.verify(program, changed(text, function, pattern, replacement))
+
+
+def test_products_where_a_term_is_linear_in_an_invariant():
+    """p^2/(2 m) has no curvature in p^2: products once read a momentum that nothing had read."""
+    program, text = prepared_file("lennard_jones")
+    verify.verify(program, text)
+
+
+COUPLING_DEFECTS = {
+    "value": ("coupling_0", r"return (.*)", r"return 1.001*(\1)"),
+    "slope": ("coupling_0", r"slopes\[1\] = (.*?)(  #|\n)", r"slopes[1] = -(\1)\2"),
+    "curvature": ("coupling_0", r"curvatures\[0\] = (.*?)(  #|\n)", r"curvatures[0] = 3*(\1)\2"),
+}
+
+
+@pytest.fixture(scope="module")
+def of_hovercraft():
+    return prepared_file("hovercraft")
+
+
+@pytest.mark.parametrize("name", COUPLING_DEFECTS)
+def test_planted_defect_of_conditions_between_bodies_is_found(of_hovercraft, name):
+    program, text = of_hovercraft
+    with pytest.raises(VerificationError, match="of the condition"):
+        verify.verify(program, changed(text, *COUPLING_DEFECTS[name]))
+
+
+def test_a_term_that_reads_another_unknown_is_found(of_hovercraft):
+    program, text = of_hovercraft
+    verify.verify(program, text)
+    assert "COUPLING_PLACES = np.array([[0, 2], " in text
+    with pytest.raises(VerificationError, match="the condition"):
+        verify.verify(program, text.replace("PLACES = np.array([[0, 2], ", "PLACES = np.array([[0, 3], "))
+
+
 FLAT = {
     "reaction": (lambda x: Rational(72) * 10**9 * exp(-8750 / x), 350),
     "logistic": (lambda x: 1 / (1 + exp(-50 * (x - 8))), 8),
@@ -191,7 +256,7 @@ def test_entries_lost_because_they_are_small_elsewhere_are_found(name, monkeypat
 
 def size(graph, root) -> float:
     """The size of a value where all symbols are 0.7."""
-    value = written_out(graph, root)
+    (value,) = written_out(graph, [root])
     return abs(value.evalf(60, subs=dict.fromkeys(value.free_symbols, 0.7)))
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,10 +32,11 @@ from codegen.checks import (
     switches,
     symplecticity,
 )
-from codegen.checks.base import Check, Context, Finding
+from codegen.checks.base import Check, Context, Finding, not_measured
 from codegen.checks.pairwise import is_pairwise_module
 from codegen.checks.phases import phase_contexts
 from codegen.compiler import Choices
+from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.loading import load
 from codegen.model import Model
 from codegen.problem_file import load_problem, split_points
@@ -94,12 +97,15 @@ def run(
     method: str | None = None,
     controls: str = "interval",
     module: Path | None = None,
+    time_limit: float = CHECK,
 ) -> list[Finding]:
     """Run all checks that apply to a problem file and return their findings.
 
-    `module` is a generated file to be checked as it stands; by default the module is built in the cache. Raises a
-    kind of CodegenError when the problem, a choice or the file is unusable.
+    `module` is a generated file to be checked as it stands; by default the module is built in the cache. A check may
+    take a quarter of what is left of `time_limit` seconds of processor time; what it has not found by then is a finding
+    that says so. Raises a kind of CodegenError when the problem, a choice or the file is unusable.
     """
+    end = time.process_time() + time_limit
     path = Path(path)
     arguments = split_points(path, arguments or {})[0]
     choices = compiler.chosen(scheme, method, controls)
@@ -111,7 +117,7 @@ def run(
     inputs = compiler.origin_of(path, arguments, choices).inputs
     findings = list(provenance.compare(module, context.module, inputs, text))
     for name in CHECKS:
-        findings += apply(name, context)
+        findings += apply(name, context, (end - time.process_time()) / 4)
     return findings
 
 
@@ -120,23 +126,37 @@ def context_of(path: Path, arguments: Mapping[str, str], choices: Choices, modul
     return _prepared(path, arguments, choices, module)[0]
 
 
-def apply(name: str, context: Context) -> list[Finding]:
-    """The findings of one check; whatever a damaged module raises is a finding too.
+def apply(name: str, context: Context, seconds: float = math.inf) -> list[Finding]:
+    """The findings of one check within seconds of processor time; whatever a damaged module raises is a finding too.
 
     A module whose layout does not fit is not run, because compiled code would write outside its arrays.
     """
+    findings: list[Finding] = []
     try:
-        if name in _RUN_THE_MODULE and not all(finding.passed for finding in layout.check(context)):
-            return [Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")]
-        if name not in _OF_EACH_PHASE:
-            return list(CHECKS[name](context))
-        found = [(phase, finding) for phase, own in phase_contexts(context) for finding in CHECKS[name](own)]
-        if not any(finding.applies for _, finding in found):
-            return [found[0][1]]
-        return [replace(finding, subject=f"{phase}{finding.subject}") for phase, finding in found]
+        with interrupted_after(seconds):
+            findings += _found(name, context)
+    except Overdue:
+        reason = f"the problem is too large for it, which was not done after {seconds:.0f} s of processor time"
+        findings.append(not_measured(name, "all else" if findings else "the whole problem", reason))
     except Exception as error:  # a damaged module may fail in any way
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return [Finding(name, "the check itself", False, f"could not be completed ({text[:300]})")]
+    return findings
+
+
+def _found(name: str, context: Context) -> Iterator[Finding]:
+    if name in _RUN_THE_MODULE and not all(finding.passed for finding in layout.check(context)):
+        yield Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")
+        return
+    phases = phase_contexts(context) if name in _OF_EACH_PHASE else []
+    if len(phases) < 2:
+        yield from CHECKS[name](context)
+        return
+    found = [(phase, finding) for phase, own in phases for finding in CHECKS[name](own)]
+    if not any(finding.applies for _, finding in found):
+        yield found[0][1]
+        return
+    yield from (replace(finding, subject=f"{phase}{finding.subject}") for phase, finding in found)
 
 
 def _prepared(path: Path, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:

@@ -26,6 +26,7 @@ __all__ = [
     "jacobian",
     "program_of",
     "second_derivatives",
+    "values_of",
 ]
 
 
@@ -79,6 +80,13 @@ def jacobian(
     absent = vanishing(graph, list(entries.values()))
     places = tuple(place for place, node in entries.items() if node not in absent)
     return program_of(graph, [*nodes, *(entries[place] for place in places)]), places
+
+
+def values_of(values: Sequence[Expr]) -> StraightLine:
+    """A program for some values, whose common parts are found on their graph."""
+    symbols = set[Symbol]().union(*(value.free_symbols for value in values))
+    graph = Graph(sorted(symbols, key=lambda symbol: symbol.name))
+    return program_of(graph, [graph.of(value) for value in values])
 
 
 def program_of(graph: Graph, roots: Sequence[int]) -> StraightLine:

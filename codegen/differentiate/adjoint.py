@@ -48,7 +48,7 @@ def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
         adjoint = found[node] = graph.sum(sweep.first.pop(node, []))
         if node in wanted:
             continue
-        for argument, slope, factor in sweep.slopes(node):
+        for argument, slope, factor in slopes_of_node(graph, node):
             if argument in depending:
                 sweep.first.setdefault(argument, []).append((sweep.times(adjoint, slope), factor))
     return {node: adjoint for node, adjoint in found.items() if node in wanted}
@@ -82,7 +82,7 @@ class _Sweep:
         return found
 
     def _push(self, node: int, adjoint: int, row: dict[int, int]) -> None:
-        slopes, curvatures = self.slopes(node), self._curvatures(node)
+        slopes, curvatures = slopes_of_node(self.graph, node), self._curvatures(node)
         for argument, slope, factor in slopes:
             self.first.setdefault(argument, []).append((self.times(adjoint, slope), factor))
         for a, b, curvature in curvatures:
@@ -104,38 +104,40 @@ class _Sweep:
     def times(self, node: int, slope: int | None) -> int:
         return node if slope is None else self.graph.times(node, slope)
 
-    def slopes(self, number: int) -> Slopes:
-        """The first derivatives of a node by those of its arguments that vary."""
-        node, varies = self.graph.nodes[number], self.graph.varies
-        if isinstance(node, Sum):
-            return [(term, None, coefficient) for term, coefficient in node.terms if varies[term]]
-        if isinstance(node, Product):
-            return [(factor, self._lowered(node, factor), ONE) for factor, _ in node.factors if varies[factor]]
-        call = self.graph.call_at(number)
-        return [(a, self.graph.derivative(call, i), ONE) for i, a in enumerate(call.arguments) if varies[a]]
-
     def _curvatures(self, number: int) -> list[tuple[int, int, int]]:
         """The second derivatives of a node by pairs of its arguments, each pair once."""
-        node, varies = self.graph.nodes[number], self.graph.varies
-        found: list[tuple[int, int, int]] = []
+        graph, found = self.graph, list[tuple[int, int, int]]()
+        node, varies = graph.nodes[number], graph.varies
         if isinstance(node, Product):
             varying = [factor for factor, _ in node.factors if varies[factor]]
-            found = [(a, b, self._lowered(node, a, b)) for i, a in enumerate(varying) for b in varying[: i + 1]]
+            found = [(a, b, _lowered(graph, node, a, b)) for i, a in enumerate(varying) for b in varying[: i + 1]]
         elif not isinstance(node, Sum):
-            call = self.graph.call_at(number)
+            call = graph.call_at(number)
             places = [(i, a) for i, a in enumerate(call.arguments) if varies[a]]
             found = [
-                (a, b, self.graph.derivative(call, i, j)) for n, (i, a) in enumerate(places) for j, b in places[: n + 1]
+                (a, b, graph.derivative(call, i, j)) for n, (i, a) in enumerate(places) for j, b in places[: n + 1]
             ]
         return [(a, b, curvature) for a, b, curvature in found if curvature != self.zero]
 
-    def _lowered(self, product: Product, *factors: int) -> int:
-        """The derivative of a product by factors, one after the other."""
-        exponents, coefficient = dict(product.factors), ONE
-        for factor in factors:
-            coefficient *= exponents[factor]
-            exponents[factor] -= 1
-        return self.graph.product(exponents.items(), coefficient)
+
+def slopes_of_node(graph: Graph, number: int) -> Slopes:
+    """The first derivatives of a node by those of its arguments that vary."""
+    node, varies = graph.nodes[number], graph.varies
+    if isinstance(node, Sum):
+        return [(term, None, coefficient) for term, coefficient in node.terms if varies[term]]
+    if isinstance(node, Product):
+        return [(factor, _lowered(graph, node, factor), ONE) for factor, _ in node.factors if varies[factor]]
+    call = graph.call_at(number)
+    return [(a, graph.derivative(call, i), ONE) for i, a in enumerate(call.arguments) if varies[a]]
+
+
+def _lowered(graph: Graph, product: Product, *factors: int) -> int:
+    """The derivative of a product by factors, one after the other."""
+    exponents, coefficient = dict(product.factors), ONE
+    for factor in factors:
+        coefficient *= exponents[factor]
+        exponents[factor] -= 1
+    return graph.product(exponents.items(), coefficient)
 
 
 def _affine(graph: Graph, varying: Sequence[int], unknowns: set[int]) -> set[int]:

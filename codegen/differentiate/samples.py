@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -10,8 +12,7 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.differentiate.adjoint import accumulate
-from codegen.differentiate.graph import Graph
-from codegen.differentiate.straight_line import straight_line
+from codegen.differentiate.graph import Graph, Leaf, Product, Sum
 from codegen.differentiate.zeros import vanishing
 
 _DIGITS = 100
@@ -30,16 +31,12 @@ def hessian_samples(
     inside = {pair: node for pair, node in found.items() if max(pair) < len(variables)}
     absent = vanishing(graph, inside.values())
     entries = {pair: node for pair, node in inside.items() if node not in absent}
-    names = (sympy.Dummy() for _ in iter(int, 1))
-    program = straight_line(graph, list(entries.values()), names)
-    symbols = sorted(function.free_symbols, key=lambda symbol: symbol.name)
-    evaluate = sympy.lambdify(
-        symbols, list(program.values), modules=[_FUNCTIONS, "mpmath"], cse=lambda values: (program.assignments, values)
-    )
+    order, functions = graph.reachable(entries.values()), _Functions()
     for point in points:
         with mpmath.workdps(_DIGITS):
             try:
-                numbers = [float(value) for value in evaluate(*(mpmath.mpf(point[symbol]) for symbol in symbols))]
+                values = _values(graph, order, point, functions)
+                numbers = [float(values[node]) for node in entries.values()]
             except (TypeError, ValueError, ArithmeticError, KeyError):
                 yield None
                 continue
@@ -47,3 +44,35 @@ def hessian_samples(
         for (row, column), number in zip(entries, numbers, strict=True):
             matrix[row, column] = matrix[column, row] = number
         yield matrix if np.all(np.isfinite(matrix)) else None
+
+
+class _Functions(dict[Expr, Callable[..., Any]]):
+    """The functions of nodes with many digits, by their templates, each made once."""
+
+    def __missing__(self, template: Expr) -> Callable[..., Any]:
+        places = sorted(template.free_symbols, key=lambda symbol: int(symbol.name[1:]))
+        self[template] = sympy.lambdify(places, template, modules=[_FUNCTIONS, "mpmath"])
+        return self[template]
+
+
+def _values(
+    graph: Graph, order: Sequence[int], point: Mapping[Symbol, float], functions: Mapping[Expr, Callable[..., Any]]
+) -> dict[int, Any]:
+    """The values of nodes in the order of computation; a kind of ArithmeticError where one has none."""
+    known: dict[int, Any] = {}
+    for number in order:
+        node = graph.nodes[number]
+        if isinstance(node, Leaf):
+            given = point[node.expression] if node.expression.is_Symbol else node.expression.evalf(_DIGITS + 5)
+            known[number] = mpmath.mpmathify(given)
+        elif isinstance(node, Sum):
+            known[number] = _number(node.constant) + sum(_number(c) * known[a] for a, c in node.terms)
+        elif isinstance(node, Product):
+            known[number] = mpmath.fprod(known[a] ** _number(exponent) for a, exponent in node.factors)
+        else:
+            known[number] = functions[node.template](*(known[a] for a in node.arguments))
+    return known
+
+
+def _number(fraction: Fraction) -> Any:
+    return mpmath.mpf(fraction.numerator) / fraction.denominator

@@ -91,14 +91,14 @@ class _Pairs:
             if number == name:
                 continue
             parts = self.groups[number]
-            for former in self._pairs(parts):
+            for former in self._pairs_with((a, b, name), parts):
                 self.users[former].discard(number)
             scale = parts[a] / weight if self.proportional else ONE
             del parts[a], parts[b]
             parts[name] = parts.get(name, ZERO) + scale
             if not parts[name]:
                 del parts[name]
-            for present in self._pairs(parts):
+            for present in self._pairs_with((name,), parts):
                 found = self.users.setdefault(present, set())
                 found.add(number)
                 if len(found) > 1:
@@ -110,7 +110,22 @@ class _Pairs:
         items = sorted(parts.items())
         for place, (a, weight) in enumerate(items):
             for b, other in items[place + 1 :]:
-                yield (a, b, ONE, other / weight) if self.proportional else (a, b, weight, other)
+                yield self._pair(a, weight, b, other)
+
+    def _pairs_with(self, chosen: Sequence[int], parts: Parts) -> Iterator[Pair]:
+        """The pairs of which one at least is among the chosen parts, in no order; some of them twice."""
+        for a in chosen:
+            if a not in parts:
+                continue
+            weight = parts[a]
+            for b, other in parts.items():
+                if a < b:
+                    yield self._pair(a, weight, b, other)
+                elif b < a:
+                    yield self._pair(b, other, a, weight)
+
+    def _pair(self, a: int, weight: Fraction, b: int, other: Fraction) -> Pair:
+        return (a, b, ONE, other / weight) if self.proportional else (a, b, weight, other)
 
 
 class _Rebuilt:

@@ -43,16 +43,18 @@ def straight_line(graph: Graph, roots: Sequence[int], names: Iterator[Symbol]) -
             symbol = next(names)
             assignments.append((symbol, written[number]))
             written[number], lengths[number] = symbol, 0
-    values = tuple(written[root] if graph.varies[root] else written_out(graph, root) for root in roots)
+    constant = [root for root in roots if not graph.varies[root]]
+    written |= dict(zip(constant, written_out(graph, constant), strict=True))
+    values = tuple(written[root] for root in roots)
     return StraightLine(tuple(assignments), values)
 
 
-def written_out(graph: Graph, root: int) -> Expr:
-    """A value as one expression."""
+def written_out(graph: Graph, roots: Sequence[int]) -> tuple[Expr, ...]:
+    """Values as one expression each."""
     written: dict[int, Expr] = {}
-    for number in graph.reachable([root]):
+    for number in graph.reachable(roots):
         written[number] = _expression(graph, number, written)
-    return written[root]
+    return tuple(written[root] for root in roots)
 
 
 def _expression(graph: Graph, number: int, written: Mapping[int, Expr]) -> Expr:

@@ -147,8 +147,8 @@ def _along_direction(writer: Writer, term: TermDerivatives) -> Kernel:
             for one, other in {(first, second), (second, first)}:
                 if symbol.name == one:
                     total[slope] += curvature * next(d for s, d in by_scalar.items() if s.name == other)
-    slope_changes = {slope: Symbol(f"d_{slope.name}", real=True) for slope in total}
-    assignments += [(slope_changes[slope], value) for slope, value in total.items()]
+    slope_changes = {slope: Symbol(f"d_{slope.name}", real=True) for slope, value in total.items() if value != 0}
+    assignments += [(changed, total[slope]) for slope, changed in slope_changes.items()]
     outputs = []
     for row, value in enumerate(term.gradient):
         changed = change(value) + sum((sympy.diff(value, f) * df for f, df in slope_changes.items()), sympy.S.Zero)

@@ -16,6 +16,8 @@ from codegen.errors import ExpressionError
 
 _SHORT_DENOMINATORS = 64
 _STEEP = 16
+_READABLE = 1000
+"""Operations up to which an expression is written in a description."""
 
 
 _NUMPY_NAMES = dict(
@@ -231,3 +233,10 @@ def array_code(expression: sympy.Expr) -> str:
 def _without_needless_brackets(code: str) -> str:
     """Write 0.5*x where sympy, which takes a decimal for a fraction, writes (0.5)*x."""
     return re.sub(r"(?<![\w\]])\((\d+\.\d+)\)(?!\*\*)", r"\1", code)
+
+
+def readable(value: sympy.Expr) -> str:
+    """An expression as a description has it, or what it is where nobody could read it."""
+    if expressions.longer_than(_READABLE, [value]):
+        return f"an expression of more than {_READABLE} operations"
+    return str(sympy.sstr(value))

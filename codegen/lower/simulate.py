@@ -9,12 +9,16 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.derive import StepDerivatives
+from codegen.differentiate import StraightLine, values_of
 from codegen.discretise import STEP
+from codegen.expressions import longer_than
 from codegen.lower.kernels import Kernel, Line, Output, kernel
 from codegen.lower.module import Argument, SimulateModule
-from codegen.lower.printer import scalar_code
+from codegen.lower.printer import readable, scalar_code
 from codegen.transcribe.program import StepProgram
 
+_LONG = 1000
+"""Operations from which on common parts of the equations are found on a graph of their values."""
 Assignments: TypeAlias = Sequence[tuple[Symbol, Expr]]
 
 
@@ -140,10 +144,15 @@ def _needed(assignments: Assignments, read: Iterable[Expr]) -> tuple[tuple[Symbo
 def _equations_kernel(program: StepProgram) -> Kernel:
     places = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
     places |= {symbol: code for symbol, code in _places(program).items() if symbol not in places}
-    outputs = [Output(f"residual[{i}]", value, name) for i, (name, value) in enumerate(program.equations)]
+    names, values = zip(*program.equations, strict=True)
+    straight = StraightLine(values=values)
+    if longer_than(_LONG, values):
+        straight = values_of(values)
+    outputs = [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)]
     return kernel(
         "step_equations", "The scheme's equations as they stand above; a step makes them vanish.",
         ("state", "interval", *_arguments(program)[1:], "residual"), places, outputs,
+        straight_line=straight.assignments,
     )  # fmt: skip
 
 
@@ -224,7 +233,7 @@ def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
             "Each leads from t_k to t_k1 (suffixes _k and _k1 mark its nodes):",
             "",
         ]
-    lines += [f"    {name} = {sympy.sstr(value)}" for name, value in program.summary]
+    lines += [f"    {name} = {readable(value)}" for name, value in program.summary]
     if program.method == "variational":
         lines += ["", "where each p_k = -D1 Ld - f- and p_k1 = D2 Ld + f+ (position-momentum form)."]
     if program.unknowns:

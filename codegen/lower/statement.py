@@ -12,6 +12,7 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.lower.kernels import Kernel
+from codegen.lower.printer import readable
 from codegen.model import Model
 from codegen.transcribe.path_conditions import nodal_conditions
 from codegen.transcribe.program import ControlProgram, EndElement, Phase, Unknown
@@ -228,7 +229,7 @@ def _relation(label: str, value: Expr) -> str:
     left, _, said = label.partition(" (")
     if said and any(sign in said for sign in (" = ", " <= ", " >= ")):
         return said.removesuffix(")")
-    return f"{left} = {sympy.sstr(value)}" + (f" ({said}" if said else "")
+    return f"{left} = {readable(value)}" + (f" ({said}" if said else "")
 
 
 def _plain(program: ControlProgram, symbols: Sequence[Symbol]) -> Mapping[Symbol, Symbol]:

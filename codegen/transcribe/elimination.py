@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from functools import lru_cache
 
 from sympy import Add, Expr, S, Symbol, expand
 
@@ -173,9 +174,9 @@ def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Ex
 
     Long expressions are looked at as they stand; in short ones terms may cancel once they are multiplied out.
     """
-    terms = [term for term in Add.make_args(expression) if y in term.free_symbols]
+    terms = [term for term in Add.make_args(expression) if y in _symbols_of(term)]
     curved = [term for term in terms if y in _curved(term, variables)]
-    if sum(int(term.count_ops()) for term in curved) > _EXPANSION_LIMIT:
+    if expressions.longer_than(_EXPANSION_LIMIT, curved):
         return None
     coefficient = Add(*terms).diff(y)
     if curved and expressions.multiplied_out(coefficient) <= _EXPANSION_LIMIT:
@@ -185,10 +186,16 @@ def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Ex
 
 def _curved(expression: Expr, variables: AbstractSet[Symbol]) -> AbstractSet[Symbol]:
     """The variables in which an expression, as it is written, is not linear with a coefficient free of variables."""
-    varying = [part for part in expression.args if part.free_symbols & variables]
+    varying = [part for part in expression.args if _symbols_of(part) & variables]
     if expression.is_Add or (expression.is_Mul and len(varying) == 1):
         return frozenset[Symbol]().union(*(_curved(part, variables) for part in varying))
-    return expression.free_symbols & variables if varying else frozenset()
+    return _symbols_of(expression) & variables if varying else frozenset()
+
+
+@lru_cache(maxsize=10_000)
+def _symbols_of(expression: Expr) -> AbstractSet[Symbol]:
+    """The symbols of a term, which is asked about each unknown in turn."""
+    return frozenset(expression.free_symbols)
 
 
 def _sorted(found: Sequence[Assignment], open_unknowns: AbstractSet[Symbol]) -> tuple[tuple[Assignment, ...], ...]:

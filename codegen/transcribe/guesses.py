@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import sympy
 from sympy import Expr, Symbol
 
+from codegen.differentiate.tangents import gradient
 from codegen.model import Boundary, Condition, Model
 
 DURATION = Symbol("duration", positive=True)
@@ -25,7 +26,7 @@ def momentum_guess(model: Model) -> tuple[Expr, ...]:
     motion = coordinate_guess(model)
     values = dict(zip(model.coordinates, motion, strict=True))
     values |= {v: sympy.diff(q, model.time) for v, q in zip(model.rates, motion, strict=True)}
-    momenta = (sympy.diff(model.function, v).subs(values, simultaneous=True) for v in model.rates)
+    momenta = (slope.subs(values, simultaneous=True) for slope in gradient(model.function, model.rates))
     return tuple(at_guess(model, momentum) for momentum in momenta)
 
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import sympy
 from sympy import Expr, S, Symbol
 
+from codegen.differentiate.tangents import gradient
 from codegen.errors import BoundaryError
 from codegen.model import Boundary, Condition, Model
 from codegen.transcribe.ends import End, conditioned_end, pinned_at_zero
@@ -41,7 +41,7 @@ def matched_places(model: Model, end: EndConditions, constraints: Constraints) -
     They are those of fixed velocities, and of all on which a condition, the terminal cost, a matched momentum or a
     constraint with a matched velocity depends.
     """
-    momentum = [sympy.diff(model.function, v) for v in model.rates]
+    momentum = gradient(model.function, model.rates)
     matched = {i for i, value in enumerate(end.boundary.rates) if value is not None}
     matched |= occurring(model.rates, end.cost, *(condition.expression for condition in end.conditions))
     while True:
@@ -71,7 +71,7 @@ def momentum_end(
     place: dict[Symbol, Expr] = dict(zip(model.coordinates, here, strict=True))
     place |= {v: value for v, value in zip(model.rates, end.boundary.rates, strict=True) if value is not None}
     place |= dict(zip((model.rates[j] for j in extra), extra_symbols, strict=True))
-    momentum = [sympy.diff(model.function, v) for v in model.rates]
+    momentum = gradient(model.function, model.rates)
     momenta = [(i, momentum[i].xreplace(place)) for i in sorted(matched)]
     _require_disjoint(model, matched, end.momenta)
     momenta += sorted(end.momenta.items())

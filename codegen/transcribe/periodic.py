@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, S, Symbol
 
+from codegen.differentiate.tangents import gradient
 from codegen.errors import BoundaryError
 from codegen.model import Condition, Model
 from codegen.transcribe.forms import occurring, same_after
@@ -128,7 +129,7 @@ def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
     """
     shifts = dict(model.periodic)
     same = {i for i in chosen if shifts[model.rates[i]] == 0}
-    momenta = [sympy.diff(model.function, v) for v in model.rates]
+    momenta = gradient(model.function, model.rates)
     while True:
         failing = {i for i in same if not _returns(model, momenta[i], same)}
         for constraint in model.holonomic:

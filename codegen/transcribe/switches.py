@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Expr, S, Symbol
 
+from codegen.differentiate.tangents import gradient
 from codegen.differentiate.zeros import identically_zero
 from codegen.model import Condition, Model
 from codegen.model.values import prescribed
@@ -138,7 +139,7 @@ class Transition:
 def momenta(model: Model) -> list[Expr]:
     """The momenta of velocities, or the momenta of a Hamiltonian themselves; a first-order system has none."""
     if model.form == "lagrangian":
-        return [sympy.diff(model.function, v) for v in model.rates]
+        return list(gradient(model.function, model.rates))
     return list(model.rates)
 
 

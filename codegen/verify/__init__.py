@@ -9,13 +9,19 @@ from __future__ import annotations
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 from codegen.verify.control import verify_control
+from codegen.verify.couplings import verify_couplings
 from codegen.verify.execution import Text
+from codegen.verify.particles import verify_particles
 from codegen.verify.steps import verify_step
 
 
 def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:
     """Raise VerificationError, naming the entry, where a kernel is not what its program says."""
+    parts = Text(text)
     if isinstance(program, ControlProgram):
-        verify_control(program, Text(text))
+        verify_control(program, parts)
+        verify_couplings(program, parts)
     elif isinstance(program, StepProgram):
-        verify_step(program, Text(text))
+        verify_step(program, parts)
+    else:
+        verify_particles(program, parts)

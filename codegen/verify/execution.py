@@ -28,7 +28,9 @@ class Text:
             elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
                 self._parts[node.name] = node
             elif isinstance(node, ast.Assign):
-                self._parts |= {target.id: node for target in node.targets if isinstance(target, ast.Name)}
+                parts = (p for t in node.targets for p in (t.elts if isinstance(t, ast.Tuple) else [t]))
+                named = (part for part in parts if isinstance(part, ast.Name))
+                self._parts |= {part.id: node for part in named}
 
     def defines(self, name: str) -> bool:
         """Whether a function, class or constant has the name."""

@@ -28,7 +28,8 @@ Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
 class Share:
     """A scalar, what the kernel of its gradient returns beside it, and the two kernels as they are called.
 
-    `places` are those of the unknowns whose derivatives are emitted; `pattern` has pairs of unknowns.
+    `returned` says what is beside. `places` are those of the unknowns whose derivatives are emitted; `pattern` has
+    pairs of unknowns.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Share:
     hessian: str
     call_gradient: Call
     call_hessian: Call
+    returned: str = "the cost of"
 
 
 class ShareComparison:
@@ -60,7 +62,7 @@ class ShareComparison:
         if not self.count:
             return
         share = self.share
-        self._judge([f"the cost of the {share.name}"], 0, lambda entry: [])
+        self._judge([f"{share.returned} {share.name}"], 0, lambda entry: [])
         of, unknowns = f"of {share.name}'s share of the Lagrangian by", share.unknowns
         names = [f"the derivative {of} {unknowns[place]}" for place in share.places]
         self._judge(names, 1, lambda entry: [share.places[entry]])

@@ -1,0 +1,85 @@
+"""The conditions between bodies: the kernels and tables of their terms, put together again, and what each says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sympy import Symbol
+
+from codegen.lower.control_layout import parameters
+from codegen.transcribe.program import ControlProgram, Coupling
+from codegen.verify.execution import Text
+from codegen.verify.points import random_points
+from codegen.verify.shares import Share, ShareComparison
+
+_DRAWN = 30
+_TABLES = ("COUPLING_KINDS", "COUPLING_ROWS", "COUPLING_COUNTS", "COUPLING_PLACES")
+_KERNEL = "coupling_term"
+
+
+def verify_couplings(program: ControlProgram, text: Text) -> None:
+    """Compare every condition between bodies with the terms that the tables name; VerificationError names an entry."""
+    if not program.couplings:
+        return
+    module = text.interpreted(*_TABLES)
+    terms = list(zip(*(module[table].tolist() for table in _TABLES), strict=True))
+    for number, coupling in enumerate(program.couplings):
+        own = [(kind, places[:count]) for kind, row, count, places in terms if row == number]
+        share = _share(program, coupling, own)
+        symbols = list(dict.fromkeys([*share.unknowns, *parameters(program)]))
+        points = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
+        ShareComparison(share, text, [points]).verify()
+
+
+def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[int, Sequence[int]]]) -> Share:
+    """A condition as a scalar of the shared unknowns that it reads, or that its terms read."""
+    every, others = _shared_symbols(program), parameters(program)
+    named = {place for _, places in terms for place in places}
+    read = [place for place, symbol in enumerate(every) if place in named or coupling.expression.has(symbol)]
+    local, size = {place: i for i, place in enumerate(read)}, len(read)
+    pattern = tuple((row, column) for row in range(size) for column in range(row + 1))
+    entry = {pair: i for i, pair in enumerate(pattern)}
+
+    def call_gradient(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        total: Any = 0
+        for kind, places in terms:
+            slopes = [0] * len(places)
+            inputs, beside = [values[every[place]] for place in places], [values[s] for s in others]
+            total = kernel(kind, inputs, beside, slopes, [0] * len(places) ** 2) + total
+            for place, slope in zip(places, slopes, strict=True):
+                filled[local[place]] = slope + filled[local[place]]
+        return total
+
+    def call_hessian(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+        for kind, places in terms:
+            curvatures = [0] * len(places) ** 2
+            inputs, beside = [values[every[place]] for place in places], [values[s] for s in others]
+            kernel(kind, inputs, beside, [0] * len(places), curvatures)
+            for a, row in enumerate(places):
+                for b, column in enumerate(places):
+                    if local[column] <= local[row]:
+                        i = entry[local[row], local[column]]
+                        filled[i] = curvatures[a * len(places) + b] + filled[i]
+
+    return Share(
+        name=f"the condition {coupling.multiplier.meaning}",
+        scalar=coupling.expression,
+        beside=coupling.expression,
+        unknowns=tuple(every[place] for place in read),
+        places=tuple(range(size)),
+        pattern=pattern,
+        gradient=_KERNEL,
+        hessian=_KERNEL,
+        call_gradient=call_gradient,
+        call_hessian=call_hessian,
+        returned="the value of",
+    )
+
+
+def _shared_symbols(program: ControlProgram) -> list[Symbol]:
+    """A symbol for every shared unknown: of each body in turn, then of the whole problem."""
+    symbols = [Symbol(f"_shared_{place}", real=True) for place in range(program.bodies * program.own)]
+    for symbol, body, j in program.coupling_symbols:
+        symbols[body * program.own + j] = symbol
+    return [*symbols, *program.shared_symbols[program.own :]]
