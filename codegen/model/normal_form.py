@@ -12,7 +12,7 @@ import sympy
 from codegen import expressions, mangling, symbols
 from codegen.bodies import require_body
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
-from codegen.model import drawings, regularity, values
+from codegen.model import drawings, regularity, trials, values
 from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
 from codegen.model.relations import text
@@ -57,8 +57,12 @@ def checked_model(
     plain: Mapping[Quantity, sympy.Symbol],
     name: str = "",
     title: str = "",
+    elsewhere: Mapping[sympy.Symbol, float] | None = None,
 ) -> Model:
-    """Check one problem and build its model; whether boundary values agree with conditions is still to be seen."""
+    """Check one problem and build its model; whether boundary values agree with conditions is still to be seen.
+
+    `elsewhere` has values of states that the problem leaves open, from the phases before it.
+    """
     form = form_of(problem)
     _require_fitting(problem, form, entries, kinds)
     require_keys(entries, kinds)
@@ -66,7 +70,7 @@ def checked_model(
     used = [plain[symbol] for symbol in used_quantities(entries)]
     entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
-    values.require_values(model, bounds_of(entries, used))
+    values.require_values(model, bounds_of(entries, used), trials.trial_points(model, elsewhere))
     regularity.require_regular(model)
     return model
 
