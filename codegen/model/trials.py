@@ -46,10 +46,8 @@ def _constants(model: Model) -> dict[sympy.Symbol, float]:
 
 def _between_ends(model: Model, share: float) -> dict[sympy.Symbol, sympy.Expr]:
     start, end = prescribed(model, "start"), prescribed(model, "end")
-    return {
-        symbol: (1 - share) * start.get(symbol, end.get(symbol)) + share * end.get(symbol, start.get(symbol))
-        for symbol in {**start, **end}
-    }
+    lines = {symbol: (1 - share) * value + share * end[symbol] for symbol, value in start.items() if symbol in end}
+    return {**start, **end, **lines}
 
 
 def _middles(model: Model) -> dict[sympy.Symbol, sympy.Expr]:
