@@ -139,7 +139,7 @@ class _Common(Quantity):
     __slots__ = ()
 
     def _hashable_content(self) -> tuple[Any, ...]:
-        return (type(self), self.name)
+        return tuple(sympy.Symbol._hashable_content(self))
 
 
 class BodyNumber(_Common):
