@@ -21,7 +21,7 @@ from codegen.differentiate.graph import ONE, Graph
 from codegen.differentiate.samples import hessian_samples
 from codegen.differentiate.tangents import gradient
 from codegen.model import Model
-from codegen.model.values import trial_points
+from codegen.model.trials import trial_points
 
 _WRITTEN_OUT = 3
 """Coordinates coupled by the mass matrix up to which its inverse is written out."""

@@ -151,6 +151,18 @@ def _with_place(error: CodegenError, place: str) -> CodegenError:
     return type(error)(clause(f"{place}: {error.finding}"), clause(error.remedy))
 
 
+_UNPACK = "unpack what states(...), controls(...) and their like return, or use state('x'), control('u')"
+_OF_SYMPY = "take functions of expressions from sympy, not from math or numpy"
+_MISTAKES = (
+    ("truth value of Relational", "write two inequalities, such as x >= 0 and x <= 2, for 0 <= x <= 2, or use bounds"),
+    ("'tuple'", _UNPACK),
+    ("multiply sequence", _UNPACK),
+    ("Cannot convert expression to float", _OF_SYMPY),
+    ("ufunc", _OF_SYMPY),
+)
+"""Words of a TypeError, and what its author should have written."""
+
+
 @contextmanager
 def _blaming(path: Path) -> Iterator[None]:
     """Turn whatever the author's code raises into an error that names the file and the line."""
@@ -159,14 +171,19 @@ def _blaming(path: Path) -> Iterator[None]:
     except CodegenError as error:
         raise _with_place(error, _place(path, error)) from error
     except (Exception, SystemExit) as error:  # the author's code may raise anything; only Ctrl-C is not its fault
-        remedy = "correct the file"
-        if isinstance(error, ImportError):
-            remedy = "install what is missing, or correct the import"
-        elif isinstance(error, SystemExit):
-            remedy = "let problem() return instead of exiting"
-        elif isinstance(error, TypeError) and "truth value of Relational" in str(error):
-            remedy = "write two inequalities, such as x >= 0 and x <= 2, for 0 <= x <= 2, or use bounds"
-        raise _unusable(_place(path, error), f"{type(error).__name__}: {error}".rstrip(": "), remedy) from error
+        finding = f"{type(error).__name__}: {error}".rstrip(": ")
+        raise _unusable(_place(path, error), finding, _remedy(error)) from error
+
+
+def _remedy(error: BaseException) -> str:
+    """What to do about an error that Python raises in an author's code, where the mistake is a common one."""
+    if isinstance(error, ImportError):
+        return "install what is missing, or correct the import"
+    if isinstance(error, SystemExit):
+        return "let problem() return instead of exiting"
+    if isinstance(error, TypeError):
+        return next((remedy for words, remedy in _MISTAKES if words in str(error)), "correct the file")
+    return "correct the file"
 
 
 def _place(path: Path, error: BaseException) -> str:

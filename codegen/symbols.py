@@ -133,13 +133,22 @@ class FreeParameter(Quantity):
     upper: Any
 
 
-class BodyNumber(Quantity):
+class _Common(Quantity):
+    """What there is once: declared again under the same name, it is the same."""
+
+    __slots__ = ()
+
+    def _hashable_content(self) -> tuple[Any, ...]:
+        return tuple(sympy.Symbol._hashable_content(self))
+
+
+class BodyNumber(_Common):
     """The number 0, 1, ... of a body among several identical ones."""
 
     __slots__ = ()
 
 
-class Time(Quantity):
+class Time(_Common):
     """The independent variable."""
 
     __slots__ = ()

@@ -49,6 +49,10 @@ _FILES = [
     Malformed("missing-keyword", optimal(duration=""), ProblemFileError, "'duration'"),
     Malformed("unknown-keyword", simulation(lagrange="q"), ProblemFileError, "'lagrange'"),
     Malformed("unpacking", file_text('(a, b), (da,) = coordinates("a b")'), ProblemFileError, "unpack"),
+    Malformed("function-of-math", declaring("import math; math.sin(q)"), ProblemFileError, "from sympy"),
+    Malformed("function-of-numpy", declaring("import numpy; numpy.sin(q)"), ProblemFileError, "from sympy"),
+    Malformed("tuple-as-control", declaring('controls("w")**2'), ProblemFileError, "unpack"),
+    Malformed("tuple-as-parameter", declaring("q * parameters(k=1)"), ProblemFileError, "unpack"),
     Malformed("truth-of-symbol", declaring("if q > 0: pass"), ProblemFileError, "truth value"),
 ]
 

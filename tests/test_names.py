@@ -29,6 +29,7 @@ from codegen import (
 from codegen.compiler import Choices, generate_from_model
 from codegen.lower.module import Origin
 from codegen.mangling import MARK, renamed
+from codegen.model import normalise
 from codegen.model.pairwise import normalise_pairwise
 from codegen.symbols import recorded_declarations
 
@@ -214,3 +215,9 @@ def test_two_of_one_name_are_still_refused():
     names = ["a", "b", "c", "f", "t", "u", "x", "x"]
     with pytest.raises(errors.SymbolError, match="two symbols are called x"):
         interpreted.of_problem(first_order(names))
+
+
+def test_time_is_the_same_each_time_it_is_declared():
+    x, u = state("x"), control("u")
+    problem = Control(dynamics={x: u * time()}, cost=u**2 + time(), duration=1, start={x: 0}, guess={u: time()})
+    assert normalise(problem).dynamics[0].free_symbols == {normalise(problem).time, normalise(problem).controls[0]}

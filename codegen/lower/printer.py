@@ -58,9 +58,12 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return _decimal(expr)
 
     def _print_Pow(self, expr: Any, rational: bool = False) -> str:
+        """Negative powers are quotients: numba raises an error at 0.0**(-2), where 1/0.0**2 is infinite."""
         base, exponent = expr.base, expr.exp
         if base == sympy.E:
             return f"{self.module}.exp({self._print(exponent)})"
+        if exponent.is_Rational and exponent.is_negative and exponent.q <= 2 and exponent != -1:
+            return f"1/{self._print(sympy.Pow(base, -exponent, evaluate=False))}"
         if exponent.is_Rational and exponent.q == 2:
             root = f"{self.module}.sqrt({self._print(base)})"
             return root if exponent == sympy.Rational(1, 2) else f"{root}**({exponent.p})"

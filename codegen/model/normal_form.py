@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Integral
 from typing import Any
 
 import sympy
@@ -12,7 +13,7 @@ import sympy
 from codegen import expressions, mangling, symbols
 from codegen.bodies import require_body
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
-from codegen.model import drawings, regularity, values
+from codegen.model import drawings, regularity, trials, values
 from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
 from codegen.model.relations import text
@@ -57,8 +58,12 @@ def checked_model(
     plain: Mapping[Quantity, sympy.Symbol],
     name: str = "",
     title: str = "",
+    elsewhere: Mapping[sympy.Symbol, float] | None = None,
 ) -> Model:
-    """Check one problem and build its model; whether boundary values agree with conditions is still to be seen."""
+    """Check one problem and build its model; whether boundary values agree with conditions is still to be seen.
+
+    `elsewhere` has values of states that the problem leaves open, from the phases before it.
+    """
     form = form_of(problem)
     _require_fitting(problem, form, entries, kinds)
     require_keys(entries, kinds)
@@ -66,7 +71,7 @@ def checked_model(
     used = [plain[symbol] for symbol in used_quantities(entries)]
     entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
-    values.require_values(model, bounds_of(entries, used))
+    values.require_values(model, bounds_of(entries, used), trials.trial_points(model, elsewhere))
     regularity.require_regular(model)
     return model
 
@@ -112,7 +117,7 @@ def unused_names(used: Sequence[Quantity], declared: Sequence[Quantity]) -> tupl
 def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
     """Refuse arguments that contradict each other, whatever the numbers are."""
     for what, number in [("steps", problem.steps), ("bodies", getattr(problem, "bodies", 1))]:
-        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+        if isinstance(number, bool) or not isinstance(number, Integral) or number < 1:
             raise ExpressionError(f"{what} is {number!r}", "give a positive integer")
     if isinstance(problem, Simulate):
         missing = [str(s) for s in (*kinds.coordinates, *kinds.rates) if s not in problem.start]
@@ -134,12 +139,11 @@ def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entr
             raise ExpressionError(f"{entry.what} beside {form}", "give a Lagrangian, or write the condition in path")
         if entry.role == "constraint" and not entry.equality:
             raise ExpressionError(f"{entry.what} is an inequality", "write it in path")
-    for end in ("start", "end"):
-        for entry in entries:
-            if entry.role == "periodic" and entry.key in getattr(problem, end):
-                raise BoundaryError(
-                    f"{end} fixes {entry.key}, which is periodic", f"leave it out of {end}, or out of periodic"
-                )
+    for entry in entries:
+        if entry.role == "periodic" and entry.key in problem.start:
+            raise BoundaryError(
+                f"start and end fix {entry.key}, which is periodic", "leave it out of one end, or out of periodic"
+            )
     for value in kinds.end_values:
         coordinate, where = value.partner, f"{value.partner}.of({value.body})"
         require_body(value, problem.bodies)
@@ -186,7 +190,7 @@ def _built(
         start=start,
         end=end if is_control else None,
         guess=_pairs(entries, "guess"),
-        steps=problem.steps,
+        steps=int(problem.steps),
         dynamics=_each(entries, "dynamics", coordinates) if first_order else (),
         bounds=bounds_of(entries, (*coordinates, *(rates if form == "hamiltonian" else ()), *controls)),
         path=(*velocity_bounds(entries, rates if form == "lagrangian" else ()), *conditions_of(entries, "path")),
@@ -197,7 +201,7 @@ def _built(
         holonomic=tuple(condition.expression for condition in conditions_of(entries, "constraint")),
         periodic=_pairs(entries, "periodic"),
         free_parameters=free_parameters_of(entries, free),
-        bodies=getattr(problem, "bodies", 1),
+        bodies=int(getattr(problem, "bodies", 1)),
         body=plain[kinds.body] if kinds.body is not None else None,
         end_values=tuple(
             EndValue(plain[value], kinds.coordinates.index(value.partner), value.body) for value in kinds.end_values

@@ -14,7 +14,7 @@ import sympy
 from codegen import expressions
 from codegen.copies import meet_on_the_way, written_out
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
-from codegen.model import drawings, normal_form, values
+from codegen.model import drawings, normal_form, trials, values
 from codegen.model.definitions import FreeParameter, Model
 from codegen.model.scope import Kinds, kinds_of
 from codegen.model.written import Entry, jump_entries, maximises, used_quantities, written_costs, written_entries
@@ -45,7 +45,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     kinds = kinds_of(used, form)
     normal_form.require_cost(problem.phases, kinds)
     plain = normal_form.plain_symbols(used, "control")
-    models = [_phase(place, phase, written[place], kinds, plain) for place, phase in enumerate(problem.phases)]
+    models = _models(problem.phases, written, kinds, plain)
     entries = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
     chain = _chain(models, entries, kinds, plain, name, title)
     _require_values(chain, entries)
@@ -114,8 +114,25 @@ def _require_supported(place: int, phase: Control) -> None:
         raise ExpressionError("it has a drawing", "give the drawing to the first phase, whose it is in all of them")
 
 
+def _models(
+    phases: Sequence[Control], written: Sequence[Sequence[Entry]], kinds: Kinds, plain: Mapping[Quantity, sympy.Symbol]
+) -> list[Model]:
+    """The model of every phase; what one leaves open is expected to be near where the phases before it end."""
+    models: list[Model] = []
+    elsewhere: dict[sympy.Symbol, float] = {}
+    for place, (phase, entries) in enumerate(zip(phases, written, strict=True)):
+        models.append(_phase(place, phase, entries, kinds, plain, elsewhere))
+        elsewhere |= trials.expected_values(models[-1], 1.0)
+    return models
+
+
 def _phase(
-    place: int, phase: Control, entries: Sequence[Entry], common: Kinds, plain: Mapping[Quantity, sympy.Symbol]
+    place: int,
+    phase: Control,
+    entries: Sequence[Entry],
+    common: Kinds,
+    plain: Mapping[Quantity, sympy.Symbol],
+    elsewhere: Mapping[sympy.Symbol, float],
 ) -> Model:
     """The model of one phase, checked by itself."""
     with _in_phase(place):
@@ -129,7 +146,7 @@ def _phase(
         if kinds.end_values or kinds.body is not None:
             symbol = f"{kinds.end_values[0].partner}.of(...)" if kinds.end_values else "body"
             raise SymbolError(f"{symbol} belongs to problems of several bodies", "leave it out of problems of phases")
-        model = normal_form.checked_model(phase, entries, kinds, plain)
+        model = normal_form.checked_model(phase, entries, kinds, plain, elsewhere=elsewhere)
         for condition in model.path:
             if condition.equality and not condition.expression.free_symbols & {*model.rates, *model.controls}:
                 raise BoundaryError(
@@ -197,7 +214,7 @@ def _jump(entries: Sequence[Entry]) -> Jump:
 
 def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
     """Refuse jumps without a value, bounds that do not meet, and values at the ends that violate conditions."""
-    points = values.trial_points(chain)
+    points = trials.trial_points(chain)
     for entry in (entry for jump in jumps for entry in jump):
         if all(expressions.rounded_at(entry.expression, point) is None for point in points):
             raise ExpressionError(

@@ -11,7 +11,8 @@ from codegen.differentiate.samples import hessian_samples
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.model.definitions import Condition, Model
 from codegen.model.relations import text
-from codegen.model.values import prescribed, trial_points
+from codegen.model.trials import trial_points
+from codegen.model.values import prescribed
 from codegen.terms import distinct
 
 Points = Sequence[Mapping[sympy.Symbol, float]]

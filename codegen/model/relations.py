@@ -40,6 +40,8 @@ def relation(value: Any, what: str) -> Relation:
     single relation, or when it holds always or never.
     """
     if isinstance(value, (bool, boolalg.BooleanAtom)):
+        if value is False:
+            raise ExpressionError(f"{what} is False", "write Eq(a, b), because a == b compares how a and b are written")
         raise _decided(what, bool(value))
     if isinstance(value, boolalg.And):
         raise ExpressionError(f"{what} joins relations by And", "give each relation as an entry of its own")

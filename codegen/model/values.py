@@ -23,21 +23,11 @@ def values_at_guess(model: Model) -> dict[sympy.Symbol, float]:
     return values | {symbol: number for symbol, number in guesses.items() if number is not None}
 
 
-def trial_points(model: Model) -> list[dict[sympy.Symbol, float]]:
-    """States, controls, end values and times at which the expressions of a problem may be expected to have a value."""
-    fixed = values_at_guess(model) | ({model.body: 0.0} if model.body is not None else {})
-    starts = zip([*model.coordinates, *model.rates], [*model.start.positions, *model.start.rates], strict=False)
-    numbers = ((s, expressions.rounded_at(e, fixed)) for s, e in starts if e is not None)
-    likely = {symbol: number for symbol, number in numbers if number is not None}
-    ends = [value.symbol for value in model.end_values]
-    symbols = [*model.coordinates, *model.rates, *model.controls, *ends, model.time]
-    return list(expressions.trial_points(symbols, fixed, likely))
-
-
-def require_values(model: Model, bounds: Sequence[Bounds]) -> None:
+def require_values(model: Model, bounds: Sequence[Bounds], points: Sequence[Mapping[sympy.Symbol, float]]) -> None:
     """Refuse values that are not finite at the default parameters, and values that contradict each other.
 
-    `bounds` are all that the author gave, those of velocities and free parameters included.
+    `bounds` are all that the author gave, those of velocities and free parameters included; at one of `points` every
+    expression is expected to have a value.
     """
     for free in model.free_parameters:
         _number(f"guess of {free.symbol}", free.guess, model.default_values)
@@ -51,7 +41,7 @@ def require_values(model: Model, bounds: Sequence[Bounds]) -> None:
     for bound in bounds:
         _require_order(model, bound)
     _require_within(model, bounds)
-    _require_real(model)
+    _require_real(model, points)
 
 
 def _bodies(model: Model, *expressions: sympy.Expr | None) -> Iterator[dict[sympy.Symbol, float]]:
@@ -129,7 +119,7 @@ def _require_within(model: Model, bounds: Sequence[Bounds]) -> None:
                     raise BoundaryError(f"{what} is {number:g}, {word} bound {edge:g}", "correct one of them")
 
 
-def _require_real(model: Model) -> None:
+def _require_real(model: Model, points: Sequence[Mapping[sympy.Symbol, float]]) -> None:
     """Refuse dynamics, costs, conditions and guesses that have no real value at any trial point."""
     form = "dynamics" if model.form == "first-order" else model.form
     named = [(f"the {form}", model.function), *((f"guess of {s}", value) for s, value in model.guess)]
@@ -142,7 +132,6 @@ def _require_real(model: Model) -> None:
     couplings = [model.couplings[i] for i in distinct([c.expression for c in model.couplings], values)]
     conditions = (*model.path, *model.start_conditions, *model.end_conditions, *couplings)
     named += [(condition.name, condition.expression) for condition in conditions]
-    points = trial_points(model)
     for what, expression in named:
         for body in _bodies(model, expression):
             if all(expressions.rounded_at(expression, {**point, **body}) is None for point in points):

@@ -100,7 +100,7 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield from _values("guess", control.guess)
     yield from _values("scale", control.scale)
     yield from _bounds(control.bounds)
-    yield from _shifts(control.periodic)
+    yield from _periodic(control)
     yield from _relations("path", control.path)
     yield from _relations("start_conditions", control.start_conditions)
     yield from _relations("end_conditions", control.end_conditions)
@@ -173,17 +173,32 @@ def _bounds(mapping: Any) -> Iterator[Entry]:
 
 def _pair(key: Quantity, lower: Any, upper: Any) -> Iterator[Entry]:
     for role, value in (("lower bound", lower), ("upper bound", upper)):
-        if value is None:
+        if value is None or _is_infinite(value, role == "lower bound"):
             continue
-        if isinstance(value, (float, sympy.Basic)) and value in (float("inf"), -float("inf"), sympy.oo, -sympy.oo):
-            raise ExpressionError(f"{role} of {key} is infinite", "write None where there is no bound")
         yield _entry(role, f"{role} of {key}", value, key)
+
+
+def _is_infinite(bound: Any, is_lower: bool) -> bool:
+    """Whether a bound bounds nothing; ExpressionError where it is infinite on the side that leaves nothing."""
+    return isinstance(bound, (float, sympy.Basic)) and bound == (-sympy.oo if is_lower else sympy.oo)
 
 
 def _declared_values(symbol: FreeParameter) -> Iterator[Entry]:
     """The first guess and the bounds with which a free parameter was declared."""
     yield _entry("first guess", f"guess of {symbol}", symbol.guess, symbol)
     yield from _pair(symbol, symbol.lower, symbol.upper)
+
+
+def _periodic(control: Control) -> Iterator[Entry]:
+    """What is periodic; a value that one end gives is given at the other end as well, and periodic no more."""
+    for entry in _shifts(control.periodic):
+        symbol, shift = entry.key, entry.expression
+        if symbol in control.start and symbol not in control.end:
+            yield _entry("end", f"end of {symbol}", control.start[symbol] + shift, symbol)
+        elif symbol in control.end and symbol not in control.start:
+            yield _entry("start", f"start of {symbol}", control.end[symbol] - shift, symbol)
+        else:
+            yield entry
 
 
 def _shifts(periodic: Any) -> Iterator[Entry]:

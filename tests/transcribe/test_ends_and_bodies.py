@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy
 from dense_assembly import DenseProblem
-from sympy import cos, pi, sin
+from sympy import Rational, cos, pi, sin
 
 from codegen import (
     Control,
@@ -154,6 +154,29 @@ def test_periodic_states_with_a_shift():
     assert (nodes[0] + nodes[-1]) / 2 == pytest.approx(5)
     # By symmetry x - 5 = sinh(t - 1/2)/sinh(1/2) in continuous time, J = coth(1/2).
     assert dense.cost(z) == pytest.approx(1 / np.tanh(0.5), rel=1e-2)
+
+
+@pytest.mark.parametrize("given", ["start", "end"])
+def test_a_periodic_value_that_one_end_gives_holds_at_both(given):
+    """The oscillator above with its phase fixed, which the optimum has anyway: q = 1/10 where the period begins."""
+    q, v = coordinate("q")
+    u, t = control("u"), time()
+    phase = {given: {q: Rational(1, 10), v: 0}}
+    cost = ((q - cos(2 * t)) ** 2 + u**2) / 2
+    motion = {"lagrangian": v**2 / 2 - q**2 / 2, "force": {q: u}, "cost": cost, "duration": pi}
+    dense, z = solved(Control(**motion, periodic=[q, v], **phase), steps=20)
+    assert dense.at_nodes(z, "q")[[0, -1]] == pytest.approx([0.1, 0.1], abs=1e-12)
+    assert dense.cost(z) == pytest.approx(9 * np.pi / 40, rel=2e-2)
+    free = solved(Control(**motion, periodic={q: 0, v: 0}), steps=20)
+    assert dense.cost(z) >= free[0].cost(free[1])
+
+
+def test_a_shift_carries_the_value_at_one_end_to_the_other():
+    (x,) = states("x")
+    u = control("u")
+    problem = Control(dynamics={x: u}, cost=u**2 / 2, duration=1, end={x: 5}, periodic={x: 2})
+    dense, z = solved(problem, steps=4)
+    assert dense.at_nodes(z, "x") == pytest.approx(np.linspace(3, 5, 5))
 
 
 def test_periodic_velocity_with_a_shift_and_a_mass_that_varies():
