@@ -60,7 +60,7 @@ class ShareComparison:
         if not self.count:
             return
         share = self.share
-        self._judge([f"the cost of the {share.name}"], 0, lambda entry: [])
+        self._judge([f"the cost of {share.name}"], 0, lambda entry: [])
         of, unknowns = f"of {share.name}'s share of the Lagrangian by", share.unknowns
         names = [f"the derivative {of} {unknowns[place]}" for place in share.places]
         self._judge(names, 1, lambda entry: [share.places[entry]])
