@@ -5,7 +5,7 @@
 # Left out, because this problem does not need it:
 # - curvature of the boundary conditions: positions that they depend on are given
 # - interior point: there are no inequalities
-# - derivatives of the lagrangian by x: cyclic
+# - derivatives of the Lagrangian by x: cyclic
 # - time in the kernels: nothing depends on it explicitly
 # - 100 of 153 entries of the interval's Hessian: identically zero
 """Bring a ball to rest beyond one bounce, higher than it would rise by itself, with least effort.
@@ -79,6 +79,7 @@ Operations per interval, before and after common subexpressions are shared:
 
 import hashlib
 import io
+import marshal
 import math
 import pickletools
 import sys
@@ -121,7 +122,7 @@ metadata = {
     "left_out": (
         'curvature of the boundary conditions: positions that they depend on are given',
         'interior point: there are no inequalities',
-        'derivatives of the lagrangian by x: cyclic',
+        'derivatives of the Lagrangian by x: cyclic',
         'time in the kernels: nothing depends on it explicitly',
         "100 of 153 entries of the interval's Hessian: identically zero",
     ),
@@ -189,8 +190,8 @@ def phase_1_gradient(unknowns, t, h, parameters, gradient):
     x13 = f_y_k*x6
     x14 = T_1*x13
     x15 = g*x10
-    x16 = T_1**(-2)
-    x17 = h**(-2)
+    x16 = 1/T_1**2
+    x17 = 1/h**2
     x18 = 2*y_k - 2*y_k1
     x19 = h*(0.5*m*x16*x17*x18 - x15)
     x20 = 2*T_1*h
@@ -244,7 +245,7 @@ def phase_1_hessian(unknowns, t, h, parameters, hessian):
     x4 = 0.5*x3
     x5 = 2*x3
     x6 = -x2
-    x7 = T_1**(-2)
+    x7 = 1/T_1**2
     x8 = x1*x7
     x9 = lambda_x_k*x8 - lambda_x_k1*m*x0*x7
     x10 = lambda_y_k*x8 - lambda_y_k1*m*x0*x7
@@ -255,7 +256,7 @@ def phase_1_hessian(unknowns, t, h, parameters, hessian):
     x15 = f_y_k*x11
     x16 = 2*y_k - 2*y_k1
     x17 = 0.5*g*m
-    x18 = h**(-2)
+    x18 = 1/h**2
     x19 = 2*h
     x20 = -x13
     x21 = -x16
@@ -357,8 +358,8 @@ def switch_1_gradient(unknowns, t, h, parameters, gradient):
     x16 = f_y_k*x10
     x17 = T_2*x16
     x18 = g*x14
-    x19 = T_2**(-2)
-    x20 = h**(-2)
+    x19 = 1/T_2**2
+    x20 = 1/h**2
     x21 = 2*y_k - 2*y_k1
     x22 = h*(0.5*m*x19*x20*x21 - x18)
     x23 = 2*T_2*h
@@ -414,7 +415,7 @@ def switch_1_hessian(unknowns, t, h, parameters, hessian):
     x4 = 0.5*x3
     x5 = 2*x3
     x6 = -x2
-    x7 = T_2**(-2)
+    x7 = 1/T_2**2
     x8 = x1*x7
     x9 = lambda_x_k1*x8 - pi_x_k*x8
     x10 = lambda_y_k1*x8 - pi_y_k*x8
@@ -425,7 +426,7 @@ def switch_1_hessian(unknowns, t, h, parameters, hessian):
     x15 = f_y_k*x11
     x16 = 2*y_k - 2*y_k1
     x17 = 0.5*g*m
-    x18 = h**(-2)
+    x18 = 1/h**2
     x19 = 2*h
     x20 = -x13
     x21 = -x16
@@ -521,8 +522,8 @@ def phase_2_gradient(unknowns, t, h, parameters, gradient):
     x13 = f_y_k*x6
     x14 = T_2*x13
     x15 = g*x10
-    x16 = T_2**(-2)
-    x17 = h**(-2)
+    x16 = 1/T_2**2
+    x17 = 1/h**2
     x18 = 2*y_k - 2*y_k1
     x19 = h*(0.5*m*x16*x17*x18 - x15)
     x20 = 2*T_2*h
@@ -576,7 +577,7 @@ def phase_2_hessian(unknowns, t, h, parameters, hessian):
     x4 = 0.5*x3
     x5 = 2*x3
     x6 = -x2
-    x7 = T_2**(-2)
+    x7 = 1/T_2**2
     x8 = x1*x7
     x9 = lambda_x_k*x8 - lambda_x_k1*m*x0*x7
     x10 = lambda_y_k*x8 - lambda_y_k1*m*x0*x7
@@ -587,7 +588,7 @@ def phase_2_hessian(unknowns, t, h, parameters, hessian):
     x15 = f_y_k*x11
     x16 = 2*y_k - 2*y_k1
     x17 = 0.5*g*m
-    x18 = h**(-2)
+    x18 = 1/h**2
     x19 = 2*h
     x20 = -x13
     x21 = -x16
@@ -1719,7 +1720,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     system, total = allocate_system(grid), 0
     guess = without_multipliers(grid, unknowns)
     if guess.error < np.inf and is_gross(grid, guess):
-        near = restore(grid, guess, NEARBY, [], system)
+        near = restore(grid, guess, NEARBY, [], system, log)
         if near is not None:
             limit = min(max_iterations // 2, NEARBY_ITERATIONS)
             status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
@@ -1785,9 +1786,9 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point.violation, point.cost))
-            trial = restore(grid, point, 0.9, filtered, system)
+            trial = restore(grid, point, 0.9, filtered, system, log)
             if trial is None:
-                return "infeasible", point, iteration
+                return "time limit" if log.is_late() else "infeasible", point, iteration
             trial = with_multipliers(grid, without_multipliers(grid, trial.unknowns), system)
         point = trial
     return "iteration limit", point, max_iterations
@@ -1876,8 +1877,8 @@ def search(grid, point, step, slope, small_violation, filtered, system):
     return None, length
 
 
-def restore(grid, point, reduction, filtered, system):
-    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails.
+def restore(grid, point, reduction, filtered, system, log):
+    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails, or the time is up.
 
     Levenberg and Marquardt's method: with A the equations' Jacobian and c their residuals, the step d minimises
     |A d + c|^2 + damping |d|^2, which is the KKT matrix with -damping for the multipliers and a one for the others.
@@ -1887,7 +1888,7 @@ def restore(grid, point, reduction, filtered, system):
     for _ in range(RESTORATION_STEPS):
         gradient, trial = np.where(grid.is_multiplier, point.gradient, 0.0), None
         while trial is None:
-            if damping > 1e12:
+            if damping > 1e12 or log.is_late():
                 return None
             if is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, damping), system, gradient)):
                 solve_kkt(grid, system, gradient, step, carried=True)
@@ -3037,8 +3038,12 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 # an index that was written just before its process was killed may name the machine code of an older text. Such files
 # are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
 # nothing reads on; of other files it is only seen whether they can be read to their end.
+#
+# Python keeps the bytecode of this module as well, before it runs it: where the disk is full, Python before 3.13 keeps a
+# part, which would end every later import.
 
 SEAL = b"\nsha256 of all before: "
+BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
@@ -3059,6 +3064,18 @@ def remove_unfit_code(functions, identity):
         count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
         print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
     return len(damaged)
+
+
+def remove_partial_bytecode(file):
+    """Remove the bytecode that Python keeps of a module where it could not be read to its end; there may be none."""
+    if file is None:
+        return
+    try:
+        marshal.loads(Path(file).read_bytes()[BYTECODE_HEADER:])
+    except (EOFError, ValueError, TypeError):
+        Path(file).unlink(missing_ok=True)
+    except FileNotFoundError:
+        pass
 
 
 def kept_code(functions):
@@ -3091,9 +3108,10 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_fbb629057af0325f"
+_IDENTITY = "codegen_bouncing_ball_cd65a3247390c9e8"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
 DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
+remove_partial_bytecode(getattr(__spec__, "cached", None))

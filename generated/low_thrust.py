@@ -6,7 +6,7 @@
 # - slacks in the linear system: each interval eliminates its own
 # - a border of the linear system: no unknown is shared by all intervals
 # - a right-hand side that takes part in the elimination: rows of element matrices have no room for it
-# - derivatives of the lagrangian by phi: cyclic
+# - derivatives of the Lagrangian by phi: cyclic
 # - 97 of 136 entries of the interval's Hessian: identically zero
 """Bring a spacecraft with a weak engine to the largest possible circular orbit in a given time.
 
@@ -55,6 +55,7 @@ Operations per interval, before and after common subexpressions are shared:
 
 import hashlib
 import io
+import marshal
 import math
 import pickletools
 import sys
@@ -95,7 +96,7 @@ metadata = {
         'slacks in the linear system: each interval eliminates its own',
         'a border of the linear system: no unknown is shared by all intervals',
         'a right-hand side that takes part in the elimination: rows of element matrices have no room for it',
-        'derivatives of the lagrangian by phi: cyclic',
+        'derivatives of the Lagrangian by phi: cyclic',
         "97 of 136 entries of the interval's Hessian: identically zero",
     ),
 }
@@ -146,7 +147,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     lambda_phi_k1 = unknowns[13]
     thrust = parameters[0]
     flow = parameters[1]
-    x0 = h**(-2)
+    x0 = 1/h**2
     x1 = 0.5*r_k + 0.5*r_k1
     x2 = x0*(-phi_k + phi_k1)**2
     x3 = 0.25*x2 + 0.5/x1**3
@@ -227,7 +228,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x10 = x1*x9
     x11 = lambda_r_k*x10 + lambda_r_k1*x10 + x7 - x8
     x12 = lambda_r_k*x6 + lambda_r_k1*x6
-    x13 = h**(-2)
+    x13 = 1/h**2
     x14 = 0.25*x13*(-phi_k + phi_k1)**2 + 0.5/x3**3
     x15 = h*(x13 + x14)
     x16 = 0.5*x6
@@ -1426,27 +1427,29 @@ PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these 
 
 
 class Bounds(NamedTuple):
-    """Places, values and sides of all finite bounds."""
+    """Places, values, sides and magnitudes, one or more, of all finite bounds."""
 
     place: np.ndarray
     value: np.ndarray
     side: np.ndarray
+    magnitude: np.ndarray
 
 
 def finite_bounds(lower, upper):
     """The bounds that exist, lower ones first."""
-    below, above = np.flatnonzero(lower > -np.inf), np.flatnonzero(upper < np.inf)
+    (below,), (above,) = (lower > -np.inf).nonzero(), (upper < np.inf).nonzero()
     side = np.ones(below.size + above.size)
     side[below.size :] = -1.0
-    return Bounds(np.concatenate([below, above]), np.concatenate([lower[below], upper[above]]), side)
+    value = np.concatenate([lower[below], upper[above]])
+    return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
 
 
-def relaxation(bounds, mu):
-    """How much farther away bounds are taken to be while the barrier's weight is mu.
+def relaxation(mu):
+    """How much farther away bounds are taken to be while the barrier's weight is mu, relative to their magnitudes.
 
     Where equations hold an unknown on its bound, its dual is mu / relaxation: it stays moderate for every mu.
     """
-    return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu)) * np.maximum(1.0, np.abs(bounds.value))
+    return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu))
 
 
 def push_inside(lower, upper, unknowns, push):
@@ -1547,10 +1550,10 @@ def move_duals(duals, dual_step, length, distance, mu, result):
 RESTORATION_STEPS = 200
 
 
-def restore(search, iterate, reduction, is_acceptable):
+def restore(search, iterate, reduction, is_acceptable, is_late):
     """("restored", unknowns, distances) that the filter accepts, or (what went wrong, and the last ones).
 
-    When restored, the violation is at most `reduction` times the first.
+    When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up.
     """
     grid, bounds, *_ = search
     unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
@@ -1558,6 +1561,8 @@ def restore(search, iterate, reduction, is_acceptable):
     first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 1e-4
     duals = np.minimum(nu / distance, 1e3)
     for _ in range(RESTORATION_STEPS):
+        if is_late():
+            return "time limit", point.unknowns, distance
         pull = attraction(grid, point)
         error = restoration_error(grid, bounds, pull, distance, duals)
         if error <= 1e-8 * point.residual:
@@ -1678,7 +1683,7 @@ def begin(search, unknowns, attempt, central=False):
     """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
     bounds, mu = search.bounds, attempt.weight
     unknowns = push_inside(*search.box, unknowns, attempt.push)
-    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(bounds, mu)
+    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(mu) * bounds.magnitude
     return with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3) if central else None)
 
 
@@ -1715,7 +1720,9 @@ def measured_iterate(search, iterate):
         point.gradient, point.unknowns, is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals
     )
     error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
-    return iterate._replace(point=point._replace(stationarity=measured[0], error=error)), measured
+    # Building the tuples anew takes a third of the time of replacing fields.
+    point = Point(point.unknowns, point.gradient, point.cost, point.residual, point.violation, measured[0], error)
+    return Iterate(point, iterate.distance, iterate.logarithms, iterate.duals), measured
 
 
 def is_acceptable(grid, point, measured, tolerance):
@@ -1737,15 +1744,17 @@ def barrier_error(point, measured, mu):
 
 def tightened(search, iterate, before, mu):
     """The iterate with its bounds relaxed as it belongs to a lower weight; what is then outside moves inside."""
-    bounds = search.bounds
-    relaxed = relaxation(bounds, mu)
-    distance = iterate.distance - (relaxation(bounds, before) - relaxed)
-    outside = np.flatnonzero(distance < 0.1 * relaxed)
-    if not outside.size:
+    bounds, by = search.bounds, relaxation(before) - relaxation(mu)
+    if by == 0.0:
+        return iterate
+    least = 0.1 * relaxation(mu) * bounds.magnitude
+    distance = iterate.distance - by * bounds.magnitude
+    outside = distance < least
+    if not outside.any():
         return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
     unknowns = iterate.point.unknowns.copy()
-    unknowns[bounds.place[outside]] += bounds.side[outside] * (0.1 * relaxed - distance)[outside]
-    distance[outside] = 0.1 * relaxed[outside]
+    unknowns[bounds.place[outside]] += bounds.side[outside] * (least - distance)[outside]
+    distance[outside] = least[outside]
     return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
 
 
@@ -1789,16 +1798,12 @@ def damped(damping, step, length, shortened):
 
 def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-
-    def accepted(trial, length):
-        return is_better(trial, iterate, step, length, mu, small_violation, filtered)
-
     length = step.longest
     while length > shortest:
         trial = moved(search, iterate, step.primal, length)
-        if not accepted(trial, length):
+        if not is_better(trial, iterate, step, length, mu, small_violation, filtered):
             worse = length == step.longest and trial[0].violation >= iterate.point.violation
-            trial = corrected(search, iterate, step, mu, trial, accepted) if worse else None
+            trial = corrected(search, iterate, step, mu, trial, small_violation, filtered) if worse else None
         if trial is not None:
             return with_duals(trial, iterate, step, mu), length
         length *= 0.5
@@ -1831,7 +1836,7 @@ def is_better(trial, iterate, step, length, mu, small_violation, filtered):
 
 def with_duals(trial, iterate, step, mu):
     """The iterate at a trial point, with duals after the step's dual part."""
-    duals = np.empty_like(iterate.duals)
+    duals = np.empty(iterate.duals.size)
     move_duals(iterate.duals, step.dual, step.dual_length, trial[1], mu, duals)
     return Iterate(*trial, duals)
 
@@ -1839,12 +1844,12 @@ def with_duals(trial, iterate, step, mu):
 def moved(search, iterate, step, length):
     """Point, distances and sum of their logarithms after a step of some length."""
     unknowns, bounds = iterate.point.unknowns, search.bounds
-    trial, distance = np.empty_like(unknowns), np.empty_like(iterate.distance)
+    trial, distance = np.empty(unknowns.size), np.empty(bounds.place.size)
     logarithms = move(unknowns, step, length, bounds.place, bounds.side, iterate.distance, trial, distance)
     return evaluate(search.grid, trial), distance, logarithms
 
 
-def corrected(search, iterate, step, mu, trial, accepted):
+def corrected(search, iterate, step, mu, trial, small_violation, filtered):
     """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
     grid, bounds, system, *_ = search
     right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
@@ -1858,12 +1863,67 @@ def corrected(search, iterate, step, mu, trial, accepted):
             return None
         _, length, _ = measure_step(iterate.point.unknowns, right, correction, *barrier, max(0.99, 1.0 - mu), unused)
         trial = moved(search, iterate, correction, length)
-        if accepted(trial, step.longest):
+        if is_better(trial, iterate, step, step.longest, mu, small_violation, filtered):
             return trial
         if not trial[0].violation < 0.99 * last:
             return None
         last = trial[0].violation
     return None
+
+
+# The end of an interior point method: bounds, which were relaxed on the way, hold exactly.
+#
+# What lies beyond a bound, by its relaxation, is moved onto it. Where equations are steep or multipliers large, even a
+# move of 1e-12 costs digits of the optimality conditions: Newton's steps of the barrier problem whose bounds are not
+# relaxed then lead back to its optimum.
+
+LAST_STEPS = 3
+WORSE = 2.0  # by which errors may grow where that is beyond the tolerance
+
+
+def within_bounds(search, iterate, tolerance):
+    """The point of an iterate inside its bounds, with errors measured there, or as it is where that costs accuracy."""
+    point = iterate.point
+    if not point.error < np.inf:
+        return point
+    clipped = inside = on_bounds(search, iterate)
+    for _ in range(LAST_STEPS):
+        if inside.error <= max(tolerance, WORSE * point.error):
+            return inside
+        iterate = last_step(search, iterate)
+        if iterate is None:
+            break
+        inside = on_bounds(search, iterate)
+    best = min(inside, clipped, key=lambda found: found.error)
+    return best if best.residual <= max(tolerance, WORSE * point.residual) else point
+
+
+def on_bounds(search, iterate):
+    """The point with what lies beyond a bound on it, its stationarity measured with the duals of bounds."""
+    grid, bounds, (lower, upper) = search.grid, search.bounds, search.box
+    unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
+    moves = (unknowns != iterate.point.unknowns).any()
+    point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
+    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.place, bounds.side, *barrier)
+    return point._replace(stationarity=measured[0], error=max(point.residual, measured[0]))
+
+
+def last_step(search, iterate):
+    """The iterate after a Newton step of the barrier problem whose bounds are not relaxed; None where there is none.
+
+    An unknown that is no farther from its bound than by the relaxation keeps its distance, and is moved instead, so
+    that complementarities stay as they are.
+    """
+    grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns.copy()
+    distance = bounds.side * (unknowns[bounds.place] - bounds.value)
+    relaxed = iterate.distance - distance
+    close = np.flatnonzero(distance < relaxed)
+    unknowns[bounds.place[close]] += (bounds.side * relaxed)[close]
+    distance[close] = iterate.distance[close]
+    mu = iterate.duals @ distance / max(1, distance.size)
+    iterate = iterate._replace(point=evaluate(grid, unknowns), distance=distance)
+    step = regularised_step(search, iterate, mu, 0.0, 0.0)
+    return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), iterate, step, mu)
 
 
 # Primal-dual interior point method with a filter line search, for problems with bounds on unknowns.
@@ -1918,38 +1978,27 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         iterate = begin(search, bent(grid, primal, attempt.bend), attempt, central=attempt is WARM)
         status = "restored"
         if attempt.nearby and iterate.point.error < np.inf:
-            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
-        point = iterate.point
+            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [], log)
         if status == "restored":
-            status, point, iterations = leave_saddles(search, iterate, attempt, tolerance, max_iterations - total, log)
+            left = max_iterations - total
+            status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
             total += iterations
-            first = first or (status, point)
+            first = first or (status, iterate)
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
-    status, point = (status, point) if status == "solved" else first
-    return status, within_bounds(search, point, tolerance), total
+    status, iterate = (status, iterate) if status == "solved" else first
+    return status, within_bounds(search, iterate, tolerance), total
 
 
 def bent(grid, unknowns, part):
     """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
+    if part == 0.0:
+        return unknowns
     bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0)
-    if part > 0.0:
-        for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
-            sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
-            own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
+    for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
+        sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
+        own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
     return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
-
-
-def within_bounds(search, point, tolerance):
-    """The point with what lies beyond a bound, by its relaxation, on the bound, unless equations then fail to hold."""
-    grid, (lower, upper) = search.grid, search.box
-    unknowns = np.minimum(np.maximum(point.unknowns, lower), upper)
-    if not point.error < np.inf or (unknowns == point.unknowns).all():
-        return point
-    inside, stationarity = evaluate(grid, unknowns), point.stationarity  # with the duals of bounds
-    if not inside.residual <= max(tolerance, 2.0 * point.residual):
-        return point
-    return inside._replace(stationarity=stationarity, error=max(inside.residual, stationarity))
 
 
 def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
@@ -1970,7 +2019,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
         escapes += 1
     if status == "saddle point" and escapes == ESCAPES and not failed:
         status = "solved" if is_solved(search.grid, saddle.point, tolerance) else "stalled"
-    return status, saddle.point, total
+    return status, saddle, total
 
 
 def neighbours(search, saddle, attempt, escapes):
@@ -2040,7 +2089,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 closed = measured[1] <= tolerance * search.bounds.place.size
                 return ("solved" if closed else "stalled"), iterate, iteration
             filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
-            status, trial = restored(search, iterate, mu, 0.9, filtered)
+            status, trial = restored(search, iterate, mu, 0.9, filtered, log)
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
         iterate = trial
@@ -2089,13 +2138,13 @@ def is_boundless(point, largest):
     return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
 
 
-def restored(search, iterate, mu, reduction, filtered):
+def restored(search, iterate, mu, reduction, filtered, log):
     """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
     def is_acceptable(point, logarithms):
         return acceptable(point.violation, point.cost - mu * logarithms, filtered)
 
-    status, unknowns, distance = restore(search, iterate, reduction, is_acceptable)
+    status, unknowns, distance = restore(search, iterate, reduction, is_acceptable, log.is_late)
     unknowns = primal_part(search.grid, unknowns)
     return status, with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3))
 
@@ -2319,6 +2368,7 @@ def interval_hessians(unknowns, steps, h, parameters, values):
 # Which unknowns lie on their bounds, and which prescribed values beyond them.
 
 LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
+END_NAMES = "start", "end"
 
 
 def bounds_of(grid):
@@ -2339,21 +2389,27 @@ def prescribed_beyond(grid, unknowns):
     Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
     within the first interval.
     """
-    bounds, values = variable_bounds(grid), views(grid, unknowns)
-    (low, least), (high, _) = (views(grid, bound) for bound in bounds)
-    for where, k, inner in (("start", 0, 1), ("end", -1, -2)) if grid.steps > 1 else ():
-        for i, name in enumerate(metadata["node"]):
-            value, without = values[0][:, k, i], np.isinf(low[:, k, i]) & np.isinf(high[:, k, i])
-            margin = 1e-9 * np.maximum(1.0, np.abs(value))
-            beyond = (value < low[:, inner, i] - margin) | (value > high[:, inner, i] + margin)
-            for body in np.flatnonzero(without & beyond)[:1]:
-                limits = f"{low[body, inner, i]:g} to {high[body, inner, i]:g}"
-                return f"{name} is prescribed as {value[body]:g} at the {where}, beyond its bounds {limits}"
-        for i, name in enumerate(metadata["interval"]):
-            released = least[:, k, i] < least[:, inner, i]  # a slack of what is prescribed
-            if (released & (values[1][:, k, i] < least[:, inner, i] - LEAST_SLACK)).any():
-                condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
-                return f"what is prescribed at the {where} violates {condition}"
+    steps, (nodes, intervals) = grid.steps, views(grid, unknowns)
+    if steps == 1:
+        return ""
+    (low, least), (high, _) = (views(grid, bound) for bound in bounds_of(grid))
+    ends, inner = np.s_[:, ::steps], np.s_[:, 1 : steps : max(1, steps - 2)]
+    given, margin = nodes[ends], 1e-9 * np.maximum(1.0, np.abs(nodes[ends]))
+    beyond = (given < low[inner] - margin) | (given > high[inner] + margin)
+    if beyond.any():
+        beyond &= np.isinf(low[ends]) & np.isinf(high[ends])
+        for body, end, i in np.argwhere(beyond)[:1]:
+            limits = f"{low[body, (1, -2)[end], i]:g} to {high[body, (1, -2)[end], i]:g}"
+            value = f"{metadata['node'][i]} is prescribed as {given[body, end, i]:g}"
+            return f"{value} at the {END_NAMES[end]}, beyond its bounds {limits}"
+    ends, inner = np.s_[:, :: steps - 1], np.s_[:, 1 : steps - 1 : max(1, steps - 3)] if steps > 2 else np.s_[:, ::-1]
+    violated = intervals[ends] < least[inner] - LEAST_SLACK
+    if violated.any():
+        violated &= least[ends] < least[inner]  # a slack of what is prescribed has no bound there
+        for _, end, i in np.argwhere(violated)[:1]:
+            name = metadata["interval"][i]
+            condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+            return f"what is prescribed at the {END_NAMES[end]} violates {condition}"
     return ""
 
 
@@ -3023,7 +3079,7 @@ def remaining_gap(grid, point):
     """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
     total = 0.0
     for side, bound in zip((1.0, -1.0), bounds_of(grid), strict=True):
-        place = np.flatnonzero(np.isfinite(bound))
+        (place,) = np.isfinite(bound).nonzero()
         dual, distance = side * point.gradient[place], side * (point.unknowns[place] - bound[place])
         active = np.maximum(dual, 0.0) / (np.abs(dual) + np.abs(distance) + 1e-300)
         total += (dual * distance) @ active
@@ -3230,8 +3286,12 @@ def unpack(grid, unknowns):
 # an index that was written just before its process was killed may name the machine code of an older text. Such files
 # are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
 # nothing reads on; of other files it is only seen whether they can be read to their end.
+#
+# Python keeps the bytecode of this module as well, before it runs it: where the disk is full, Python before 3.13 keeps a
+# part, which would end every later import.
 
 SEAL = b"\nsha256 of all before: "
+BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
@@ -3252,6 +3312,18 @@ def remove_unfit_code(functions, identity):
         count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
         print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
     return len(damaged)
+
+
+def remove_partial_bytecode(file):
+    """Remove the bytecode that Python keeps of a module where it could not be read to its end; there may be none."""
+    if file is None:
+        return
+    try:
+        marshal.loads(Path(file).read_bytes()[BYTECODE_HEADER:])
+    except (EOFError, ValueError, TypeError):
+        Path(file).unlink(missing_ok=True)
+    except FileNotFoundError:
+        pass
 
 
 def kept_code(functions):
@@ -3284,9 +3356,10 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_low_thrust_4e7659052ad6efe7"
+_IDENTITY = "codegen_low_thrust_2beff57fdf93cd44"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
 DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
+remove_partial_bytecode(getattr(__spec__, "cached", None))

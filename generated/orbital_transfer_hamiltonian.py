@@ -8,7 +8,7 @@
 # - interior point: there are no inequalities
 # - a border of the linear system: no unknown is shared by all intervals
 # - a right-hand side that takes part in the elimination: rows of element matrices have no room for it
-# - derivatives of the hamiltonian by phi: cyclic
+# - derivatives of the Hamiltonian by phi: cyclic
 # - forces on r: there are none
 # - time in the kernels: nothing depends on it explicitly
 # - 57 of 91 entries of the interval's Hessian: identically zero
@@ -50,6 +50,7 @@ Operations per interval, before and after common subexpressions are shared:
 
 import hashlib
 import io
+import marshal
 import math
 import pickletools
 import sys
@@ -92,7 +93,7 @@ metadata = {
         'interior point: there are no inequalities',
         'a border of the linear system: no unknown is shared by all intervals',
         'a right-hand side that takes part in the elimination: rows of element matrices have no room for it',
-        'derivatives of the hamiltonian by phi: cyclic',
+        'derivatives of the Hamiltonian by phi: cyclic',
         'forces on r: there are none',
         'time in the kernels: nothing depends on it explicitly',
         "57 of 91 entries of the interval's Hessian: identically zero",
@@ -138,7 +139,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     m = parameters[0]
     GM = parameters[1]
     x0 = 0.5*r_k + 0.5*r_k1
-    x1 = x0**(-3)
+    x1 = 1/x0**3
     x2 = GM*m
     x3 = 1/m
     x4 = 0.5*p_phi_k + 0.5*p_phi_k1
@@ -149,7 +150,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     x9 = h*x3
     x10 = 0.5*x9
     x11 = mu_r_k*x10
-    x12 = x0**(-2)
+    x12 = 1/x0**2
     x13 = mu_phi_k*x10*x12 + x1*x3*x4*x6
     gradient[0] = -mu_r_k - x8  # dl/dr_k
     gradient[1] = -mu_phi_k  # dl/dphi_k
@@ -190,7 +191,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     x7 = x0**2
     x8 = h*mu_p_r_k
     x9 = -mu_phi_k*x1*x5 - x8*(3*x2*x7/x3**5 - x4*x6)
-    x10 = x3**(-3)
+    x10 = 1/x3**3
     x11 = 0.5*h
     x12 = x11*x2
     x13 = mu_phi_k*x10*x12 + x0*x5*x8
@@ -1299,7 +1300,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     system, total = allocate_system(grid), 0
     guess = without_multipliers(grid, unknowns)
     if guess.error < np.inf and is_gross(grid, guess):
-        near = restore(grid, guess, NEARBY, [], system)
+        near = restore(grid, guess, NEARBY, [], system, log)
         if near is not None:
             limit = min(max_iterations // 2, NEARBY_ITERATIONS)
             status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
@@ -1365,9 +1366,9 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point.violation, point.cost))
-            trial = restore(grid, point, 0.9, filtered, system)
+            trial = restore(grid, point, 0.9, filtered, system, log)
             if trial is None:
-                return "infeasible", point, iteration
+                return "time limit" if log.is_late() else "infeasible", point, iteration
             trial = with_multipliers(grid, without_multipliers(grid, trial.unknowns), system)
         point = trial
     return "iteration limit", point, max_iterations
@@ -1456,8 +1457,8 @@ def search(grid, point, step, slope, small_violation, filtered, system):
     return None, length
 
 
-def restore(grid, point, reduction, filtered, system):
-    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails.
+def restore(grid, point, reduction, filtered, system, log):
+    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails, or the time is up.
 
     Levenberg and Marquardt's method: with A the equations' Jacobian and c their residuals, the step d minimises
     |A d + c|^2 + damping |d|^2, which is the KKT matrix with -damping for the multipliers and a one for the others.
@@ -1467,7 +1468,7 @@ def restore(grid, point, reduction, filtered, system):
     for _ in range(RESTORATION_STEPS):
         gradient, trial = np.where(grid.is_multiplier, point.gradient, 0.0), None
         while trial is None:
-            if damping > 1e12:
+            if damping > 1e12 or log.is_late():
                 return None
             if is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, damping), system, gradient)):
                 solve_kkt(grid, system, gradient, step, carried=True)
@@ -2524,8 +2525,12 @@ def unpack(grid, unknowns):
 # an index that was written just before its process was killed may name the machine code of an older text. Such files
 # are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
 # nothing reads on; of other files it is only seen whether they can be read to their end.
+#
+# Python keeps the bytecode of this module as well, before it runs it: where the disk is full, Python before 3.13 keeps a
+# part, which would end every later import.
 
 SEAL = b"\nsha256 of all before: "
+BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
@@ -2546,6 +2551,18 @@ def remove_unfit_code(functions, identity):
         count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
         print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
     return len(damaged)
+
+
+def remove_partial_bytecode(file):
+    """Remove the bytecode that Python keeps of a module where it could not be read to its end; there may be none."""
+    if file is None:
+        return
+    try:
+        marshal.loads(Path(file).read_bytes()[BYTECODE_HEADER:])
+    except (EOFError, ValueError, TypeError):
+        Path(file).unlink(missing_ok=True)
+    except FileNotFoundError:
+        pass
 
 
 def kept_code(functions):
@@ -2578,9 +2595,10 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_a4d00aa8bb4125b0"
+_IDENTITY = "codegen_orbital_transfer_91957730ebe79c1c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
 DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
+remove_partial_bytecode(getattr(__spec__, "cached", None))

@@ -24,6 +24,7 @@ Operations of one evaluation, before and after common subexpressions are shared:
 
 import hashlib
 import io
+import marshal
 import math
 import pickletools
 import sys
@@ -392,8 +393,12 @@ def initial_state(
 # an index that was written just before its process was killed may name the machine code of an older text. Such files
 # are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
 # nothing reads on; of other files it is only seen whether they can be read to their end.
+#
+# Python keeps the bytecode of this module as well, before it runs it: where the disk is full, Python before 3.13 keeps a
+# part, which would end every later import.
 
 SEAL = b"\nsha256 of all before: "
+BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
@@ -414,6 +419,18 @@ def remove_unfit_code(functions, identity):
         count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
         print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
     return len(damaged)
+
+
+def remove_partial_bytecode(file):
+    """Remove the bytecode that Python keeps of a module where it could not be read to its end; there may be none."""
+    if file is None:
+        return
+    try:
+        marshal.loads(Path(file).read_bytes()[BYTECODE_HEADER:])
+    except (EOFError, ValueError, TypeError):
+        Path(file).unlink(missing_ok=True)
+    except FileNotFoundError:
+        pass
 
 
 def kept_code(functions):
@@ -446,9 +463,10 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_63e100d612d4594c"
+_IDENTITY = "codegen_pendulum_a16eb08f5687e02f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
 DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
+remove_partial_bytecode(getattr(__spec__, "cached", None))

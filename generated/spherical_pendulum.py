@@ -8,7 +8,7 @@
 # - interior point: there are no inequalities
 # - a border of the linear system: no unknown is shared by all intervals
 # - a right-hand side that takes part in the elimination: rows of element matrices have no room for it
-# - derivatives of the lagrangian by x, y: cyclic
+# - derivatives of the Lagrangian by x, y: cyclic
 # - forces on z: there are none
 # - time in the kernels: nothing depends on it explicitly
 # - 129 of 171 entries of the interval's Hessian: identically zero
@@ -61,6 +61,7 @@ Operations per interval, before and after common subexpressions are shared:
 
 import hashlib
 import io
+import marshal
 import math
 import pickletools
 import sys
@@ -103,7 +104,7 @@ metadata = {
         'interior point: there are no inequalities',
         'a border of the linear system: no unknown is shared by all intervals',
         'a right-hand side that takes part in the elimination: rows of element matrices have no room for it',
-        'derivatives of the lagrangian by x, y: cyclic',
+        'derivatives of the Lagrangian by x, y: cyclic',
         'forces on z: there are none',
         'time in the kernels: nothing depends on it explicitly',
         "129 of 171 entries of the interval's Hessian: identically zero",
@@ -163,7 +164,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
     x7 = u2_k*x3
     x8 = 2*y_k - 2*y_k1
     x9 = 0.5*g
-    x10 = h**(-2)
+    x10 = 1/h**2
     x11 = 2*z_k - 2*z_k1
     x12 = 2*h
     x13 = h*kappa_1_k1
@@ -1332,7 +1333,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     system, total = allocate_system(grid), 0
     guess = without_multipliers(grid, unknowns)
     if guess.error < np.inf and is_gross(grid, guess):
-        near = restore(grid, guess, NEARBY, [], system)
+        near = restore(grid, guess, NEARBY, [], system, log)
         if near is not None:
             limit = min(max_iterations // 2, NEARBY_ITERATIONS)
             status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
@@ -1398,9 +1399,9 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point.violation, point.cost))
-            trial = restore(grid, point, 0.9, filtered, system)
+            trial = restore(grid, point, 0.9, filtered, system, log)
             if trial is None:
-                return "infeasible", point, iteration
+                return "time limit" if log.is_late() else "infeasible", point, iteration
             trial = with_multipliers(grid, without_multipliers(grid, trial.unknowns), system)
         point = trial
     return "iteration limit", point, max_iterations
@@ -1489,8 +1490,8 @@ def search(grid, point, step, slope, small_violation, filtered, system):
     return None, length
 
 
-def restore(grid, point, reduction, filtered, system):
-    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails.
+def restore(grid, point, reduction, filtered, system, log):
+    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails, or the time is up.
 
     Levenberg and Marquardt's method: with A the equations' Jacobian and c their residuals, the step d minimises
     |A d + c|^2 + damping |d|^2, which is the KKT matrix with -damping for the multipliers and a one for the others.
@@ -1500,7 +1501,7 @@ def restore(grid, point, reduction, filtered, system):
     for _ in range(RESTORATION_STEPS):
         gradient, trial = np.where(grid.is_multiplier, point.gradient, 0.0), None
         while trial is None:
-            if damping > 1e12:
+            if damping > 1e12 or log.is_late():
                 return None
             if is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, damping), system, gradient)):
                 solve_kkt(grid, system, gradient, step, carried=True)
@@ -2563,8 +2564,12 @@ def unpack(grid, unknowns):
 # an index that was written just before its process was killed may name the machine code of an older text. Such files
 # are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
 # nothing reads on; of other files it is only seen whether they can be read to their end.
+#
+# Python keeps the bytecode of this module as well, before it runs it: where the disk is full, Python before 3.13 keeps a
+# part, which would end every later import.
 
 SEAL = b"\nsha256 of all before: "
+BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
@@ -2585,6 +2590,18 @@ def remove_unfit_code(functions, identity):
         count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
         print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
     return len(damaged)
+
+
+def remove_partial_bytecode(file):
+    """Remove the bytecode that Python keeps of a module where it could not be read to its end; there may be none."""
+    if file is None:
+        return
+    try:
+        marshal.loads(Path(file).read_bytes()[BYTECODE_HEADER:])
+    except (EOFError, ValueError, TypeError):
+        Path(file).unlink(missing_ok=True)
+    except FileNotFoundError:
+        pass
 
 
 def kept_code(functions):
@@ -2617,9 +2634,10 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_fb7e08c68bc736ab"
+_IDENTITY = "codegen_spherical_pendulum_22dcf13bd9143810"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
 DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
+remove_partial_bytecode(getattr(__spec__, "cached", None))
