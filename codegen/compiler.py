@@ -18,10 +18,11 @@ import os
 import shlex
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
+from importlib.util import cache_from_source
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,7 @@ from codegen import __version__, emit
 from codegen.deadline import BUILD, Stages, described, extent
 from codegen.errors import ArgumentError, FileError
 from codegen.problem_file import input_digest, load_problem, split_points
+from codegen.runtime.kept_code import remove_partial_bytecode
 
 if TYPE_CHECKING:
     from codegen.lower.module import Module, Origin
@@ -103,6 +105,8 @@ def build(
         return Build(target, name, time.perf_counter() - begin, cached, not cached)
     target = Path(out) / f"{name}.py"
     written = emit.write(target, text)
+    with suppress(OSError):  # where it may not be removed, Python may not have written it either
+        remove_partial_bytecode(cache_from_source(target))
     return Build(target, name, time.perf_counter() - begin, cached, written)
 
 

@@ -45,6 +45,8 @@ class Sandbox:
 
     folder: Path
     environment: dict[str, str] = field(default_factory=dict)
+    seconds: dict[tuple[str, str], float] = field(default_factory=dict)
+    """How long a command and a problem have taken without a fault."""
 
     def __post_init__(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -75,6 +77,13 @@ class Sandbox:
         if done.returncode:
             return f"status {done.returncode}: {done.stderr.strip()[-300:]}"
         return "right" if kind == "build" else _judged(done.stdout, name)
+
+    def timed(self, kind: str, name: str) -> str:
+        """Run a command, and remember how long it takes."""
+        begin = time.perf_counter()
+        found = self.run(kind, name)
+        self.seconds[kind, name] = time.perf_counter() - begin
+        return found
 
     def killed(self, kind: str, name: str, delay: float, with_compilers: bool) -> None:
         """Kill a command after so many seconds, and perhaps the processes that it has started, all at once."""

@@ -3,7 +3,9 @@
 `benchmarks/faults.py` does the same at random, at length.
 """
 
+import contextlib
 import os
+import py_compile
 import random
 import subprocess
 import sys
@@ -70,6 +72,33 @@ def test_machine_code_of_an_older_text_is_never_run(box):
     assert not codes[0].exists()
     assert all(path.exists() for path in codes[1:])
     assert box.run("import", NAME) == "right"
+
+
+@pytest.mark.parametrize("left", [4_000, 16_000])
+def test_a_part_of_the_bytecode_ends_one_import_at_most(tmp_path, left):
+    """Python before 3.13 keeps what a full disk has room for; the first import runs all the same, and removes it."""
+    with small_disk(tmp_path / "disk") as mounted:
+        if not mounted:
+            pytest.skip("no disk could be mounted here")
+        box = Sandbox(tmp_path / "disk", {"PYTHONDONTWRITEBYTECODE": ""})
+        module = Path(build(box.folder / f"{NAME}.py", out=box.folder / "generated").path)
+        words = [sys.executable, "-c", f"import generated.{NAME} as m; print(m.metadata['problem'])"]
+        for context in (filled(box.folder, left), contextlib.nullcontext()):
+            with context:
+                done = subprocess.run(words, cwd=box.folder, env=box.environment, capture_output=True, text=True)
+            assert (done.returncode, done.stdout.strip()) == (0, NAME), done.stderr
+        assert module.parent.joinpath("__pycache__").is_dir()
+
+
+def test_a_build_removes_bytecode_that_was_cut_off(tmp_path):
+    problem = Sandbox(tmp_path).folder / f"{NAME}.py"
+    module = build(problem, out=tmp_path / "generated").path
+    bytecode = Path(py_compile.compile(str(module), doraise=True))
+    build(problem, out=tmp_path / "generated")
+    assert bytecode.exists()
+    os.truncate(bytecode, bytecode.stat().st_size // 2)
+    build(problem, out=tmp_path / "generated")
+    assert not bytecode.exists()
 
 
 def test_texts_know_whether_they_are_whole(box):

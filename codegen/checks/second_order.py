@@ -35,7 +35,9 @@ def check(context: Context) -> Iterator[Finding]:
         return
     grid = module.make_grid((solution.t.size - 1) // max(1, len(context.program.phases)))
     diagonal = held_by_bounds(module, grid, solution.unknowns)
-    passed, detail = _judged(module, grid, solution.unknowns, diagonal)
+    sizes = sizes_of_curvature(module, grid, solution.unknowns)
+    sizes[slacks(context.program, module, grid)] = 0.0  # they follow from other unknowns
+    passed, detail = _judged(module, grid, solution.unknowns, diagonal, sizes)
     if module.metadata["inequalities"]:
         detail += f" ({np.count_nonzero(diagonal > _HELD)} unknowns are held by bounds)"
     yield Finding("second-order condition", subject, passed, detail)
@@ -54,10 +56,26 @@ def held_by_bounds(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDA
     return diagonal
 
 
-def _judged(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64]) -> tuple[bool, str]:
+def slacks(program: ControlProgram, module: Any, grid: Any) -> NDArray[np.bool_]:
+    """Which unknowns of nodes and intervals are slacks of inequalities."""
+    marked = np.zeros(grid.is_multiplier.size)
+    nodes, intervals = module.views(grid, marked)
+    of_interval = intervals.shape[2] - len(program.slacks)
+    intervals[:, :, of_interval:] = 1.0
+    for end in (program.start, program.end):
+        nodes[:, :, [slack for slack, _ in end.slacks]] = 1.0
+    return marked > 0.0
+
+
+def _judged(
+    module: Any,
+    grid: Any,
+    unknowns: NDArray[np.float64],
+    diagonal: NDArray[np.float64],
+    sizes: NDArray[np.float64],
+) -> tuple[bool, str]:
     equations, system = module.multiplier_unknowns(grid).size, module.allocate_system(grid)
     excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
-    sizes = sizes_of_curvature(module, grid, unknowns)
     if excess == 0 and module.factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
         return True, f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     # Where a symmetry moves an optimum to another one, the curvature is zero along it, and its sign is rounding.

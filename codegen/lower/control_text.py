@@ -33,10 +33,11 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
     if not is_carried(program, derivatives):
         out.append("a right-hand side that takes part in the elimination: rows of element matrices have no room for it")
     functions = tuple(f for m in models for f in (m.function, *m.force, *m.dynamics))
-    cyclic = [str(q) for q in model.coordinates if not any(f.has(q) for f in functions)]
-    if cyclic:
-        what = model.form if model.form != "first-order" else "dynamics"
-        out.append(f"derivatives of the {what} by {', '.join(cyclic)}: cyclic")
+    absent = ", ".join(str(q) for q in model.coordinates if not any(f.has(q) for f in functions))
+    if absent and model.form == "first-order":
+        out.append(f"derivatives of the dynamics by {absent}: no right-hand side depends on {absent}")
+    elif absent:
+        out.append(f"derivatives of the {model.form.capitalize()} by {absent}: cyclic")
     forces = zip(*(m.force for m in models), strict=True)
     idle = [str(q) for q, f in zip(model.coordinates, forces, strict=False) if not any(f)]
     if idle:

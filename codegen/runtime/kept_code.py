@@ -4,15 +4,20 @@ numba trusts what it reads: a file that was cut off ends in an error of pickle, 
 an index that was written just before its process was killed may name the machine code of an older text. Such files
 are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
 nothing reads on; of other files it is only seen whether they can be read to their end.
+
+Python keeps the bytecode of this module as well, before it runs it: where the disk is full, Python before 3.13 keeps a
+part, which would end every later import.
 """
 
 import hashlib
 import io
+import marshal
 import pickletools
 import sys
 from pathlib import Path
 
 SEAL = b"\nsha256 of all before: "
+BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
@@ -33,6 +38,18 @@ def remove_unfit_code(functions, identity):
         count = f"{len(damaged)} files, first" if len(damaged) > 1 else "file"
         print(f"codegen: note: damaged machine code is made anew ({count} {damaged[0]})", file=sys.stderr)
     return len(damaged)
+
+
+def remove_partial_bytecode(file):
+    """Remove the bytecode that Python keeps of a module where it could not be read to its end; there may be none."""
+    if file is None:
+        return
+    try:
+        marshal.loads(Path(file).read_bytes()[BYTECODE_HEADER:])
+    except (EOFError, ValueError, TypeError):
+        Path(file).unlink(missing_ok=True)
+    except FileNotFoundError:
+        pass
 
 
 def kept_code(functions):

@@ -259,6 +259,27 @@ def test_a_symmetry_leaves_a_minimum_that_is_not_isolated(prepared, tmp_path: Pa
     assert "isolated or not" in finding.detail
 
 
+FAR_FROM_LIMITS = '''"""A mass that is pushed; its path conditions are never met with equality."""
+from codegen import Control, control, states
+def problem() -> Control:
+    x, v = states("x v")
+    u = control("u")
+    return Control(dynamics={x: v, v: u}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1, v: 0},
+                   path=[v + u <= 1000, v - x**2 <= 50], steps=20)
+'''
+
+
+def test_slacks_of_conditions_that_are_not_met_leave_a_minimum_strict(prepared, tmp_path: Path):
+    path = tmp_path / "pushed.py"
+    path.write_text(FAR_FROM_LIMITS)
+    context = prepared(path)
+    (finding,) = checks.apply("second-order condition", context)
+    assert finding.passed
+    assert "a strict local minimum" in finding.detail
+    left_out = context.module.metadata["left_out"]
+    assert "derivatives of the dynamics by x: no right-hand side depends on x" in left_out
+
+
 def test_default_scheme_by_its_name(tmp_path: Path):
     """The default is recorded without a name, and named or not it is the same module."""
     path = PROBLEMS / "double_integrator_effort.py"
