@@ -106,7 +106,7 @@ def build(
     target = Path(out) / f"{name}.py"
     written = emit.write(target, text)
     with suppress(OSError):  # where it may not be removed, Python may not have written it either
-        remove_partial_bytecode(cache_from_source(target))
+        remove_partial_bytecode(cache_from_source(target))  # type: ignore[no-untyped-call]
     return Build(target, name, time.perf_counter() - begin, cached, written)
 
 

@@ -84,7 +84,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         iterate = begin(search, bent(grid, primal, attempt.bend), attempt, central=attempt is WARM)
         status = "restored"
         if attempt.nearby and iterate.point.error < np.inf:
-            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [])
+            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [], log)
         if status == "restored":
             left = max_iterations - total
             status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
@@ -195,7 +195,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 closed = measured[1] <= tolerance * search.bounds.place.size
                 return ("solved" if closed else "stalled"), iterate, iteration
             filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
-            status, trial = restored(search, iterate, mu, 0.9, filtered)
+            status, trial = restored(search, iterate, mu, 0.9, filtered, log)
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
         iterate = trial
@@ -244,12 +244,12 @@ def is_boundless(point, largest):
     return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
 
 
-def restored(search, iterate, mu, reduction, filtered):
+def restored(search, iterate, mu, reduction, filtered, log):
     """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
     def is_acceptable(point, logarithms):
         return acceptable(point.violation, point.cost - mu * logarithms, filtered)
 
-    status, unknowns, distance = restore(search, iterate, reduction, is_acceptable)
+    status, unknowns, distance = restore(search, iterate, reduction, is_acceptable, log.is_late)
     unknowns = primal_part(search.grid, unknowns)
     return status, with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3))

@@ -52,7 +52,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     system, total = allocate_system(grid), 0
     guess = without_multipliers(grid, unknowns)
     if guess.error < np.inf and is_gross(grid, guess):
-        near = restore(grid, guess, NEARBY, [], system)
+        near = restore(grid, guess, NEARBY, [], system, log)
         if near is not None:
             limit = min(max_iterations // 2, NEARBY_ITERATIONS)
             status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
@@ -118,9 +118,9 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
             if is_rounding(grid, point):
                 return "stalled", point, iteration
             filtered.append(envelope(point.violation, point.cost))
-            trial = restore(grid, point, 0.9, filtered, system)
+            trial = restore(grid, point, 0.9, filtered, system, log)
             if trial is None:
-                return "infeasible", point, iteration
+                return "time limit" if log.is_late() else "infeasible", point, iteration
             trial = with_multipliers(grid, without_multipliers(grid, trial.unknowns), system)
         point = trial
     return "iteration limit", point, max_iterations
@@ -209,8 +209,8 @@ def search(grid, point, step, slope, small_violation, filtered, system):
     return None, length
 
 
-def restore(grid, point, reduction, filtered, system):
-    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails.
+def restore(grid, point, reduction, filtered, system, log):
+    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails, or the time is up.
 
     Levenberg and Marquardt's method: with A the equations' Jacobian and c their residuals, the step d minimises
     |A d + c|^2 + damping |d|^2, which is the KKT matrix with -damping for the multipliers and a one for the others.
@@ -220,7 +220,7 @@ def restore(grid, point, reduction, filtered, system):
     for _ in range(RESTORATION_STEPS):
         gradient, trial = np.where(grid.is_multiplier, point.gradient, 0.0), None
         while trial is None:
-            if damping > 1e12:
+            if damping > 1e12 or log.is_late():
                 return None
             if is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, damping), system, gradient)):
                 solve_kkt(grid, system, gradient, step, carried=True)

@@ -15,10 +15,10 @@ from codegen.runtime.point import evaluate
 RESTORATION_STEPS = 200
 
 
-def restore(search, iterate, reduction, is_acceptable):
+def restore(search, iterate, reduction, is_acceptable, is_late):
     """("restored", unknowns, distances) that the filter accepts, or (what went wrong, and the last ones).
 
-    When restored, the violation is at most `reduction` times the first.
+    When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up.
     """
     grid, bounds, *_ = search
     unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
@@ -26,6 +26,8 @@ def restore(search, iterate, reduction, is_acceptable):
     first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 1e-4
     duals = np.minimum(nu / distance, 1e3)
     for _ in range(RESTORATION_STEPS):
+        if is_late():
+            return "time limit", point.unknowns, distance
         pull = attraction(grid, point)
         error = restoration_error(grid, bounds, pull, distance, duals)
         if error <= 1e-8 * point.residual:

@@ -5,6 +5,7 @@ import math
 
 import pytest
 from conftest import PROBLEMS
+from failing_problems import INFEASIBLE
 from typer.testing import CliRunner
 
 from codegen import drivers, output, solve_options, terminal
@@ -37,6 +38,26 @@ def test_the_time_runs_out(interpreted, monkeypatch, name):
     assert stopped.message.startswith("time limit: equations hold to ")
     assert f"{stopped.log[-1][1]:.1e} so far" in stopped.message
     assert "raise time_limit" in stopped.message
+
+
+@pytest.mark.parametrize("name", ["circles-that-do-not-meet", "thrust-too-small"])
+def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, name):
+    """Both solvers lower the violation of equations that have no solution, and stop at the first step after the time."""
+    (failing,) = (case for case in INFEASIBLE if case.id == name)
+    module, clock, steps = interpreted(name.replace("-", "_"), failing.text), Clock(), []
+    whole = drivers.solve(module)
+    original = module.sum_of_squares
+
+    def of_the_restoration(grid, point):
+        clock.now += 1e6
+        steps.append(point)
+        return original(grid, point)
+
+    monkeypatch.setattr(module, "perf_counter", clock)
+    monkeypatch.setattr(module, "sum_of_squares", of_the_restoration)
+    stopped = drivers.solve(module, time_limit=1e5)
+    assert (whole.status, stopped.status) == ("infeasible", "time limit")
+    assert 1 <= len(steps) <= 4
 
 
 def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
