@@ -42,7 +42,7 @@ def test_the_time_runs_out(interpreted, monkeypatch, name):
 
 @pytest.mark.parametrize("name", ["circles-that-do-not-meet", "thrust-too-small"])
 def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, name):
-    """Both solvers lower the violation of equations that have no solution, and stop at the first step after the time."""
+    """Both solvers lower the violation of equations without a solution, and stop at the first step after the time."""
     (failing,) = (case for case in INFEASIBLE if case.id == name)
     module, clock, steps = interpreted(name.replace("-", "_"), failing.text), Clock(), []
     whole = drivers.solve(module)
