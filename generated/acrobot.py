@@ -2992,7 +2992,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
         iterations += further
     if grid.sizes.size and status == "solved":
-        grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
+        status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
     status, message = describe(grid, start, point, status)
     cost = corrected_cost(grid, point) if status == "solved" else point.cost / grid.weight
@@ -3000,23 +3000,28 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):
-    """(grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
+    """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
 
-    Where equations or the cost were far steeper at the guess, the tolerance means little, and the search goes on.
+    Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
+    that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
     """
     total = 0
-    while total < max_iterations:
-        unknowns = point.unknowns * grid.sizes
-        finer = scaled_grid(plain_grid(grid), unknowns)
-        if not finer.sizes.size or not (finer.forces > COARSE * grid.forces).any():
+    while grid.sizes.size:
+        begin = point.unknowns * grid.sizes
+        finer = scaled_grid(plain_grid(grid), begin)
+        forces = finer.forces if finer.sizes.size else 1.0
+        if not (forces > COARSE * grid.forces).any():
             break
-        begin, log.weight = unknowns / finer.sizes, finer.weight
+        if finer.sizes.size:
+            begin /= finer.sizes
+        log.weight = finer.weight
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            break
+            holds = evaluate(finer, begin).residual <= VIOLATED
+            return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
         grid, start, point = finer, begin, better
-    return grid, start, point, total
+    return "solved", grid, start, point, total
 
 
 def scaled_grid(grid, unknowns):
@@ -3336,7 +3341,7 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_acrobot_a6ec4c6c8ab3a365"
+_IDENTITY = "codegen_acrobot_2a2bb37d2b65cd2b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from gallery_units import GALLERY, UNITS, cost_factor, text_in_units
 from interpreted import without_compilation
@@ -28,3 +29,19 @@ def test_cost_is_right_to_second_order_in_the_residual(interpreted):
     grid = module.make_grid(50)
     assert rough.cost == pytest.approx(right, abs=1e-9)
     assert abs(rough.cost - right) < abs(module.cost(grid, rough.unknowns) - right)
+
+
+def test_what_is_solved_in_wrong_sizes_alone_is_not_solved(interpreted):
+    """Where the guess makes all equations vanish, anything solves them; the sizes at the solution tell."""
+    module = interpreted("orbital_transfer")
+    grid = module.make_grid(10)
+    guess, sizes = module.initial_guess(grid), np.ones(grid.is_multiplier.size)
+    vanishing = grid._replace(sizes=sizes, forces=1e-40 * sizes, weight=1e-40)
+    point = module.evaluate(vanishing, guess)
+    assert point.error < 1e-30
+    status, *_ = module.refined(vanishing, guess, point, 1e-10, 0, module.Log())
+    assert status == "iteration limit"
+    status, found, _, point, iterations = module.refined(vanishing, guess, point, 1e-10, 100, module.Log())
+    assert status == "solved"
+    assert iterations > 0
+    assert module.in_units(found, point).residual <= 1e-10

@@ -25,6 +25,7 @@ from codegen.runtime.newton_filter import minimise
 from codegen.runtime.limits import bounds_of
 from codegen.runtime.point import evaluate, lagrangian
 from codegen.runtime.sizes import fill_sizes
+from codegen.runtime.verdict import VIOLATED
 
 ORDINARY = 1e3  # sizes between its inverse and it need no scaling
 COARSE = 1e3  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
@@ -44,7 +45,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
         iterations += further
     if grid.sizes.size and status == "solved":
-        grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
+        status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
     status, message = describe(grid, start, point, status)
     cost = corrected_cost(grid, point) if status == "solved" else point.cost / grid.weight
@@ -52,23 +53,28 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):
-    """(grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
+    """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
 
-    Where equations or the cost were far steeper at the guess, the tolerance means little, and the search goes on.
+    Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
+    that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
     """
     total = 0
-    while total < max_iterations:
-        unknowns = point.unknowns * grid.sizes
-        finer = scaled_grid(plain_grid(grid), unknowns)
-        if not finer.sizes.size or not (finer.forces > COARSE * grid.forces).any():
+    while grid.sizes.size:
+        begin = point.unknowns * grid.sizes
+        finer = scaled_grid(plain_grid(grid), begin)
+        forces = finer.forces if finer.sizes.size else 1.0
+        if not (forces > COARSE * grid.forces).any():
             break
-        begin, log.weight = unknowns / finer.sizes, finer.weight
+        if finer.sizes.size:
+            begin /= finer.sizes
+        log.weight = finer.weight
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            break
+            holds = evaluate(finer, begin).residual <= VIOLATED
+            return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
         grid, start, point = finer, begin, better
-    return grid, start, point, total
+    return "solved", grid, start, point, total
 
 
 def scaled_grid(grid, unknowns):
