@@ -32,12 +32,22 @@ class OneLineErrors(TyperGroup):
                     # No warning answers what was asked; what matters shows in the status and the residuals.
                     warnings.simplefilter("ignore")
                 status = super().main(*positional, **{**options, "standalone_mode": False})
+            sys.stdout.flush()  # while an error can still be told
             if status == 130:  # which is what typer makes of an interrupt
                 typer.echo(INTERRUPTED, err=True)
         except Exception as error:
             status, text = _described(error)
             typer.echo(f"codegen: error: {text}", err=True)
+            _forget_output()
         sys.exit(status if isinstance(status, int) else 0)
+
+
+def _forget_output() -> None:
+    """What could not be written is not tried again when Python ends, which would change the exit status."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _described(error: Exception) -> tuple[int, str]:

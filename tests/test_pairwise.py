@@ -5,6 +5,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
+import sympy
 from conftest import PROBLEMS
 
 from codegen import Connect, Pairwise, Simulate, parameters, particles
@@ -265,3 +266,16 @@ def test_an_incomplete_start_is_refused():
 def test_unusable_names_are_refused(names, momenta):
     with pytest.raises(SymbolError):
         particles(names, momenta)
+
+
+def test_a_difference_is_no_squared_distance():
+    """In one dimension the scalar of a spring has both signs, as an indefinite form has: neither is cut at zero."""
+    x, y, a, b, p, q, r, s = sympy.symbols("x y a b p q r s", real=True)
+    spring = Invariants.of((x - a) ** 2, (x, p), (a, q))
+    assert spring.distances() == ()
+    assert spring.coincidence() == (0, True)
+    assert Invariants.of(1 / (x - a), (x, p), (a, q)).coincidence() == (None, False)
+    indefinite = Invariants.of(sympy.exp(x * y - x * b - a * y + a * b), (x, y, p, r), (a, b, q, s))
+    assert indefinite.distances() == ()
+    squared = Invariants.of(sympy.exp(-(x**2) + 2 * x * a - a**2), (x, p), (a, q))
+    assert len(squared.distances()) == 1

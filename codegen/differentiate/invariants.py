@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import sympy
 from sympy import Expr, Symbol
 
 from codegen.differentiate.cancellation import without_cancellation
+
+_SINGULAR = (sympy.zoo, sympy.nan, sympy.oo, -sympy.oo)
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,11 @@ class Invariants:
         return without_cancellation(sympy.diff(self.outer, self.symbols[k], self.symbols[m]))
 
     def distances(self) -> tuple[int, ...]:
-        """Places of the scalars that vanish where both particles meet."""
+        """Places of the squared distances: what vanishes where both particles meet, and is nowhere negative."""
+        return tuple(k for k in self._vanishing() if _is_square(self.polynomials[k], self.moving))
+
+    def _vanishing(self) -> tuple[int, ...]:
+        """Places of the scalars that vanish where both particles meet, such as a difference of coordinates."""
         if not self.second:
             return ()
         return tuple(
@@ -96,23 +103,38 @@ class Invariants:
         """The limit of the term where both particles meet, None if it has none; whether its gradient follows.
 
         The limit is taken in the squared distance s from above. The gradient of s is of the size of its root, so that
-        the gradient of the term is that of the limit if f_s sqrt(s) tends to zero.
+        the gradient of the term is that of the limit if f_s sqrt(s) tends to zero. Of a difference, which has two
+        signs, the value and the slope at zero are taken.
         """
-        places = self.distances()
+        places = self._vanishing()
         if len(places) > 1:
             return None, False
         values = {s: p.xreplace(self._meeting) for s, p in zip(self.symbols, self.polynomials, strict=True)}
         if not places:
             return self.outer.xreplace(values), True
+        if not self.distances():
+            values[self.symbols[places[0]]] = sympy.S.Zero
+            value, slope = self.outer.xreplace(values), self.slope(places[0]).xreplace(values)
+            return (None, False) if value.has(*_SINGULAR) else (value, not slope.has(*_SINGULAR))
         # What has the same value where both meet is one symbol; that of a term in its domain is positive.
         same = {value: Symbol(f"m{k}", positive=True) for k, value in enumerate(dict.fromkeys(values.values()))}
         positive = {s: same[values[s]] for s in self.symbols}
         distance, outer = positive[self.symbols[places[0]]], self.outer.xreplace(positive)
         limit = sympy.limit(outer, distance, 0, "+")
-        if limit.has(sympy.zoo, sympy.nan, sympy.oo, -sympy.oo):
+        if limit.has(*_SINGULAR):
             return None, False
         pull = sympy.limit(sympy.diff(outer, distance) * sympy.sqrt(distance), distance, 0, "+")
         return limit.xreplace({symbol: value for value, symbol in same.items()}), bool(pull == 0)
+
+
+def _is_square(polynomial: Expr, moving: Sequence[Symbol]) -> bool:
+    """Whether a polynomial of degree two is a sum of squares: of a lower degree or indefinite, it has both signs."""
+    curvature = np.array(sympy.hessian(polynomial, list(moving)), float)
+    own = [symbol for symbol in moving if symbol in polynomial.free_symbols]
+    if not own or sympy.Poly(polynomial, *own).total_degree() != 2:
+        return False
+    eigenvalues = np.linalg.eigvalsh(curvature)
+    return bool(eigenvalues.min() >= -1e-12 * eigenvalues.max())
 
 
 def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:
