@@ -15,7 +15,6 @@ functions beside that of their callers (see `linking`).
 from __future__ import annotations
 
 import gc
-import hashlib
 import io
 import os
 import select
@@ -28,7 +27,6 @@ from typing import Any
 import numpy as np
 
 from codegen.drivers.processes import UNFINISHED
-from codegen.files import replacing
 from codegen.loading import GeneratedModule, load
 
 
@@ -259,17 +257,8 @@ def failed(error: Exception) -> int:
 
 def status_of(module: Any) -> int:
     """Have machine code carry its digest; the exit status of a process that has compiled its share of a module."""
-    seal(module)
+    module.seal_code(_compiled_functions(module))
     return UNFINISHED if module.metadata["task"] == "connect" else 0
-
-
-def seal(module: Any) -> None:
-    """Write the digest of each file of machine code behind its end, where numba does not read, if it is not there."""
-    for file in module.kept_code(vars(module).values()):
-        data = file.read_bytes()
-        if module.SEAL not in data:
-            with replacing(file) as temporary:
-                temporary.write_bytes(data + module.SEAL + hashlib.sha256(data).digest())
 
 
 def _nothing(x: Any) -> Any:

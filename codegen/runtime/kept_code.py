@@ -2,8 +2,8 @@
 
 numba trusts what it reads: a file that was cut off ends in an error of pickle, one that was altered in anything, and
 an index that was written just before its process was killed may name the machine code of an older text. Such files
-are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
-nothing reads on; of other files it is only seen whether they can be read to their end.
+are removed, and numba makes them anew. A process that compiles has each file carry its digest, behind the end of the
+pickle, where nothing reads on; of what a killed one leaves it is only seen whether it can be read to its end.
 
 Python keeps the bytecode of this module as well, before it runs it: where the disk is full, Python before 3.13 keeps a
 part, which would end every later import.
@@ -12,8 +12,10 @@ part, which would end every later import.
 import hashlib
 import io
 import marshal
+import os
 import pickletools
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 SEAL = b"\nsha256 of all before: "
@@ -50,6 +52,26 @@ def remove_partial_bytecode(file):
         Path(file).unlink(missing_ok=True)
     except FileNotFoundError:
         pass
+
+
+def seal_new_code(functions):
+    """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
+    if any(function.stats.cache_misses for function in functions):
+        with suppress(OSError):
+            seal_code(functions)
+
+
+def seal_code(functions):
+    """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
+    for file in kept_code(functions):
+        data = file.read_bytes()
+        if SEAL not in data:
+            temporary = file.with_name(f".{file.name}.{os.getpid()}")
+            try:
+                temporary.write_bytes(data + SEAL + hashlib.sha256(data).digest())
+                temporary.replace(file)
+            finally:
+                temporary.unlink(missing_ok=True)
 
 
 def kept_code(functions):
