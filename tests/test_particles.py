@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen import drivers
+from codegen import checks, drivers
 from codegen.errors import ArgumentError
 
 BOLTZMANN = 1.380658e-23 / 1e-27
@@ -26,6 +29,17 @@ def test_argon_has_the_published_energy(argon):
     """Hairer, Lubich and Wanner (2006), section I.4.2: H(0)/k_B = -1260.2 K."""
     grid = argon.make_grid(1)
     assert argon.energy(grid.start.ravel(), 0.0, grid.parameters) / BOLTZMANN == pytest.approx(-1260.2, abs=0.05)
+
+
+def test_checks_take_a_step_that_can_be_made(monkeypatch):
+    """At random places atoms repel each other so strongly that an implicit step of 0.05 has no solution."""
+    found = checks.run(PROBLEMS / "lennard_jones.py")
+    assert all(finding.passed for finding in found)
+    (step,) = (finding for finding in found if finding.check == "symplecticity")
+    assert "for a step of 0.00078125; the scheme is symplectic" in step.detail
+    monkeypatch.setattr(checks.pairwise, "PARTICLE_SCHEMES", {"midpoint": SimpleNamespace(symplectic=False)})
+    failed = [finding.check for finding in checks.run(PROBLEMS / "lennard_jones.py") if not finding.passed]
+    assert failed == ["symplecticity"]
 
 
 def test_argon_does_not_drift(argon):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen import expressions
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.checks.flat_vector import FlatVector
 from codegen.checks.solutions import free_values
 from codegen.notes import shortened
@@ -56,9 +56,8 @@ def _rank(context: Context, program: ControlProgram) -> Iterator[Finding]:
     rows = module.multiplier_unknowns(grid)
     free_count = module.primal_unknowns(grid).size
     if best is None:
-        yield Finding(
-            "boundary rank", "all equations", False, "their Jacobian is not finite at the guess nor beside it"
-        )
+        reason = "their Jacobian is not finite at the guess nor beside it"
+        yield not_measured("boundary rank", "all equations", reason)
         return
     lacking, nulls, touched = best
     if lacking == 0:

@@ -21,6 +21,8 @@ from codegen.schemes.particles import PARTICLE_SCHEMES
 
 DIGITS = 50
 _PARTICLES = 4
+_LENGTHS = tuple(0.05 / 8**k for k in range(7))
+"""Of steps, until one can be made: particles at random places may repel each other strongly."""
 
 
 def is_pairwise_module(module: Any) -> bool:
@@ -151,19 +153,25 @@ def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> I
     """D' J D = J for the derivative D of one step, for a scheme that promises it; and that no other one does."""
     if not hasattr(module, "advance_directions"):
         return
-    own, parameters, h = _own(model), np.array(model.defaults), 0.05
+    own, parameters = _own(model), np.array(model.defaults)
     points = np.zeros((module.POINTS, *state.shape))
-    if module.advance(state, h, own, parameters, points, np.empty_like(state)) < 0:
-        yield Finding("symplecticity", "one step", False, "the step could not be made")
+    made = (h for h in _LENGTHS if module.advance(state, h, own, parameters, points, np.empty_like(state)) >= 0)
+    if (h := next(made, None)) is None:
+        yield Finding(
+            "symplecticity", "one step", False, f"no step could be made, down to a length of {_LENGTHS[-1]:g}"
+        )
         return
     hessians = module.curvature_at(points, own, parameters)
     derivative = np.empty((state.size, state.size))
     module.advance_directions(hessians, points, 0, h, own, parameters, np.eye(state.size), derivative)
     half = state.size // 2
     form = np.block([[np.zeros((half, half)), np.eye(half)], [-np.eye(half), np.zeros((half, half))]])
-    error = float(np.abs(derivative.T @ form @ derivative - form).max())
+    size = np.abs(derivative).T @ np.abs(form) @ np.abs(derivative)  # coordinates and momenta have units of their own
+    difference = np.abs(derivative.T @ form @ derivative - form)
+    error = float(np.max(difference / np.where(size > 0.0, size, 1.0)))
     promised = PARTICLE_SCHEMES[scheme].symplectic
-    detail = f"max |D' J D - J| = {error:.1e}; the scheme is {'' if promised else 'not '}symplectic"
+    claim = f"the scheme is {'' if promised else 'not '}symplectic"
+    detail = f"|D' J D - J| / |D|' |J| |D| = {error:.1e} for a step of {h:g}; {claim}"
     yield Finding("symplecticity", "one step", error < 1e-11 if promised else error > 1e-11, detail)
 
 

@@ -280,6 +280,30 @@ def test_slacks_of_conditions_that_are_not_met_leave_a_minimum_strict(prepared, 
     assert "derivatives of the dynamics by x: no right-hand side depends on x" in left_out
 
 
+OUTSIDE = '''"""A root that no number has at the guess."""
+from sympy import sqrt
+from codegen import Control, control, states
+def problem() -> Control:
+    x, v = states("x v")
+    u = control("u")
+    return Control(dynamics={x: v, v: u}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1},
+                   path=[sqrt(x - 0.5) + u <= 5], steps=6)
+'''
+
+
+def test_rows_that_need_a_finite_guess_are_not_measured_where_there_is_none(prepared, tmp_path: Path):
+    path = tmp_path / "outside.py"
+    path.write_text(OUTSIDE)
+    context = prepared(path)
+    found = {name: checks.apply(name, context) for name in ("assembly", "boundary rank", "derivatives")}
+    for name in ("assembly", "boundary rank"):
+        (finding,) = found[name]
+        assert finding.passed
+        assert not finding.applies
+        assert finding.detail.startswith("not measured: ")
+    assert all(finding.passed and finding.applies for finding in found["derivatives"])
+
+
 def test_default_scheme_by_its_name(tmp_path: Path):
     """The default is recorded without a name, and named or not it is the same module."""
     path = PROBLEMS / "double_integrator_effort.py"
