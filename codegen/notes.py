@@ -21,11 +21,6 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
         verb = "follows from the others and was" if len(redundant) == 1 else "follow from the others and were"
         count = f"{len(redundant)} of {metadata['coupling_conditions']}"
         found.append(f"{count} conditions between bodies {verb} left out: {named}")
-    for condition in metadata.get("conserved_conditions", ()):
-        found.append(
-            f"{shortened(condition)} follows from the dynamics and the start, and was left out after it: it holds as "
-            "exactly as the scheme conserves it"
-        )
     for quantity, where in metadata.get("dependent_values", ()):
         found.append(
             f"{shortened(quantity)} at the {where} follows from the path equalities with the other values at the ends, "

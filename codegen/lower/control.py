@@ -73,8 +73,6 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     if redundant:
         entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
         entries.append(("redundant_conditions", repr(redundant)))
-    if program.conserved:
-        entries.append(("conserved_conditions", repr(program.conserved)))
     ends = (("start", program.start), ("end", program.end))
     if dependent := tuple((name, where) for where, end in ends for name in end.dependent):
         entries.append(("dependent_values", repr(dependent)))

@@ -12,7 +12,6 @@ from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta
 from codegen.transcribe import connect, one_step, phases, simulate, variational
 from codegen.transcribe.assembly import in_scaled_time
 from codegen.transcribe.connect import PairwiseProgram
-from codegen.transcribe.conserved import at_start_alone, conserved_path, with_conserved
 from codegen.transcribe.dependent import without_dependent_values
 from codegen.transcribe.program import ControlProgram, StepProgram
 
@@ -56,10 +55,7 @@ def transcribe(
         if controls != "interval":
             raise ArgumentError("a problem of several phases has its controls on intervals", "leave --controls out")
         return phases.chained(model, lambda phase: _controlled(phase, found, method, False))
-    conserved = conserved_path(model)
-    reduced = at_start_alone(model, conserved) if conserved else model
-    program = without_dependent_values(in_scaled_time(_controlled(reduced, found, method, controls == "nodal")))
-    return with_conserved(program, model, conserved) if conserved else program
+    return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls == "nodal")))
 
 
 def _controlled(model: Model, scheme: schemes.Scheme, method: str, nodal_controls: bool) -> ControlProgram:

@@ -121,8 +121,7 @@ class ControlProgram:
     whole problem (static parameters). All `bodies` have the same elements; `body` is the symbol for a body's number,
     and it may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
     `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns; the redundant ones
-    (number from 1, name) follow from them and are left out. `conserved` names path equalities that follow from the
-    dynamics and hold by the start alone.
+    (number from 1, name) follow from them and are left out.
 
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
     unknowns that is already inside `element`.
@@ -166,7 +165,6 @@ class ControlProgram:
     body: Symbol | None = None
     couplings: tuple[Coupling, ...] = ()
     redundant_couplings: tuple[tuple[int, str], ...] = ()
-    conserved: tuple[str, ...] = ()
     coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
     scaled_time: bool = False
     phases: tuple[Phase, ...] = ()
