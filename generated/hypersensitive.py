@@ -39,14 +39,17 @@ Operations per interval, before and after common subexpressions are shared:
     end_gradient: 0 -> 0
 """
 
+import atexit
 import hashlib
 import io
 import marshal
 import math
+import os
 import pickletools
 import sys
 from functools import lru_cache
 from time import perf_counter
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -1832,8 +1835,8 @@ def unpack(grid, unknowns):
 #
 # numba trusts what it reads: a file that was cut off ends in an error of pickle, one that was altered in anything, and
 # an index that was written just before its process was killed may name the machine code of an older text. Such files
-# are removed, and numba makes them anew. What codegen compiles carries its digest behind the end of the pickle, where
-# nothing reads on; of other files it is only seen whether they can be read to their end.
+# are removed, and numba makes them anew. A process that compiles has each file carry its digest, behind the end of the
+# pickle, where nothing reads on; of what a killed one leaves it is only seen whether it can be read to its end.
 #
 # Python keeps the bytecode of this module as well, before it runs it: where the disk is full, Python before 3.13 keeps a
 # part, which would end every later import.
@@ -1874,6 +1877,26 @@ def remove_partial_bytecode(file):
         pass
 
 
+def seal_new_code(functions):
+    """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
+    if any(function.stats.cache_misses for function in functions):
+        with suppress(OSError):
+            seal_code(functions)
+
+
+def seal_code(functions):
+    """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
+    for file in kept_code(functions):
+        data = file.read_bytes()
+        if SEAL not in data:
+            temporary = file.with_name(f".{file.name}.{os.getpid()}")
+            try:
+                temporary.write_bytes(data + SEAL + hashlib.sha256(data).digest())
+                temporary.replace(file)
+            finally:
+                temporary.unlink(missing_ok=True)
+
+
 def kept_code(functions):
     """The files in which numba keeps compiled functions of the modules that some functions belong to."""
     statistics = [(getattr(function, "stats", None), function) for function in functions]
@@ -1904,10 +1927,11 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_a882947c8eac2a2b"
+_IDENTITY = "codegen_hypersensitive_b520c3c3cc2b3248"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
 DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
+atexit.register(seal_new_code, _COMPILED)
 remove_partial_bytecode(getattr(__spec__, "cached", None))

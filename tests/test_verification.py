@@ -220,6 +220,8 @@ def test_products_where_a_term_is_linear_in_an_invariant():
     """p^2/(2 m) has no curvature in p^2: products once read a momentum that nothing had read."""
     program, text = prepared_file("lennard_jones")
     verify.verify(program, text)
+    with pytest.raises(VerificationError, match="for hessian_products"):
+        verify.verify(program, changed(text, *PAIR_DEFECTS["products"]))
 
 
 COUPLING_DEFECTS = {

@@ -129,11 +129,10 @@ class Invariants:
 
 def _is_square(polynomial: Expr, moving: Sequence[Symbol]) -> bool:
     """Whether a polynomial of degree two is a sum of squares: of a lower degree or indefinite, it has both signs."""
-    curvature = np.array(sympy.hessian(polynomial, list(moving)), float)
     own = [symbol for symbol in moving if symbol in polynomial.free_symbols]
     if not own or sympy.Poly(polynomial, *own).total_degree() != 2:
         return False
-    eigenvalues = np.linalg.eigvalsh(curvature)
+    eigenvalues = np.linalg.eigvalsh(np.array(sympy.hessian(polynomial, own), float))
     return bool(eigenvalues.min() >= -1e-12 * eigenvalues.max())
 
 
