@@ -151,7 +151,7 @@ def _with_place(error: CodegenError, place: str) -> CodegenError:
     return type(error)(clause(f"{place}: {error.finding}"), clause(error.remedy))
 
 
-_UNPACK = "unpack what states(...), controls(...) and their like return, or use state('x'), control('u')"
+_UNPACK = "unpack what is returned, as in (x,), (v,) = coordinates('x'), or use state('x'), control('u') and their like"
 _OF_SYMPY = "take functions of expressions from sympy, not from math or numpy"
 _MISTAKES = (
     ("truth value of Relational", "write two inequalities, such as x >= 0 and x <= 2, for 0 <= x <= 2, or use bounds"),
