@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0.dev0"
 
 _HOMES = {
-    **dict.fromkeys(["Control", "Phases", "Simulate"], "codegen.problem"),
+    **dict.fromkeys(["Control", "Phases", "Simulate"], "codegen.author.problem"),
     **dict.fromkeys(
         "body_number canonical_pair canonical_pairs control controls coordinate coordinates free_parameter parameter "
         "parameters state states time".split(),
-        "codegen.symbols",
+        "codegen.author.symbols",
     ),
-    **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.pairwise"),
-    **dict.fromkeys(["Points"], "codegen.points"),
-    **dict.fromkeys(["together"], "codegen.bodies"),
+    **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.author.particles"),
+    **dict.fromkeys(["Points"], "codegen.author.points"),
+    **dict.fromkeys(["together"], "codegen.author.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
     **dict.fromkeys(["load"], "codegen.loading"),
 }
@@ -49,13 +49,11 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from codegen.bodies import together
-    from codegen.compiler import build
-    from codegen.loading import load
-    from codegen.pairwise import Connect, Pairwise, particle, particles
-    from codegen.points import Points
-    from codegen.problem import Control, Phases, Simulate
-    from codegen.symbols import (
+    from codegen.author.bodies import together
+    from codegen.author.particles import Connect, Pairwise, particle, particles
+    from codegen.author.points import Points
+    from codegen.author.problem import Control, Phases, Simulate
+    from codegen.author.symbols import (
         body_number,
         canonical_pair,
         canonical_pairs,
@@ -70,6 +68,8 @@ if TYPE_CHECKING:
         states,
         time,
     )
+    from codegen.compiler import build
+    from codegen.loading import load
 
 
 def __getattr__(name: str) -> Any:

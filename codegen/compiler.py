@@ -12,24 +12,20 @@ sympy at all.
 from __future__ import annotations
 
 import gc
-import hashlib
 import math
-import os
-import shlex
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
-from importlib import metadata
 from importlib.util import cache_from_source
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from codegen import __version__, emit
+from codegen import cache, emit
 from codegen.deadline import BUILD, Stages, described, extent
 from codegen.errors import ArgumentError, FileError
-from codegen.problem_file import input_digest, load_problem, split_points
+from codegen.model.problem_file import load_problem, split_points
+from codegen.naming import Choices, chosen, origin_of
 from codegen.runtime.kept_code import remove_partial_bytecode
 
 if TYPE_CHECKING:
@@ -37,22 +33,8 @@ if TYPE_CHECKING:
     from codegen.model import Model
     from codegen.model.pairwise import PairwiseModel
 
-DEFAULT_SCHEME = "midpoint"
 GENERATED = Path("generated")
 """The folder, below the current one, in which modules are kept that someone wants to read."""
-
-
-@dataclass(frozen=True)
-class Choices:
-    """What a user chooses beside the problem: None stands for the default.
-
-    `general` forces the form of a module that leaves nothing out, to measure what leaving out saves; no command has it.
-    """
-
-    scheme: str | None = None
-    method: str | None = None
-    controls: str = "interval"
-    general: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,8 +73,8 @@ def build(
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
     choices = chosen(scheme, method, controls, general)
-    store = _store(path, arguments, choices)
-    kept_text = _kept_text(store)
+    store = cache.place_of(path, arguments, choices)
+    kept_text = cache.kept_text(store)
     name, cached, text = store.stem, bool(kept_text), kept_text or generate(path, arguments, choices, time_limit)
     if not cached:
         try:
@@ -112,28 +94,7 @@ def build(
 
 def stored(path: Path, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
     """Where the cache keeps the module of a problem file once it has been built."""
-    return _store(path, arguments, chosen(scheme))
-
-
-def chosen(
-    scheme: str | None = None, method: str | None = None, controls: str = "interval", general: bool = False
-) -> Choices:
-    """What a user chooses, in the form in which a module records it: the default scheme needs no name."""
-    return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
-
-
-def _store(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
-    digest = input_digest(path, arguments, *_choice_texts(choices), *versions(), _own_digest())
-    return cache_folder() / digest[:20] / f"{module_name(path, arguments, choices)}.py"
-
-
-def _kept_text(store: Path) -> str:
-    """What the cache holds; nothing where it holds nothing, or what is not whole."""
-    try:
-        text = store.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return ""
-    return text if emit.is_whole(text) else ""
+    return cache.place_of(path, arguments, chosen(scheme))
 
 
 def generate(path: Path, arguments: Mapping[str, str], choices: Choices, time_limit: float = BUILD) -> str:
@@ -178,7 +139,8 @@ def generate_from_model(
 
 def _general_module(model: Model | PairwiseModel, choices: Choices) -> Module:
     """The same with nothing left out, for measurements; ArgumentError for particles, which have no such form."""
-    from codegen import derive, general, lower, transcribe
+    from codegen import derive, lower, transcribe
+    from codegen.derive import general
     from codegen.model import Model
     from codegen.transcribe.program import ControlProgram
 
@@ -189,79 +151,3 @@ def _general_module(model: Model | PairwiseModel, choices: Choices) -> Module:
         return lower.lower(program, general.general_derivatives(program, derive.control_derivatives(program)))
     program = general.general_step(program)
     return lower.lower(program, derive.step_derivatives(program))
-
-
-def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Origin:
-    """The header's record of where a module comes from; it names no folder, so that any machine makes the same text."""
-    from codegen.lower.module import Origin
-
-    settings = (shlex.quote(f"{key}={value}") for key, value in sorted(arguments.items()))
-    words = ["codegen build", shlex.quote(path.name), *(f"--set {setting}" for setting in settings)]
-    for option in ("scheme", "method"):
-        words += [f"--{option} {value}" for value in (getattr(choices, option),) if value]
-    words += ["--controls nodal"] if choices.controls == "nodal" else []
-    words += ["(in the general form, for measurements)"] if choices.general else []
-    inputs = input_digest(path, arguments, *_choice_texts(choices), *versions())
-    return Origin(path.name, " ".join(words), inputs, versions())
-
-
-def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
-    """The problem's name, followed by every choice that is not the default."""
-    parts = [path.stem]
-    if choices.method:
-        parts.append(choices.method)
-    if choices.scheme and choices.scheme != DEFAULT_SCHEME:
-        parts.append(choices.scheme)
-    if choices.controls != "interval":
-        parts.append(f"{choices.controls}_controls")
-    if choices.general:
-        parts.append("general_form")
-    parts += [f"{key}_{value}" for key, value in sorted(arguments.items())]
-    name = "_".join(parts)
-    plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
-    if plain == name.replace("-", "_"):
-        return plain
-    # Characters were lost that may have told two modules apart.
-    return f"{plain}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
-
-
-def versions() -> tuple[str, ...]:
-    """The versions that a generated text depends on."""
-    return (f"codegen {__version__}", f"sympy {metadata.version('sympy')}")
-
-
-def cache_folder() -> Path:
-    """The build cache: $CODEGEN_CACHE_DIR, or a folder in the user's cache directory."""
-    given = os.environ.get("CODEGEN_CACHE_DIR")
-    if given:
-        return Path(given)
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(home) / "variational-codegen"
-
-
-def _choice_texts(choices: Choices) -> tuple[str, ...]:
-    if choices.controls not in ("interval", "nodal"):
-        raise ArgumentError(f"controls is {choices.controls!r}", "use interval or nodal")
-    return (choices.scheme or "", choices.method or "", choices.controls, *(["general"] if choices.general else []))
-
-
-_USERS = (
-    "drivers", "plots", "registration", "report", "stress", "__main__.py", "app_command.py", "cli.py", "files.py",
-    "notes.py", "output.py", "solve_options.py", "terminal.py",
-)  # fmt: skip
-"""Parts of this package on which no generated text depends."""
-
-
-@cache
-def _own_digest() -> str:
-    """Hash of this package's sources, so that a changed generator never serves what an older one made.
-
-    What only uses generated modules is left out.
-    """
-    digest = hashlib.sha256()
-    folder = Path(__file__).parent
-    for file in sorted([*folder.rglob("*.py"), *folder.rglob("*.j2")]):
-        if file.relative_to(folder).parts[0] in _USERS:
-            continue
-        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
-    return digest.hexdigest()

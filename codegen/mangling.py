@@ -125,7 +125,7 @@ def _needed(task: str) -> frozenset[str]:
     words = {*dir(builtins), *keyword.kwlist, *keyword.softkwlist, "np", "math", "prange", "body"}
     words |= {*_IN_KERNELS.get(task, _IN_LOOPS).split(), *_OF_TIME}
     for template in _TEMPLATES[task]:
-        text = resources.files("codegen").joinpath("templates", f"{template}.py.j2").read_text(encoding="utf-8")
+        text = resources.files("codegen.emit").joinpath("templates", f"{template}.py.j2").read_text(encoding="utf-8")
         for other in (r"\{%.*?%\}", r"\{\{.*?\}\}", r'""".*?"""', r"#[^\n]*", r'f?"[^"\n]*"'):
             text = re.sub(other, " ", text, flags=re.DOTALL)
         words |= set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", text))

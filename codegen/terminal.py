@@ -99,7 +99,7 @@ def progress(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
 
 
 @contextmanager
-def solving() -> Iterator[Callable[[int, tuple[float, ...]], None] | None]:
+def following() -> Iterator[Callable[[int, tuple[float, ...]], None] | None]:
     """A sign of life on a terminal that tells of iterates, by what is yielded, once it has taken a second."""
     with working("Solving") as line:
         if line is None:

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, settings
 from interpreted import Interpreted
 from registered_images import SHAPE
 
+from codegen.author.points import read_points
 from codegen.compiler import build
-from codegen.drivers.shortcuts import quick_numba
 from codegen.loading import GeneratedModule, load
-from codegen.points import read_points
+from codegen.machine_code.shortcuts import quick_numba
 from codegen.registration import LandmarkPairs, Registration, register
 from codegen.registration.flow import FlowModule
 from codegen.registration.solver import registration_module

@@ -20,10 +20,11 @@ import numpy as np
 import sympy
 
 from codegen import Control, Phases, parameters
-from codegen.compiler import Choices, generate_from_model
+from codegen.author.symbols import EndValue, FreeParameter, Momentum, Time, Velocity
+from codegen.compiler import generate_from_model
 from codegen.lower.module import Origin
 from codegen.model import normalise
-from codegen.symbols import EndValue, FreeParameter, Momentum, Time, Velocity
+from codegen.naming import Choices
 
 PROBLEMS = Path(__file__).resolve().parent.parent / "problems"
 Dimension = tuple[float, float, float]

@@ -11,8 +11,9 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
-from codegen.compiler import Choices, generate, module_name
+from codegen.compiler import generate
 from codegen.emit import write
+from codegen.naming import Choices, module_name
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "generated"

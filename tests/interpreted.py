@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from codegen.compiler import Choices, build, generate_from_model
+from codegen.author.problem import Control, Phases
+from codegen.compiler import build, generate_from_model
 from codegen.lower.module import Origin
 from codegen.model import normalise
-from codegen.problem import Control, Phases
+from codegen.naming import Choices
 
 
 def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:

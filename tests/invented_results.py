@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from codegen.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
-from codegen.drivers.result import Result, component_names
+from codegen.author.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
+from codegen.solutions.result import Result, component_names
 
 BOUNDED = '''"""Push a cart between walls."""
 from codegen import Control, control, coordinate

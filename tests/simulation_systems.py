@@ -16,12 +16,20 @@ import mpmath
 import sympy
 from interpreted import without_compilation
 
-from codegen import compiler
+from codegen import compiler, naming
+from codegen.author.problem import Simulate
+from codegen.author.symbols import (
+    canonical_pair,
+    canonical_pairs,
+    coordinate,
+    coordinates,
+    parameter,
+    parameters,
+    time,
+)
 from codegen.lower.module import Origin
 from codegen.model import Model, normalise
-from codegen.problem import Simulate
-from codegen.problem_file import load_problem
-from codegen.symbols import canonical_pair, canonical_pairs, coordinate, coordinates, parameter, parameters, time
+from codegen.model.problem_file import load_problem
 
 ROOT = Path(__file__).parents[1]
 
@@ -190,7 +198,7 @@ SYSTEMS = {
 def text_of(model: Model, scheme: str, method: str) -> str:
     inputs = hashlib.sha256(repr((model, scheme, method)).encode()).hexdigest()
     origin = Origin(f"{model.name}.py", "codegen build", inputs, ("codegen",))
-    return compiler.generate_from_model(model, compiler.Choices(scheme, method), origin)
+    return compiler.generate_from_model(model, naming.Choices(scheme, method), origin)
 
 
 @cache

@@ -12,15 +12,15 @@ from invented_results import picture
 from PIL import Image
 from typer.testing import CliRunner
 
-from codegen import animate, pictures
-from codegen.cli import main
-from codegen.drawing import Mass, Scene, Trail
+from codegen.author.drawing import Mass, Scene, Trail
+from codegen.cli import main, pictures
 from codegen.errors import ArgumentError
+from codegen.plots import animation as animate
 
 SWING = '''"""Let a pendulum swing. All quantities are nondimensional."""
 from sympy import cos, sin
 from codegen import Simulate, canonical_pair
-from codegen.drawing import Mass, Rod
+from codegen.author.drawing import Mass, Rod
 def problem():
     q, p = canonical_pair("q", "p")
     bob = sin(q), -cos(q)
@@ -190,7 +190,7 @@ class TestCommand:
         ],
     )
     def test_what_cannot_be_drawn_is_refused_before_anything_is_solved(self, folder, monkeypatch, words, fragments):
-        monkeypatch.setattr("codegen.cli._build", pytest.fail)
+        monkeypatch.setattr("codegen.cli.solve.build_module", pytest.fail)
         before = {path.name for path in folder.iterdir()}
         result = self.run(*words.split())
         assert result.exit_code == 2

@@ -14,10 +14,11 @@ from conftest import PROBLEMS
 from malformed import MALFORMED
 from typer.testing import CliRunner
 
-from codegen import checks, cli, drivers, output, schemes
+from codegen import checks, cli, drivers, schemes, solving
 from codegen.checks.base import does_not_apply
 from codegen.cli import main
-from codegen.drivers.result import STATUSES
+from codegen.solutions import output
+from codegen.solutions.result import STATUSES
 from codegen.transcribe.connect import CONNECT_METHODS
 
 ORBIT, PENDULUM = str(PROBLEMS / "orbital_transfer.py"), str(PROBLEMS / "pendulum.py")
@@ -224,7 +225,7 @@ class TestJson:
 
 
 def test_infinite_and_missing_numbers_become_null(orbital_transfer):
-    result = drivers.solve(orbital_transfer, steps=5)
+    result = solving.solve(orbital_transfer, steps=5)
     changes = {"cost": float("nan"), "residual": float("inf"), "summary": {"miss": float("-inf")}}
     broken = output.as_record(replace(result, **changes), 1.0, float("nan"))
     record = json.loads(output.as_json(broken), parse_constant=pytest.fail)

@@ -9,14 +9,14 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen import drivers
+from codegen import solving
+from codegen.author.points import PointSet, read_points
 from codegen.compiler import build
-from codegen.drivers.connect_result import connect_result
-from codegen.drivers.result import ConnectAttempt, Request
 from codegen.errors import ArgumentError, PointsError, SchemeError
 from codegen.loading import load
-from codegen.points import PointSet, read_points
 from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
+from codegen.solutions.connect import connect_result
+from codegen.solutions.result import ConnectAttempt, Request
 
 FILE = PROBLEMS / "image_registration.py"
 START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])
@@ -48,7 +48,7 @@ def module(interpreted):
 def test_forty_landmarks_against_an_independent_program(compiled):
     """The discrete cost of design.md, section 7, from a hand-written program with numpy and scipy's fsolve."""
     points = read_points(PROBLEMS / "data" / "trilobite40.csv", 2)
-    result = drivers.solve(compiled, points=points)
+    result = solving.solve(compiled, points=points)
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(1.0220537180672813, abs=1e-9)
     assert result.residual < 1e-11
@@ -85,7 +85,7 @@ def test_the_guessed_way_where_the_thesis_divides_by_zero(module, start, target)
 
 @pytest.mark.parametrize("scheme", ["explicit-euler", "midpoint", "stormer-verlet", "rk4", "yoshida-4-of-midpoint"])
 def test_order_against_an_adaptive_reference(module, scheme):
-    reference = drivers.solve(module("dop853"), points=few(), steps=2, tolerance=1e-13).cost
+    reference = solving.solve(module("dop853"), points=few(), steps=2, tolerance=1e-13).cost
     order = module(scheme).metadata["order"]
     coarse, fine = (abs(module(scheme).solve(START, TARGET, n).cost - reference) for n in (4, 8))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.45)
@@ -93,7 +93,7 @@ def test_order_against_an_adaptive_reference(module, scheme):
 
 @pytest.mark.parametrize("scheme", ["dop853", "lsoda"])
 def test_adaptive_schemes_arrive_and_keep_the_energy(module, scheme):
-    result = drivers.solve(module(scheme), points=few(), steps=4, tolerance=1e-11)
+    result = solving.solve(module(scheme), points=few(), steps=4, tolerance=1e-11)
     assert result.status == "solved", result.message
     assert result.summary["energy_drift"] < 1e-9
     momenta = result.p[0].reshape(3, 2)
@@ -157,14 +157,14 @@ def test_shooting_and_all_states_agree(module, scheme):
 
 @pytest.mark.parametrize(("scheme", "method"), [("explicit-euler", "stepping"), ("midpoint", "full")])
 def test_fsolve_agrees(module, scheme, method):
-    ours, theirs = (drivers.solve(module(scheme, method), d, points=few(), steps=3) for d in ("newton", "fsolve"))
+    ours, theirs = (solving.solve(module(scheme, method), d, points=few(), steps=3) for d in ("newton", "fsolve"))
     assert theirs.status == "solved", theirs.message
     assert theirs.cost == pytest.approx(ours.cost, abs=1e-9)
 
 
 def test_fmin_agrees(interpreted, module):
     pair = PointSet(START[:2], TARGET[:2], np.zeros(2))
-    ours, theirs = (drivers.solve(module("explicit-euler"), d, points=pair, steps=2) for d in ("newton", "fmin"))
+    ours, theirs = (solving.solve(module("explicit-euler"), d, points=pair, steps=2) for d in ("newton", "fmin"))
     assert theirs.status == "solved", theirs.message
     assert theirs.cost == pytest.approx(ours.cost, abs=1e-7)
 
@@ -173,7 +173,7 @@ def test_fmin_agrees(interpreted, module):
 @pytest.mark.parametrize("scheme", ["symplectic-euler", "symplectic-euler-adjoint", "midpoint"])
 def test_the_action_has_the_optimum_of_its_symplectic_scheme(module, scheme, driver):
     stepping = module(scheme).solve(START, TARGET, 3)
-    result = drivers.solve(module(scheme, "action"), driver, points=few(), steps=3)
+    result = solving.solve(module(scheme, "action"), driver, points=few(), steps=3)
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(stepping.cost, abs=1e-7)
 
@@ -337,13 +337,13 @@ def test_a_false_claim_of_success_is_downgraded(module):
 
 def test_what_does_not_fit_is_refused(module):
     with pytest.raises(ArgumentError, match="use --method action"):
-        drivers.solve(module("midpoint"), "slsqp", points=few())
+        solving.solve(module("midpoint"), "slsqp", points=few())
     row = np.stack([0.01 * np.arange(13), np.zeros(13)], axis=1)
     thirteen = PointSet(row, row + 0.1, np.zeros(13))
     with pytest.raises(ArgumentError, match="at most 24"):
-        drivers.solve(module("explicit-euler"), "fmin", points=thirteen)
+        solving.solve(module("explicit-euler"), "fmin", points=thirteen)
     with pytest.raises(PointsError, match="no points"):
-        drivers.solve(module("midpoint"))
+        solving.solve(module("midpoint"))
     with pytest.raises(SchemeError, match="no action belongs to it"):
         module("rk4", "action")
     with pytest.raises(SchemeError, match="chooses its own steps"):
@@ -368,7 +368,7 @@ def test_neighbours_that_turn_at_a_millionth(module):
     """Momenta of 1e5 leave residuals above the tolerance that are rounding; each place is met to 1e-8."""
     start, target = START.copy(), TARGET.copy()
     start[1], target[1] = start[0] + [1e-6, 0.0], target[0] + [0.0, 1e-6]
-    result = drivers.solve(module("explicit-euler"), points=PointSet(start, target, np.zeros(3)), steps=10)
+    result = solving.solve(module("explicit-euler"), points=PointSet(start, target, np.zeros(3)), steps=10)
     assert result.status == "solved", result.message
     assert result.residual < 1e-8
 

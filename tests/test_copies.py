@@ -22,8 +22,8 @@ from codegen import (
     time,
     together,
 )
-from codegen.copies import meet_on_the_way
-from codegen.drawing import Circle
+from codegen.author.copies import meet_on_the_way
+from codegen.author.drawing import Circle
 from codegen.errors import CodegenError
 from codegen.model import normalise
 

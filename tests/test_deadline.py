@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from codegen import checks, compiler
 from codegen.checks import Finding
 from codegen.cli import main
-from codegen.compiler import Choices
 from codegen.deadline import Overdue, Stages, interrupted_after, parts_of
 from codegen.errors import SizeError
+from codegen.naming import Choices
 
 PROBLEM = """
 "A pendulum."

@@ -14,10 +14,10 @@ from sympy import Max, Min, Piecewise, Rational, atan2, cos, exp, log, sin, sqrt
 from codegen import transcribe
 from codegen.checks.evaluation import DIGITS, function_of, gradient, random_points, second_differences
 from codegen.derive import control_derivatives
-from codegen.differentiate import StraightLine, second_derivatives
-from codegen.differentiate.graph import Graph
-from codegen.differentiate.zeros import vanishing
-from codegen.problem_file import load_problem
+from codegen.expressions import StraightLine, second_derivatives
+from codegen.expressions.graph import Graph
+from codegen.expressions.zeros import vanishing
+from codegen.model.problem_file import load_problem
 
 ROOT = Path(__file__).parents[1]
 X, Y, Z, P = symbols("x y z p", real=True)
@@ -202,7 +202,7 @@ def test_element_of_a_chain_of_three_pendulums(method):
 
 def test_the_same_program_whatever_the_hash_seed():
     code = (
-        "from sympy import *; from codegen.differentiate import second_derivatives;"
+        "from sympy import *; from codegen.expressions import second_derivatives;"
         "q, r, v, w, m = symbols('q r v w m', real=True);"
         "l = m*(cos(q)*v + cos(r)*w)**2 + m*(sin(q)*v + sin(r)*w)**2 + exp(q*r)/m + Max(q, v)*w;"
         "print(second_derivatives(l, (q, r, v, w), (l*m,)))"

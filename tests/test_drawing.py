@@ -26,14 +26,15 @@ from codegen import (
     parameter,
     time,
 )
-from codegen.compiler import Choices, generate_from_model
-from codegen.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
+from codegen.author.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
+from codegen.author.symbols import recorded_declarations
+from codegen.cli.scene import fine_times, scene
+from codegen.compiler import generate_from_model
 from codegen.errors import ExpressionError, SymbolError
 from codegen.lower.module import Origin
 from codegen.model import Model, normalise
-from codegen.problem_file import load_problem
-from codegen.scene import fine_times, scene
-from codegen.symbols import recorded_declarations
+from codegen.model.problem_file import load_problem
+from codegen.naming import Choices
 
 DRAWN = (
     "acrobot brachistochrone cart_pendulum cart_pole convoy crane four_bar hovercraft linear_pendulum "

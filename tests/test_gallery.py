@@ -8,7 +8,7 @@ from compiled_modules import compiled
 from conftest import PROBLEMS
 from gallery_references import BIOPTIM, REFERENCES, Reference
 
-from codegen import drivers
+from codegen import solving
 from codegen.compiler import build
 
 COMPILED = ("cart_pole", "goddard_rocket", "hovercraft", "hypersensitive", "brachistochrone")
@@ -25,7 +25,7 @@ def test_optimum_and_value(reference):
     path = build(PROBLEMS / f"{reference.problem}.py", dict(reference.arguments), scheme=reference.scheme).path
     module = compiled(path)
     for steps, optimum in reference.optima.items():
-        result = drivers.solve(module, steps=steps)
+        result = solving.solve(module, steps=steps)
         assert result.status == "solved", result.message
         assert result.residual <= 1e-9
         assert result.cost == pytest.approx(optimum, rel=2e-8, abs=1e-9)

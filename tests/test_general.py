@@ -9,8 +9,9 @@ import pytest
 from interpreted import of_problem
 
 from codegen import Control, Simulate, canonical_pair, control, coordinate
-from codegen.compiler import Choices, build, generate, module_name
+from codegen.compiler import build, generate
 from codegen.errors import ArgumentError
+from codegen.naming import Choices, module_name
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 

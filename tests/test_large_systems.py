@@ -9,17 +9,17 @@ import sympy
 from interpreted import of_problem
 from numpy.testing import assert_allclose
 
-from codegen import differentiate
+from codegen import expressions as differentiate
 from codegen.derive import step_derivatives
-from codegen.differentiate.samples import hessian_samples
 from codegen.discretise import STEP
 from codegen.errors import SizeError
-from codegen.legendre import conjugate_symbols, hamiltonian_form, in_phase_space
+from codegen.expressions.samples import hessian_samples
 from codegen.model import Model
-from codegen.phase_functions import phase_functions
-from codegen.problem_file import load_problem
+from codegen.model.legendre import conjugate_symbols, hamiltonian_form, in_phase_space
+from codegen.model.problem_file import load_problem
 from codegen.transcribe import transcribe
 from codegen.transcribe.elimination import linear_in
+from codegen.transcribe.phase_functions import phase_functions
 
 FOLDER = Path(__file__).parent / "large_systems"
 

@@ -12,11 +12,23 @@ import pytest
 import sympy
 from sympy import Rational, cos, sin, sqrt
 
+from codegen.author.problem import Control, Simulate
+from codegen.author.symbols import (
+    canonical_pair,
+    control,
+    coordinate,
+    coordinates,
+    parameters,
+    recorded_declarations,
+)
 from codegen.errors import BoundaryError, DegenerateError
-from codegen.legendre import hamiltonian_form, lagrangian_form, momentum_of_velocity, velocity_of_momentum
 from codegen.model import Model, normalise
-from codegen.problem import Control, Simulate
-from codegen.symbols import canonical_pair, control, coordinate, coordinates, parameters, recorded_declarations
+from codegen.model.legendre import (
+    hamiltonian_form,
+    lagrangian_form,
+    momentum_of_velocity,
+    velocity_of_momentum,
+)
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 

@@ -27,10 +27,10 @@ from codegen import (
     states,
     time,
 )
+from codegen.author.symbols import recorded_declarations
 from codegen.errors import CodegenError
 from codegen.model import Boundary, Bounds, Condition, EndValue, FreeParameter, normalise
 from codegen.model.relations import relation
-from codegen.symbols import recorded_declarations
 
 
 def plain(names: str) -> Any:

@@ -26,12 +26,13 @@ from codegen import (
     state,
     time,
 )
-from codegen.compiler import Choices, generate_from_model
+from codegen.author.symbols import recorded_declarations
+from codegen.compiler import generate_from_model
 from codegen.lower.module import Origin
 from codegen.mangling import MARK, renamed
 from codegen.model import normalise
 from codegen.model.pairwise import normalise_pairwise
-from codegen.symbols import recorded_declarations
+from codegen.naming import Choices
 
 PLAIN = "a b c r e f g q v w".split()
 NASTY = (

@@ -16,13 +16,14 @@ import sympy
 from simulation_systems import model_of, module_of
 
 from codegen import schemes
-from codegen.checks.symplecticity import has_symplectic_table
-from codegen.compiler import Choices, generate
+from codegen.checks.derivation.symplecticity import has_symplectic_table
+from codegen.compiler import generate
 from codegen.drivers.fsolve import simulate as fsolve
-from codegen.drivers.result import Request
 from codegen.errors import ArgumentError, SchemeError
+from codegen.naming import Choices
 from codegen.schemes.compositions import COMPOSITIONS
 from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, OF_PARTICLES, RUNGE_KUTTA
+from codegen.solutions.result import Request
 from codegen.transcribe import transcribe
 
 PROBLEMS = Path(__file__).parents[1] / "problems"

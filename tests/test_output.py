@@ -10,9 +10,9 @@ from invented_results import BOUNDED, unsolved
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from codegen import drivers
-from codegen.output import as_record, as_table, log_table
+from codegen import solving
 from codegen.plots import style
+from codegen.solutions.output import as_record, as_table, log_table
 
 NEWTON = (4.5, 1e-9, 2e-3, 0.0, 1.0)
 INTERIOR_POINT = (*NEWTON, 0.25)
@@ -39,7 +39,7 @@ def test_log_of_either_solver(interpreted, capsys, row, last):
 )
 def test_steps_of_phases(interpreted, problem, steps):
     """Both phases have as many as were asked for."""
-    result = drivers.solve(interpreted(problem), steps=3)
+    result = solving.solve(interpreted(problem), steps=3)
     console, figure = Console(width=120), Figure()
     with console.capture() as captured:
         console.print(as_table(as_record(result, 0.0, 0.0), result.intervals))

@@ -9,11 +9,11 @@ import sympy
 from conftest import PROBLEMS
 
 from codegen import Connect, Pairwise, Simulate, parameters, particles
-from codegen.differentiate.invariants import Invariants
+from codegen.author.symbols import recorded_declarations
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
+from codegen.expressions.invariants import Invariants
 from codegen.model.pairwise import normalise_pairwise
-from codegen.problem_file import load_problem
-from codegen.symbols import recorded_declarations
+from codegen.model.problem_file import load_problem
 
 NONE = np.zeros(0)
 

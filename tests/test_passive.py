@@ -10,10 +10,10 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen.checks import passive
+from codegen.checks.particles import passive
 from codegen.compiler import build
 from codegen.errors import ExpressionError, ModuleError, NumericsError
-from codegen.problem_file import load_problem
+from codegen.model.problem_file import load_problem
 from codegen.registration import flow
 from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
 

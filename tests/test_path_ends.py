@@ -9,8 +9,9 @@ import pytest
 from interpreted import of_problem
 from sympy import Eq, sin
 
-from codegen import Control, control, notes, states, time
+from codegen import Control, control, states, time
 from codegen.errors import BoundaryError
+from codegen.solutions import notes
 
 LEAST = 6 * 400 / 399
 """The discrete cost of the midpoint rule from rest at 1 to rest at 0 in unit time: 6 N^2/(N^2 - 1), N = 20."""

@@ -17,13 +17,13 @@ from codegen import (
     controls,
     coordinate,
     coordinates,
-    drivers,
     free_parameter,
     parameters,
     plots,
+    solving,
 )
-from codegen.drivers.refinement import transferred
 from codegen.plots.quantities import quantities
+from codegen.solving.refinement import transferred
 
 N = 4
 
@@ -191,8 +191,8 @@ def test_bouncing_ball_against_its_closed_form(interpreted):
 
 def test_warm_start_from_a_coarser_grid(interpreted):
     module = interpreted("bouncing_ball")
-    coarse, cold = (drivers.solve(module, steps=steps) for steps in (4, 8))
-    warm = drivers.solve(module, steps=8, warm=coarse.unknowns)
+    coarse, cold = (solving.solve(module, steps=steps) for steps in (4, 8))
+    warm = solving.solve(module, steps=8, warm=coarse.unknowns)
     assert (coarse.steps, cold.steps, warm.steps) == (4, 8, 8)
     assert (cold.status, warm.status) == ("solved", "solved")
     assert warm.cost == pytest.approx(cold.cost, rel=1e-10)
@@ -202,7 +202,7 @@ def test_warm_start_from_a_coarser_grid(interpreted):
 
 def test_figure(interpreted):
     module = interpreted("two_stage_rocket")
-    result = drivers.solve(module, steps=5)
+    result = solving.solve(module, steps=5)
     found = quantities(module, result)
     m, thrust = found["state"][2], found["control"][0]
     assert (m.jumps, found["state"][0].jumps) == ((5,), ())

@@ -10,8 +10,8 @@ import pytest
 from invented_results import BOUNDED, PAIR, column, invented, overlaps, picture, unsolved
 from matplotlib.figure import Figure
 
-from codegen import drivers, plots
-from codegen.drawing import Arrow, Mass, Scene, Trail
+from codegen import plots, solving
+from codegen.author.drawing import Arrow, Mass, Scene, Trail
 from codegen.plots import panels, style
 from codegen.plots.quantities import Inequality, Quantity
 
@@ -55,7 +55,7 @@ class TestControlFigure:
     def test_orbit(self, interpreted):
         module = interpreted("orbital_transfer")
         with np.errstate(all="ignore"):  # as in compiled code
-            result = drivers.solve(module, steps=8)
+            result = solving.solve(module, steps=8)
         figure = plots.control_figure(module, result, unit="nondimensional")
         assert {"$r$", r"$\phi$", "$p_{r}$", r"$p_{\phi}$", r"$\lambda_{r}$", "$u$", "max-norm"} <= texts(figure)
         assert "8 steps" in figure.get_suptitle()
@@ -169,7 +169,7 @@ def test_numbers_that_are_none(tmp_path, number, everywhere):
 class TestSimulation:
     def test_phase_portrait_and_energy(self, interpreted):
         module = interpreted("pendulum")
-        result = drivers.solve(module, steps=50)
+        result = solving.solve(module, steps=50)
         figure = plots.simulation_figure(result)
         portrait, energy = figure.axes
         assert (portrait.get_xlabel(), portrait.get_ylabel()) == ("$q$", "$p$")
@@ -177,7 +177,7 @@ class TestSimulation:
         np.testing.assert_allclose(np.abs(energy.lines[0].get_ydata()).max(), result.summary["energy_drift"])
 
     def test_with_a_drawing(self, interpreted, tmp_path):
-        result = drivers.solve(interpreted("pendulum"), steps=50)
+        result = solving.solve(interpreted("pendulum"), steps=50)
         bob = np.sin(result.q.T), -np.cos(result.q.T)
         scene = Scene(result.t, (Trail(bob), Mass(bob, 0.1 + 0 * bob[0])))
         with matplotlib.rc_context(style.STYLE):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from conftest import PROBLEMS
 
+from codegen.author.points import read_points
 from codegen.cli import main
-from codegen.drivers.crossings import crossings
 from codegen.errors import PointsError
-from codegen.points import read_points
+from codegen.solutions.crossings import crossings
 
 HEAD = "x0,y0,x1,y1\n"
 

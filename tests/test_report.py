@@ -12,9 +12,11 @@ import pytest
 from conftest import PROBLEMS
 
 from codegen.cli import main
-from codegen.drivers.crossings import crossings
-from codegen.report import jumps, section, sections_effort, settings, smoothness, study
+from codegen.report import section, settings, study
+from codegen.report.measure import jumps, smoothness
+from codegen.report.sections import effort as sections_effort
 from codegen.report.store import Case, Store
+from codegen.solutions.crossings import crossings
 
 
 @pytest.fixture

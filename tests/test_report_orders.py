@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from interpreted import without_compilation
 
-from codegen import drivers
-from codegen.compiler import Choices, generate
+from codegen import solving
+from codegen.compiler import generate
+from codegen.naming import Choices
 from codegen.report.building import Variant
-from codegen.report.control_orders import convergence_of
-from codegen.report.drift import answer, drift_values, symplecticity_defect, trend_of
-from codegen.report.limits import fitted_limit, limit_of
-from codegen.report.meshes import all_grids, sequence, switching
-from codegen.report.optima import orders_of, references_of
-from codegen.report.orders import fitted_order, verdict
+from codegen.report.measure.control_orders import convergence_of
+from codegen.report.measure.drift import answer, drift_values, symplecticity_defect, trend_of
+from codegen.report.measure.limits import fitted_limit, limit_of
+from codegen.report.measure.meshes import all_grids, sequence, switching
+from codegen.report.measure.optima import orders_of, references_of
+from codegen.report.measure.orders import fitted_order, verdict
 from codegen.report.store import Case, Store
 
 EFFORT = '''"""Move a unit mass by one unit of length in one unit of time, with least effort."""
@@ -101,7 +102,7 @@ def test_a_mesh_sequence_has_the_optima_of_its_grids(tmp_path):
 def test_bounds_that_become_active_are_seen(tmp_path, bound, names):
     """Without bounds the force is 6 - 12 t."""
     module = module_of(tmp_path, EFFORT.replace("BOUNDS", f"{{f: (-{bound}, {bound})}}"), "midpoint", "variational")
-    result = drivers.solve(module, steps=20)
+    result = solving.solve(module, steps=20)
     assert result.solved
     assert switching(module, result) == names
 

@@ -16,13 +16,16 @@ from interpreted import without_compilation
 from codegen import drivers
 from codegen.cli import main
 from codegen.errors import ArgumentError
-from codegen.report import building, gallery, records, sections_control, sections_simulation, thesis_orbit
+from codegen.report import building, gallery, records
 from codegen.report.building import Variant, Workshop
 from codegen.report.compare import regressions
 from codegen.report.extent import Extent
-from codegen.report.orders import is_exhausted, measured_order, verdict
-from codegen.report.reference_motion import conserved, reference_motion
+from codegen.report.measure.orders import is_exhausted, measured_order, verdict
+from codegen.report.measure.reference_motion import conserved, reference_motion
+from codegen.report.sections import control as sections_control
+from codegen.report.sections import simulation as sections_simulation
 from codegen.report.store import Case, Store
+from codegen.report.thesis import orbit as thesis_orbit
 
 OSCILLATOR = '''"""Let a unit mass swing on a spring."""
 

@@ -10,7 +10,7 @@ import pytest
 
 from codegen import schemes
 from codegen.errors import ArgumentError, SchemeError
-from codegen.show import equations
+from codegen.show.equations import equations
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 CASES = [

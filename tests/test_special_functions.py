@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from codegen import Control, control, errors, state
 from codegen.compiler import build
-from codegen.expressions import checked
+from codegen.expressions.checks import checked
+from codegen.expressions.special_functions import sinc_derivative as exact_sinc_derivative
 from codegen.loading import load
-from codegen.runtime.polygamma import polygamma
-from codegen.runtime.sinc_derivative import sinc_derivative
-from codegen.special_functions import sinc_derivative as exact_sinc_derivative
+from codegen.runtime.special.polygamma import polygamma
+from codegen.runtime.special.sinc_derivative import sinc_derivative
 
 _y, _k = sympy.symbols("y k")
 

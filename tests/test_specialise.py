@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import ast
-from importlib import resources
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codegen.specialise import specialise
+from codegen.emit import runtime_files
+from codegen.emit.specialise import specialise
 
 NAMES = ("SHARED", "COUPLINGS", "PHASES", "CARRIED")
-RUNTIME = sorted(f.name for f in resources.files("codegen.runtime").iterdir() if f.name.endswith(".py"))
+RUNTIME = sorted(runtime_files())
 
 
 def test_branch_is_included_without_its_test_or_left_out():
@@ -120,7 +120,7 @@ def test_what_is_computed_stays_the_same(text, sizes):
 @pytest.mark.parametrize("size", [0, 1])
 @pytest.mark.parametrize("name", RUNTIME)
 def test_runtime_leaves_nothing_undecided(name, size):
-    text = resources.files("codegen.runtime").joinpath(name).read_text(encoding="utf-8")
+    text = runtime_files()[name].read_text(encoding="utf-8")
     tree = ast.parse(specialise(text, dict.fromkeys(NAMES, size)))
     tests = [ast.unparse(node.test) for node in ast.walk(tree) if isinstance(node, (ast.If, ast.IfExp, ast.While))]
     assert [test for test in tests if any(test.startswith(n) for n in NAMES)] == []

@@ -13,7 +13,8 @@ from interpreted import as_machine_code, without_compilation
 from typer.testing import CliRunner
 
 from codegen.cli import main
-from codegen.compiler import Choices, generate
+from codegen.compiler import generate
+from codegen.naming import Choices
 from codegen.schemes import METHODS
 from codegen.stress import page, pool
 from codegen.stress.cases import DEFECTS, OUTCOMES, Case, Setup

@@ -16,7 +16,6 @@ from codegen import (
     control,
     coordinates,
     derive,
-    differentiate,
     emit,
     lower,
     parameters,
@@ -25,13 +24,17 @@ from codegen import (
     transcribe,
     verify,
 )
-from codegen.compiler import Choices, generate_from_model
-from codegen.differentiate.straight_line import written_out
+from codegen import (
+    expressions as differentiate,
+)
+from codegen.compiler import generate_from_model
 from codegen.errors import ExpressionError, VerificationError
+from codegen.expressions.straight_line import written_out
 from codegen.lower.module import Origin
 from codegen.lower.printer import scalar_code
 from codegen.model import normalise
-from codegen.problem_file import load_problem
+from codegen.model.problem_file import load_problem
+from codegen.naming import Choices
 from codegen.verify import judgement, shares, steps
 
 ORIGIN = Origin("test.py", "codegen build test.py", "0", ("codegen",))

@@ -9,11 +9,11 @@ import mpmath
 import sympy
 from sympy.solvers.ode.systems import matrix_exp
 
-from codegen import expressions
 from codegen.analysis.maximum_principle import NecessaryConditions, necessary_conditions, parameter_values
 from codegen.errors import BoundaryError
-from codegen.legendre import solve_blocks
+from codegen.expressions import checks as expressions
 from codegen.model import Model
+from codegen.model.legendre import solve_blocks
 
 _SIMPLIFY_LIMIT = 600
 

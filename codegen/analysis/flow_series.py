@@ -14,13 +14,12 @@ from typing import cast
 import sympy
 from sympy import Add, Expr, S, Symbol
 
-from codegen import legendre
 from codegen.analysis.function_ring import FunctionRing
 from codegen.analysis.normal_form import Element
 from codegen.analysis.series import Evaluation, Series, padded
 from codegen.discretise import STEP, Sites, at_nodes, one_step_interval, variational_interval
 from codegen.errors import SchemeError
-from codegen.model import Boundary, Model
+from codegen.model import Boundary, Model, legendre
 from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
 
 _GATHER_LIMIT = 300

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import sympy
 
 from codegen.errors import ArgumentError, DegenerateError
-from codegen.legendre import new_symbols, solve_blocks
 from codegen.model import Boundary, Model
+from codegen.model.legendre import new_symbols, solve_blocks
 
 
 @dataclass(frozen=True)

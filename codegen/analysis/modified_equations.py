@@ -17,13 +17,12 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Expr, Rational, S, Symbol
 
-from codegen import legendre
 from codegen.analysis.flow_series import FlowSeries, flow_series, without_ends
 from codegen.analysis.function_ring import FunctionRing
 from codegen.analysis.normal_form import Element
 from codegen.analysis.series import Series
-from codegen.differentiate.zeros import identically_zero
-from codegen.model import Model
+from codegen.expressions.zeros import identically_zero
+from codegen.model import Model, legendre
 from codegen.schemes import Scheme
 
 

@@ -17,8 +17,8 @@ from sympy import QQ, Expr, Rational, Symbol
 from sympy.polys.orderings import lex
 from sympy.polys.rings import PolyRing
 
-from codegen import expressions
 from codegen.errors import ExpressionError
+from codegen.expressions import checks as expressions
 
 Element = Any
 """A polynomial of the ring (sympy's PolyElement)."""

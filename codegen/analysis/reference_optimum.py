@@ -13,9 +13,9 @@ import sympy
 from numpy.typing import NDArray
 from scipy.integrate import solve_bvp, solve_ivp
 
-from codegen import expressions
 from codegen.analysis.maximum_principle import NecessaryConditions, necessary_conditions, parameter_values
 from codegen.errors import ArgumentError, NumericsError
+from codegen.expressions import checks as expressions
 from codegen.model import Model
 
 Array = NDArray[np.float64]

@@ -8,38 +8,38 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from codegen import compiler, emit, schemes
-from codegen.checks import (
+from codegen import compiler, emit, naming, schemes
+from codegen.checks.base import Check, Context, Finding, not_measured
+from codegen.checks.derivation import (
     area_preservation,
-    assembly,
     boundary_rank,
     consistency,
-    derivatives,
     discrete_equations,
-    given_values,
-    holonomic_drift,
-    layout,
     midpoint_equivalence,
     momentum_matching,
     noether,
     null_controls,
-    optimum,
-    pairwise,
     path_modes,
-    provenance,
-    second_order,
-    sparsity,
     switches,
     symplecticity,
 )
-from codegen.checks.base import Check, Context, Finding, not_measured
-from codegen.checks.pairwise import is_pairwise_module
-from codegen.checks.phases import phase_contexts
-from codegen.compiler import Choices
+from codegen.checks.derivation.phases import phase_contexts
+from codegen.checks.module import (
+    assembly,
+    derivatives,
+    given_values,
+    layout,
+    provenance,
+    sparsity,
+)
+from codegen.checks.particles import pairwise
+from codegen.checks.particles.pairwise import is_pairwise_module
+from codegen.checks.solution import holonomic_drift, optimum, second_order
 from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.loading import load
 from codegen.model import Model
-from codegen.problem_file import load_problem, split_points
+from codegen.model.problem_file import load_problem, split_points
+from codegen.naming import Choices
 
 __all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]
 
@@ -108,13 +108,13 @@ def run(
     end = time.process_time() + time_limit
     path = Path(path)
     arguments = split_points(path, arguments or {})[0]
-    choices = compiler.chosen(scheme, method, controls)
+    choices = naming.chosen(scheme, method, controls)
     if module is None:
         module = compiler.build(path, arguments, scheme=scheme, method=method, controls=controls).path
     if is_pairwise_module(load(module)):
         return list(pairwise.findings(path, arguments, choices, module))
     context, text = _prepared(path, arguments, choices, module)
-    inputs = compiler.origin_of(path, arguments, choices).inputs
+    inputs = naming.origin_of(path, arguments, choices).inputs
     findings = list(provenance.compare(module, context.module, inputs, text))
     for name in CHECKS:
         findings += apply(name, context, (end - time.process_time()) / 4)
@@ -167,6 +167,6 @@ def _prepared(path: Path, arguments: Mapping[str, str], choices: Choices, module
     assert isinstance(model, Model), "particles have checks of their own"
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     fresh = lower.lower(program, derive.derivatives(program))
-    text = emit.render(fresh, compiler.origin_of(path, arguments, choices))
+    text = emit.render(fresh, naming.origin_of(path, arguments, choices))
     scheme = schemes.find(program.scheme, program.method)
     return Context(choices, model, program, scheme, load(module)), text

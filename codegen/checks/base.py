@@ -8,9 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from codegen.compiler import Choices
 from codegen.mangling import plain
 from codegen.model import Model
+from codegen.naming import Choices
 from codegen.schemes import Scheme
 from codegen.transcribe.program import ControlProgram, StepProgram
 from codegen.verify.control import guessed_points

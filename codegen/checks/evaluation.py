@@ -15,9 +15,9 @@ import numpy as np
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.differentiate.zeros import identically_zero
 from codegen.discretise import LENGTHS, STEP
 from codegen.errors import NumericsError
+from codegen.expressions.zeros import identically_zero
 
 Point: TypeAlias = Mapping[Symbol, float]
 Function: TypeAlias = Callable[..., list[Any]]

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from codegen.drivers.result import ConnectAttempt, Request, max_norm
 from codegen.drivers.scaled import quiet_single_thread
 from codegen.loading import ConnectModule, Vector
+from codegen.solutions.result import ConnectAttempt, Request, max_norm
 
 TOLERANCE = 1e-8
 """Relative and absolute error of each adaptive step, unless asked otherwise."""

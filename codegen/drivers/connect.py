@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -11,12 +10,12 @@ import scipy.optimize
 from scipy.optimize import NonlinearConstraint
 
 from codegen.drivers.adaptive import adaptive
-from codegen.drivers.result import ConnectAttempt, Request, max_norm
 from codegen.drivers.scaled import quiet_single_thread
-from codegen.errors import ArgumentError, PointsError
+from codegen.errors import ArgumentError
 from codegen.loading import ConnectModule, Vector
+from codegen.solutions.connect import case_of
+from codegen.solutions.result import ConnectAttempt, Request, max_norm
 
-TOLERANCE = 1e-12
 _DENSE_LIMIT = 3000
 _ROUNDED = 1e-9  # neighbours that move apart have momenta so large that rounding errors of places come near to this
 _SIMPLEX_LIMIT = 24
@@ -83,20 +82,6 @@ def slsqp(module: ConnectModule, request: Request) -> ConnectAttempt:
 def trust_constr(module: ConnectModule, request: Request) -> ConnectAttempt:
     """Trust-region SQP on the discrete action, with exact second derivatives."""
     return _minimised(module, request, "trust-constr", _by_trust_constr)
-
-
-def case_of(module: ConnectModule, request: Request) -> Any:
-    """The points that a request carries, checked by the module; PointsError tells what is wrong with them."""
-    points = request.points
-    if points is None:
-        raise PointsError("there are no points to connect", "give a file of points")
-    tolerance = TOLERANCE if request.tolerance is None or module.metadata["adaptive"] else request.tolerance
-    try:
-        return module.make_case(
-            points.start, points.target, request.steps, sigma=points.sigma, tolerance=min(tolerance, 1e-6)
-        )
-    except ValueError as error:
-        raise PointsError(str(error), "correct the points, or the arguments") from error
 
 
 def _minimised(module: ConnectModule, request: Request, driver: str, minimise: Callable[..., Any]) -> ConnectAttempt:
@@ -181,13 +166,3 @@ def _require_at_most(size: int, limit: int, driver: str) -> None:
         raise ArgumentError(
             f"driver {driver} would have {size} unknowns and equations", f"take at most {limit}, or use newton"
         )
-
-
-def condition_number(module: ConnectModule, case: Any, most: int = 1500) -> float:
-    """The condition number of H_pp at the start in the 2-norm; NaN beyond that many rows."""
-    size = case.start.shape[0] * int(module.BLOCKS)
-    if size > most:
-        return math.nan
-    matrix = np.empty((size, size))
-    module.momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
-    return float(np.linalg.cond(matrix)) if np.isfinite(matrix).all() else math.nan

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from codegen.drivers.connect import fsolve as connect
-from codegen.drivers.result import ControlAttempt, Request, SimulateAttempt, max_norm
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, ImplicitModule, Matrix, SimulateModule, StepGrid, Vector, is_implicit
+from codegen.solutions.result import ControlAttempt, Request, SimulateAttempt, max_norm
 
 __all__ = ["connect", "control", "simulate"]
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from codegen.drivers.result import ControlAttempt, Request
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, Vector
+from codegen.solutions.result import ControlAttempt, Request
 
 TOLERANCE = 1e-8
 MAX_ITERATIONS = 3000

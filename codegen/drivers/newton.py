@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from codegen.drivers.connect import newton as connect
-from codegen.drivers.result import ControlAttempt, Request, SimulateAttempt
 from codegen.loading import ControlModule, SimulateModule
+from codegen.solutions.result import ControlAttempt, Request, SimulateAttempt
 
 __all__ = ["connect", "control", "simulate"]
 

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, lsq_linear
 from threadpoolctl import ThreadpoolController
 
-from codegen.drivers.result import Request, max_norm
 from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, Entries, Grid, Indices, Vector
+from codegen.solutions.result import Request, max_norm
 
 _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from codegen.drivers.connect import slsqp as connect
-from codegen.drivers.result import ControlAttempt, Request
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.loading import ControlModule
+from codegen.solutions.result import ControlAttempt, Request
 
 __all__ = ["connect", "control"]
 

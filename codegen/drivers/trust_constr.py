@@ -9,9 +9,9 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from codegen.drivers.connect import trust_constr as connect
-from codegen.drivers.result import ControlAttempt, Request
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.loading import ControlModule
+from codegen.solutions.result import ControlAttempt, Request
 
 __all__ = ["connect", "control"]
 

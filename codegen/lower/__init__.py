@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from codegen.derive import ControlDerivatives, StepDerivatives
-from codegen.differentiate.pairwise import PairDerivatives
+from codegen.derive.pairwise import PairDerivatives
 from codegen.lower.connect import lower_connect, lower_particles
 from codegen.lower.control import lower_control
 from codegen.lower.module import Module

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Symbol
 
-from codegen.differentiate.pairwise import PairDerivatives
+from codegen.derive.pairwise import PairDerivatives
 from codegen.lower.blocks import BlockLoop
 from codegen.lower.gathered import GROUP, gathered_loops
 from codegen.lower.kernels import Line
@@ -104,7 +104,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
     around = particle_loops(model, singles)
     implicit = _implicit(program) and not by_turns
     step = ["pair_separable"] if by_turns else [
-        "pair_algebra", "pair_curvature", "pair_substeps" if program.substeps else "pair_runge_kutta",
+        "pair_algebra", "pair_curvature", *_step(program),
         *(["lu", "pair_lu", "pair_implicit"] if implicit else []),
     ]  # fmt: skip
     return ParticlesModule(
@@ -204,19 +204,23 @@ def _runtime(
     around: tuple[ParticleLoop, ...],
 ) -> tuple[str, ...]:
     files = [*_special(loops, around)]
-    step = "pair_substeps" if program.substeps else "pair_runge_kutta"
     files += [
         "lu",
         "pair_algebra",
         "pair_lu",
         "pair_curvature",
-        step,
+        *_step(program),
         *(["pair_implicit"] if _implicit(program) else []),
     ]
     files += ["pair_trajectory", "pair_secant", "pair_shooting", "pair_case"]
     files += [*(["pair_least_action"] if derivatives.quadratic else []), "pair_ladder"]
     files += ["pair_callbacks", *(["pair_action"] if program.method == "action" else [])]
     return tuple(files)
+
+
+def _step(program: PairwiseProgram) -> tuple[str, ...]:
+    """The files that make a step."""
+    return ("pair_moved", "pair_substeps") if program.substeps else ("pair_runge_kutta",)
 
 
 def _packed(blocks: tuple[BlockLoop, ...]) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Conditions that tie bodies together -> a few kernels, one for each kind of term, and tables of their instances.
 
-Code does not grow with the number of bodies (see `codegen.terms`).
+Code does not grow with the number of bodies (see `codegen.expressions.terms`).
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import sympy
 from sympy import Symbol
 
+from codegen.expressions.terms import Instance, Kind, sorted_terms
 from codegen.lower.control_layout import integers, parameters
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
-from codegen.terms import Instance, Kind, sorted_terms
 from codegen.transcribe.program import ControlProgram
 
 

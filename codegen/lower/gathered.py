@@ -13,7 +13,7 @@ from dataclasses import replace
 import sympy
 from sympy import Max
 
-from codegen.differentiate.pairwise import PairDerivatives
+from codegen.derive.pairwise import PairDerivatives
 from codegen.errors import ExpressionError
 from codegen.lower.blocks import BlockLoop, entry, packed
 from codegen.lower.kernels import Line, Output, kernel

@@ -9,7 +9,7 @@ from dataclasses import replace
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.differentiate.pairwise import TermDerivatives
+from codegen.derive.pairwise import TermDerivatives
 from codegen.lower.kernels import Kernel, Line, Output, kernel
 from codegen.lower.pair_writer import STATE, PairLoop, Writer, needed
 

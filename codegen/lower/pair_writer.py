@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.differentiate.pairwise import Assignment, PairDerivatives, TermDerivatives
+from codegen.derive.pairwise import Assignment, PairDerivatives, TermDerivatives
 from codegen.lower.kernels import Kernel, Line, Output, kernel
 from codegen.model.pairwise import PairwiseModel
 

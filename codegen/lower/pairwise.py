@@ -9,7 +9,7 @@ from __future__ import annotations
 import sympy
 from sympy import Expr
 
-from codegen.differentiate.pairwise import PairDerivatives
+from codegen.derive.pairwise import PairDerivatives
 from codegen.lower.kernels import Line
 from codegen.lower.pair_second import hessian, hessian_products, momentum_matrix
 from codegen.lower.pair_writer import STATE, PairLoop, Writer

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 from sympy import Expr, Max
 
-from codegen.differentiate.pairwise import PairDerivatives
-from codegen.differentiate.passive import PassiveDerivatives, passive_derivatives
+from codegen.derive.pairwise import PairDerivatives
+from codegen.derive.passive import PassiveDerivatives, passive_derivatives
 from codegen.lower.blocks import BlockLoop, entry, packed
 from codegen.lower.kernels import Line, Output, kernel
 from codegen.lower.pair_writer import CLOSEST, Writer, needed

@@ -11,8 +11,8 @@ import sympy
 from sympy.codegen.rewriting import expm1_opt, log1p_opt, optimize
 from sympy.printing.pycode import PythonCodePrinter
 
-from codegen import expressions
 from codegen.errors import ExpressionError
+from codegen.expressions import checks as expressions
 
 _SHORT_DENOMINATORS = 64
 _STEEP = 16

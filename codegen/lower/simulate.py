@@ -9,9 +9,9 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.derive import StepDerivatives
-from codegen.differentiate import StraightLine, values_of
 from codegen.discretise import STEP
-from codegen.expressions import longer_than
+from codegen.expressions import StraightLine, values_of
+from codegen.expressions.checks import longer_than
 from codegen.lower.kernels import Kernel, Line, Output, kernel
 from codegen.lower.module import Argument, SimulateModule
 from codegen.lower.printer import readable, scalar_code

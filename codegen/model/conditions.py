@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import sympy
 
-from codegen.bodies import require_single_bodies
+from codegen.author.bodies import require_single_bodies
 from codegen.errors import BoundaryError
 from codegen.model.definitions import Bounds, Condition, FreeParameter
 from codegen.model.relations import text

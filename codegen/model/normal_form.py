@@ -10,17 +10,19 @@ from typing import Any
 
 import sympy
 
-from codegen import expressions, mangling, symbols
-from codegen.bodies import require_body
+from codegen import mangling
+from codegen.author import symbols
+from codegen.author.bodies import require_body
+from codegen.author.problem import FORMS, Control, Problem, Simulate, form_of
+from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
+from codegen.expressions import checks as expressions
 from codegen.model import drawings, regularity, trials, values
 from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
 from codegen.model.relations import text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
 from codegen.model.written import Entry, maximises, used_quantities, written_costs, written_entries
-from codegen.problem import FORMS, Control, Problem, Simulate, form_of
-from codegen.symbols import Quantity
 
 
 def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from sympy import Expr, Symbol
 
-from codegen import expressions, mangling
-from codegen.differentiate.invariants import Invariants
+from codegen import mangling
+from codegen.author.particles import Connect, Pairwise, Particle, ParticleQuantity
+from codegen.author.problem import Simulate
+from codegen.author.symbols import Parameter, Quantity
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
-from codegen.pairwise import Connect, Pairwise, Particle, ParticleQuantity
-from codegen.problem import Simulate
-from codegen.symbols import Parameter, Quantity
+from codegen.expressions import checks as expressions
+from codegen.expressions.invariants import Invariants
 
 FRACTION = Symbol("fraction", real=True)
 """The fraction of the way from start to target."""

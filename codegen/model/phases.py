@@ -11,15 +11,15 @@ from typing import Any
 
 import sympy
 
-from codegen import expressions
-from codegen.copies import meet_on_the_way, written_out
+from codegen.author.copies import meet_on_the_way, written_out
+from codegen.author.problem import SAME_AT_BOTH_ENDS, Control, Phases, form_of
+from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
+from codegen.expressions import checks as expressions
 from codegen.model import drawings, normal_form, trials, values
 from codegen.model.definitions import FreeParameter, Model
 from codegen.model.scope import Kinds, kinds_of
 from codegen.model.written import Entry, jump_entries, maximises, used_quantities, written_costs, written_entries
-from codegen.problem import SAME_AT_BOTH_ENDS, Control, Phases, form_of
-from codegen.symbols import Quantity
 
 Jump = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
 

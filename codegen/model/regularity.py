@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import sympy
 
-from codegen import expressions
-from codegen.differentiate.samples import hessian_samples
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError
+from codegen.expressions import checks as expressions
+from codegen.expressions.samples import hessian_samples
+from codegen.expressions.terms import distinct
 from codegen.model.definitions import Condition, Model
 from codegen.model.relations import text
 from codegen.model.trials import trial_points
 from codegen.model.values import prescribed
-from codegen.terms import distinct
 
 Points = Sequence[Mapping[sympy.Symbol, float]]
 

@@ -10,8 +10,8 @@ import sympy
 from sympy.core import relational
 from sympy.logic import boolalg
 
-from codegen import expressions
 from codegen.errors import ExpressionError
+from codegen.expressions import checks as expressions
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 
 import sympy
 
-from codegen.errors import BoundaryError, ExpressionError, SymbolError
-from codegen.model.written import Entry
-from codegen.symbols import (
+from codegen.author.symbols import (
     BodyNumber,
     ControlInput,
     Coordinate,
@@ -22,6 +20,8 @@ from codegen.symbols import (
     Time,
     Velocity,
 )
+from codegen.errors import BoundaryError, ExpressionError, SymbolError
+from codegen.model.written import Entry
 
 _MOVING = (Coordinate, Velocity, Momentum, State)
 _STATIC = (Parameter, FreeParameter)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import sympy
 
-from codegen import expressions
+from codegen.expressions import checks as expressions
 from codegen.model.definitions import Model
 from codegen.model.values import prescribed, values_at_guess
 

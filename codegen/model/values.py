@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import sympy
 
-from codegen import expressions
 from codegen.errors import BoundaryError, ExpressionError
+from codegen.expressions import checks as expressions
+from codegen.expressions.terms import distinct
 from codegen.model.definitions import Bounds, Condition, Model
 from codegen.model.relations import text
-from codegen.terms import distinct
 
 _ROUNDING = 1e-9
 """Relative size of a difference that counts as rounding of the values which an author gave."""

@@ -8,11 +8,11 @@ from typing import Any
 
 import sympy
 
-from codegen import expressions
+from codegen.author.problem import Control, Problem
+from codegen.author.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
 from codegen.errors import ExpressionError, SymbolError
+from codegen.expressions import checks as expressions
 from codegen.model.relations import relation, short
-from codegen.problem import Control, Problem
-from codegen.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
 
 
 @dataclass(frozen=True)

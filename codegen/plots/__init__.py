@@ -6,13 +6,13 @@ from pathlib import Path
 
 import matplotlib
 
-from codegen.drawing import Scene
-from codegen.drivers.result import Result
+from codegen.author.drawing import Scene
 from codegen.loading import GeneratedModule, is_connect, is_control
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.simulation import simulation_figure
 from codegen.plots.style import STYLE, label
+from codegen.solutions.result import Result
 
 __all__ = ["Drawings", "connect_figure", "control_figure", "label", "save", "simulation_figure"]
 

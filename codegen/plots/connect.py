@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from codegen.drivers.result import Result
 from codegen.loading import ConnectModule
 from codegen.plots.style import AMBER, BLUE, DARK, GREY, RED, title
+from codegen.solutions.result import Result
 
 
 def connect_figure(module: ConnectModule, result: Result) -> Figure:

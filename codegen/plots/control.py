@@ -12,12 +12,12 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from codegen.drawing import Scene
-from codegen.drivers.result import Result
+from codegen.author.drawing import Scene
 from codegen.loading import ControlModule
 from codegen.plots import panels, shapes
 from codegen.plots.quantities import Inequality, Quantity, inequalities, quantities
 from codegen.plots.style import MOST_BODY_COLOURS, body_map, title
+from codegen.solutions.result import Result
 
 WIDTH = 12.0
 """Of the figure, in inches."""

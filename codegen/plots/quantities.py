@@ -10,8 +10,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from codegen.drivers.result import Result
 from codegen.loading import ControlModule, Matrix, Vector
+from codegen.solutions.result import Result
 
 CLOSE, LEAST = 2e-4, 1e-6
 """Relative and absolute distance from a limit that count as none: an interior point method ends a little inside."""

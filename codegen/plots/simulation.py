@@ -6,10 +6,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from codegen.drawing import Scene
-from codegen.drivers.result import Result
+from codegen.author.drawing import Scene
 from codegen.plots import shapes
 from codegen.plots.style import AMBER, BLUE, RED, label, title
+from codegen.solutions.result import Result
 
 _MOST_PANELS = 12
 _MOST_POINTS = 20_000

@@ -10,7 +10,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from codegen.drivers.result import Result
+from codegen.solutions.result import Result
 
 BLUE, RED, GREEN, PINK, AMBER, SKY = "#0072B2", "#D55E00", "#009E73", "#B8578F", "#E69F00", "#56B4E9"
 """Colours that remain distinct for colour-blind readers: Okabe and Ito (2008), Color universal design."""

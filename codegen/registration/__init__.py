@@ -9,8 +9,9 @@ from codegen.registration.certificate import Certificate, certify
 from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.frame import Frame
 from codegen.registration.leave_one_out import LeaveOneOut, SigmaChoice, choose_sigma, compare_sigmas, leave_one_out
+from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.register import Registration, register
+from codegen.registration.register import register
 from codegen.registration.warp import WarpReport, warp, warp_reported
 
 __all__ = [

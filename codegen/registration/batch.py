@@ -16,8 +16,9 @@ from typing import Any
 from codegen import __version__
 from codegen.errors import ArgumentError, CodegenError, one_line
 from codegen.files import refused, replacing
-from codegen.registration.images.header import KINDS
-from codegen.registration.job import Job, Options, run
+from codegen.registration.images.kinds import KINDS
+from codegen.registration.job import run
+from codegen.registration.jobs import Job, Options
 
 SUMMARY = "summary.csv"
 COLUMNS = (

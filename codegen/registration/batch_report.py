@@ -12,7 +12,7 @@ import jinja2
 
 from codegen.files import replacing
 from codegen.registration.batch import Batch, Line
-from codegen.registration.warp_text import number
+from codegen.registration.record_text import number
 
 NAME = "index.html"
 COLUMNS = (

@@ -9,7 +9,7 @@ import numpy as np
 
 from codegen.registration.coarse import Positions
 from codegen.registration.frame import pixel_grid
-from codegen.registration.register import ROUND_TRIP, Registration
+from codegen.registration.maps import ROUND_TRIP, Registration
 
 PORTION = 1 << 20
 """Pixels whose derivatives are in memory at once, a whole number of the blocks in which the flow carries points."""

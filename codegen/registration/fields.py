@@ -21,7 +21,7 @@ from codegen.errors import ArgumentError, ExtraError, ImageError
 from codegen.files import replacing
 from codegen.registration.coarse import Positions, Spacing, map_grid
 from codegen.registration.frame import pixel_grid
-from codegen.registration.register import Registration
+from codegen.registration.maps import Registration
 
 KINDS = (".npz", ".nii", ".nii.gz", ".mha")
 _VECTOR = "vector"  # the NIfTI intent whose components ITK takes as they are

@@ -10,83 +10,24 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from codegen import output
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
 from codegen.registration import fields
-from codegen.registration.alignment import Kind
 from codegen.registration.certificate import Certificate, certify_with_positions
-from codegen.registration.coarse import Positions
 from codegen.registration.formats import Frames, read_landmarks
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
+from codegen.registration.jobs import MOST_LEFT_OUT, Job, Options, Result
 from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
+from codegen.registration.maps import Registration
+from codegen.registration.pair_report import write_report
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.register import Registration, register
-from codegen.registration.solver import DEFAULT_SCHEME, registration_module
-from codegen.registration.warp import Interpolation, warp_reported
-
-MOST_LEFT_OUT = 100
-"""Of more landmarks, none is left out in turn: it would take as many registrations."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """How pairs are registered and warped; `sigma` in pixels."""
-
-    inverse: bool = False
-    sigma: float | Literal["auto"] = 0.0
-    align: Kind = "similarity"
-    scheme: str = DEFAULT_SCHEME
-    steps: int | None = None
-    interpolation: Interpolation = "linear"
-    coarse: bool = False
-
-
-@dataclass(frozen=True)
-class Job:
-    """The files of one pair that are read and written; `landmarks` is one file, or a moving and a fixed one."""
-
-    moving: Path
-    landmarks: tuple[Path, ...]
-    out: Path
-    fixed: Path | None = None
-    field: Path | None = None
-    report: Path | None = None
-
-    @property
-    def read(self) -> tuple[Path, ...]:
-        """All files that are read."""
-        return (self.moving, *self.landmarks, *([self.fixed] if self.fixed is not None else []))
-
-    @property
-    def written(self) -> tuple[Path, ...]:
-        """All files that are written, the image last."""
-        return tuple(path for path in (self.field, self.report, self.out) if path is not None)
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What a job found: the record for people and programs, and what a report shows."""
-
-    record: dict[str, Any]
-    pairs: LandmarkPairs
-    moving: Image
-    fixed: Image | None
-    registration: Registration | None = None
-    certificate: Certificate | None = None
-    left_out: LeaveOneOut | None = None
-    warped: Any = None
-    positions: Positions | None = None  # where the pixels of the warped image come from
-
-    @property
-    def passed(self) -> bool:
-        """Whether the image was warped by a map that does not fold."""
-        return bool(self.record["status"] == "solved")
+from codegen.registration.register import register
+from codegen.registration.solver import registration_module
+from codegen.registration.warp import warp_reported
+from codegen.solutions import output
 
 
 def run(job: Job, options: Options, limits: Limits | None = None) -> Result:
@@ -99,8 +40,6 @@ def run(job: Job, options: Options, limits: Limits | None = None) -> Result:
         registration_module(options.scheme)
     result = _solved(job, options, moving, fixed, pairs, seconds)
     if job.report is not None:
-        from codegen.registration.pair_report import write_report
-
         with _timed(seconds, "report"):
             write_report(job.report, result)
     if result.passed:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError, RegistrationError
+from codegen.registration.maps import Registration, in_steps, registered
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.register import Registration, in_steps, register
 
 ENOUGH = 0.1
 """Error of a map, in pixels, below which its steps are many enough to predict landmarks with."""
@@ -62,7 +62,7 @@ def leave_one_out(
     count = len(pairs)
     errors = np.full(count, np.nan)
     if count > 1:
-        full = register(pairs, shape, steps=steps, tolerance=tolerance, start=start, **options)
+        full = registered(pairs, shape, steps=steps, tolerance=tolerance, start=start, **options)
         velocities = full.flow.velocities
     for k in range(count if count > 1 else 0):
         kept = Matching.of(pairs.without(k), shape, **options)
@@ -124,7 +124,7 @@ def compare_sigmas(
     for sigma in sorted(candidates, reverse=True):
         own = {**options, "sigma": sigma}
         try:
-            smoother = register(pairs, shape, steps=steps, tolerance=tolerance, start=smoother, **own)
+            smoother = registered(pairs, shape, steps=steps, tolerance=tolerance, start=smoother, **own)
         except RegistrationError:
             continue
         found = leave_one_out(pairs, shape, steps=steps, tolerance=tolerance, start=smoother, **own)

@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.plots.style import AMBER, BLUE, CRIMSON, RED
-from codegen.registration.job import Result
+from codegen.registration.jobs import Result
+from codegen.registration.maps import Registration
 from codegen.registration.pairs import PointArray
-from codegen.registration.register import Registration
 
 LONGEST = 560
 """Pixels of the longer side of a picture on the page; larger images are thinned."""

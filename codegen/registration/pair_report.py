@@ -14,8 +14,8 @@ import numpy as np
 from codegen import __version__
 from codegen.files import replacing
 from codegen.registration import pair_pictures as pictures
-from codegen.registration.job import Result
-from codegen.registration.warp_text import number, rows
+from codegen.registration.jobs import Result
+from codegen.registration.record_text import number, rows
 
 COLUMNS = ("landmark", "moving x", "moving y", "fixed x", "fixed y", "residual", "left out", "")
 MOST_ROWS = 2_000

@@ -52,7 +52,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     That takes about half a minute and is announced on stderr. Raises SchemeError for a scheme without fixed steps.
     """
     from codegen.compiler import build
-    from codegen.drivers.processes import compilers
+    from codegen.machine_code.processes import compilers
 
     made = build(problem_file(), ARGUMENTS, scheme=scheme)
     module = require_passive(load(made.path))
@@ -68,8 +68,8 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
 
 def _touch(module: Any) -> None:
     """Call what a registration calls, so that its machine code is read, or compiled, before anything is timed."""
-    from codegen.drivers.compilation import packed_operations, small_case
-    from codegen.drivers.shortcuts import quick_numba
+    from codegen.machine_code.compilation import packed_operations, small_case
+    from codegen.machine_code.shortcuts import quick_numba
 
     case = small_case(module)
     with packed_operations(), quick_numba():

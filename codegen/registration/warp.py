@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ImageError
 from codegen.registration.coarse import BOUND, Positions, Spacing, map_grid
+from codegen.registration.maps import Registration
 from codegen.registration.pairs import PointArray
-from codegen.registration.register import Registration
 
 Interpolation: TypeAlias = Literal["nearest", "linear", "cubic"]
 ORDERS: dict[str, int] = {"nearest": 0, "linear": 1, "cubic": 3}

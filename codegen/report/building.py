@@ -109,10 +109,10 @@ def _get_ready() -> None:
     from numba import njit
 
     import codegen.compiler
-    import codegen.survey
+    import codegen.report.survey
 
     assert codegen.compiler
-    assert codegen.survey
+    assert codegen.report.survey
     njit(_nothing)(0.0)
 
 
@@ -130,7 +130,7 @@ def _nothing(x: Any) -> Any:
 
 def survey_of(problem: Path) -> dict[str, Any]:
     """What a problem offers, with its optimal cost where that has a closed form; runs in a worker."""
-    from codegen.survey import exact_cost, survey
+    from codegen.report.survey import exact_cost, survey
 
     try:
         return {"status": "read", **survey(problem), "exact cost": exact_cost(problem)}
@@ -140,9 +140,9 @@ def survey_of(problem: Path) -> dict[str, Any]:
 
 def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     """Derive, write and compile; times of each, size of the text, and what was left out. Runs in a worker."""
-    from codegen import drivers
-    from codegen.drivers.compilation import compile_all, packed_operations
-    from codegen.drivers.shortcuts import quick_numba
+    from codegen import solving
+    from codegen.machine_code.compilation import compile_all, packed_operations
+    from codegen.machine_code.shortcuts import quick_numba
 
     begin = time.perf_counter()
     try:
@@ -154,12 +154,12 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     loaded = time.perf_counter()
     with packed_operations(), quick_numba():
         if module.metadata["task"] == "simulate":
-            drivers.solve(module, steps=2)
+            solving.solve(module, steps=2)
         else:
             compile_all(module)
     compiled, busy_compiled = time.perf_counter(), time.process_time()
     if module.metadata["task"] == "control":
-        drivers.solve(module, steps=min(10, module.metadata["steps"]))  # compiles what scipy's optimisers call
+        solving.solve(module, steps=min(10, module.metadata["steps"]))  # compiles what scipy's optimisers call
     is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
     return {
         "status": "built",
@@ -197,7 +197,8 @@ def _derived(variant: Variant, folder: Path) -> Path:
 
 def _derivations(variant: Variant) -> dict[str, float]:
     """Processor seconds of deriving a module in both forms, when sympy has met the problem already."""
-    from codegen.compiler import Choices, generate
+    from codegen.compiler import generate
+    from codegen.naming import Choices
 
     found = {}
     for name, general in (("plain", False), ("general", True)):

@@ -11,14 +11,15 @@ from typing import Any
 
 from codegen.files import write_text
 from codegen.machine import machine
-from codegen.report import drift, leaving_out, overview, records
+from codegen.report import overview, records
 from codegen.report.building import SURVEYS, Variant, Workshop, build_all, surveyed, workers
 from codegen.report.compare import Regression
 from codegen.report.extent import Extent
 from codegen.report.kinds import EXTRAS, KINDS
+from codegen.report.measure import drift, leaving_out
 from codegen.report.page import page
 from codegen.report.section import Section
-from codegen.report.sections_modules import modules
+from codegen.report.sections.modules import modules
 from codegen.report.store import Store
 from codegen.terminal import progress
 

@@ -6,22 +6,29 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from codegen.report import (
-    optima,
-    sections_control,
-    sections_simulation,
-    simulations,
-    thesis_craft,
-    thesis_landmarks,
-    thesis_linear,
-    thesis_orbit,
-    thesis_pendulum,
-)
 from codegen.report.building import Variant, Workshop
 from codegen.report.extent import Extent
-from codegen.report.orders import Order
+from codegen.report.measure import optima, simulations
+from codegen.report.measure.orders import Order
 from codegen.report.section import Section
+from codegen.report.sections import control as sections_control
+from codegen.report.sections import simulation as sections_simulation
 from codegen.report.store import Case, Store, Values
+from codegen.report.thesis import (
+    craft as thesis_craft,
+)
+from codegen.report.thesis import (
+    landmarks as thesis_landmarks,
+)
+from codegen.report.thesis import (
+    linear as thesis_linear,
+)
+from codegen.report.thesis import (
+    orbit as thesis_orbit,
+)
+from codegen.report.thesis import (
+    pendulum as thesis_pendulum,
+)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 import jinja2
 
 from codegen.report.section import Section
-from codegen.report.sections_questions import sections as of_questions
-from codegen.report.sections_thesis import sections as of_thesis
+from codegen.report.sections.questions import sections as of_questions
+from codegen.report.sections.thesis import sections as of_thesis
 from codegen.report.settings import Settings
 from codegen.report.store import Store
 

@@ -10,9 +10,9 @@ from typing import cast
 
 import numpy as np
 
+from codegen.author.points import PointSet, read_points
 from codegen.compiler import build
 from codegen.loading import ConnectModule, load
-from codegen.points import PointSet, read_points
 
 NODES = tuple(range(10, 101, 5))
 """The thesis's numbers of steps, 10:5:100."""

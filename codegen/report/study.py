@@ -9,7 +9,17 @@ from typing import Any
 
 from codegen.files import write_text
 from codegen.machine import machine
-from codegen.report import accuracy, ansatz, dimension, effort, fastest, jumps, paths, smoothness, sweeps
+from codegen.report.measure import (
+    accuracy,
+    ansatz,
+    dimension,
+    effort,
+    fastest,
+    jumps,
+    paths,
+    smoothness,
+    sweeps,
+)
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store
 from codegen.terminal import progress

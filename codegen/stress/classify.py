@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from codegen.drivers.result import STATUSES
+from codegen.solutions.result import STATUSES
 from codegen.stress.cases import Case, Measurement, Row
 
 TEXTBOOK = 100.0

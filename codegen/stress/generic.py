@@ -59,8 +59,8 @@ def _schemes(metadata: Mapping[str, Any]) -> Sequence[tuple[str | None, str]]:
 def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[tuple[float, ...], ...]:
     if module.metadata["task"] != "connect":
         return ()
-    from codegen.points import read_points
-    from codegen.problem_file import split_points
+    from codegen.author.points import read_points
+    from codegen.model.problem_file import split_points
 
     given = split_points(problem, dict(arguments))[1]
     file = Path(given) if given is not None else problem.parent / module.metadata["points"]

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from codegen import drivers
-from codegen.drivers.result import Result
-from codegen.drivers.simulate_result import rounding_level
-from codegen.points import PointSet
+from codegen import solving
+from codegen.author.points import PointSet
+from codegen.solutions.result import Result
+from codegen.solutions.simulate import rounding_level
 from codegen.stress.cases import Case, Measurement, Values
 from codegen.stress.limits import stable_limit
 from codegen.stress.references import REFERENCES, drift_scale
@@ -22,7 +22,7 @@ def measure(module: Any, case: Case) -> Measurement:
     """What happens when a case is solved; typed errors are passed on."""
     varied = with_values(module, case)
     begin = time.perf_counter()
-    result = drivers.solve(varied, case.driver, points=_points(case), **_options(module, case))
+    result = solving.solve(varied, case.driver, points=_points(case), **_options(module, case))
     seconds = time.perf_counter() - begin
     error = REFERENCES[case.reference](varied, case, result) if case.reference and result.solved else float("nan")
     return Measurement(

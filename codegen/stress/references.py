@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from codegen.drivers.result import Result
+from codegen.solutions.result import Result
 from codegen.stress.cases import Case
 from codegen.stress.families.common import ORDERS
 from codegen.stress.limits import stable_limit

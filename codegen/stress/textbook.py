@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.drivers.result import Result
+from codegen.solutions.result import Result
 from codegen.stress.cases import Case
 from codegen.stress.systems import DEFAULTS, FORCES
 

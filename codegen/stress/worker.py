@@ -44,8 +44,8 @@ def _end_with_parent() -> None:
 def _made(setup: Setup) -> tuple[Any, str, str]:
     """The compiled module, or what it was refused for, or the exception."""
     from codegen import compiler
-    from codegen.drivers.compilation import compile_all, packed_operations
     from codegen.loading import load
+    from codegen.machine_code.compilation import compile_all, packed_operations
 
     try:
         arguments = {name: str(value) for name, value in setup.arguments}

@@ -10,10 +10,10 @@ import sympy
 from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
-from codegen import expressions
 from codegen.discretise import STEP
+from codegen.expressions import checks as expressions
+from codegen.expressions.special_functions import NUMPY
 from codegen.model.values import values_at_guess
-from codegen.special_functions import NUMPY
 from codegen.transcribe.program import ControlProgram
 
 Array = NDArray[np.float64]

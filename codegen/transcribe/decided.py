@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Expr, Symbol
 
-from codegen import expressions
 from codegen.discretise import STEP, PathValue, at_nodes
 from codegen.errors import BoundaryError
+from codegen.expressions import checks as expressions
 from codegen.transcribe.program import ControlProgram, EndElement
 
 _ROUNDING = 1e-9

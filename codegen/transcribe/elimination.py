@@ -15,9 +15,9 @@ from functools import lru_cache
 
 from sympy import Add, Expr, S, Symbol, expand
 
-from codegen import expressions
-from codegen.differentiate.zeros import identically_zero
 from codegen.discretise import STEP
+from codegen.expressions import checks as expressions
+from codegen.expressions.zeros import identically_zero
 
 Assignment = tuple[Symbol, Expr]
 

@@ -11,10 +11,9 @@ from dataclasses import replace
 
 from sympy import Expr, Symbol
 
-from codegen import legendre
-from codegen.differentiate.zeros import identically_zero
 from codegen.errors import ExpressionError
-from codegen.model import Boundary, Bounds, Condition, Model
+from codegen.expressions.zeros import identically_zero
+from codegen.model import Boundary, Bounds, Condition, Model, legendre
 
 
 def in_velocities(model: Model) -> Model:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.differentiate.tangents import gradient
+from codegen.expressions.tangents import gradient
 from codegen.model import Boundary, Condition, Model
 
 DURATION = Symbol("duration", positive=True)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from sympy import Expr, S, Symbol
 
-from codegen.differentiate.tangents import gradient
 from codegen.errors import BoundaryError
+from codegen.expressions.tangents import gradient
 from codegen.model import Boundary, Condition, Model
 from codegen.transcribe.ends import End, conditioned_end, pinned_at_zero
 from codegen.transcribe.forms import occurring

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, S, Symbol
 
-from codegen.differentiate.tangents import gradient
 from codegen.errors import BoundaryError
+from codegen.expressions.tangents import gradient
 from codegen.model import Condition, Model
 from codegen.transcribe.forms import occurring, same_after
 from codegen.transcribe.guesses import at_start, coordinate_guess, momentum_guess

@@ -9,11 +9,11 @@ from sympy import Expr, Max, Min, S, Symbol
 
 from codegen.errors import BoundaryError
 from codegen.model import Condition, Model
-from codegen.redundancy import independent_couplings
 from codegen.transcribe.guesses import at_end
 from codegen.transcribe.names import Names
 from codegen.transcribe.periodic import Alias, Own, Periodic
 from codegen.transcribe.program import Coupling, Unknown
+from codegen.transcribe.redundancy import independent_couplings
 
 
 @dataclass(frozen=True)

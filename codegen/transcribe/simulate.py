@@ -22,7 +22,6 @@ from itertools import accumulate
 import sympy
 from sympy import Add, Expr, S, Symbol, diff, expand_mul
 
-from codegen import legendre
 from codegen.discretise import (
     STEP,
     VariationalInterval,
@@ -32,11 +31,11 @@ from codegen.discretise import (
     variational_interval,
 )
 from codegen.errors import SchemeError
-from codegen.model import Model
-from codegen.phase_functions import phase_functions
+from codegen.model import Model, legendre
 from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
 from codegen.transcribe.boundary import with_symbolic_boundaries
 from codegen.transcribe.elimination import Elimination, eliminate
+from codegen.transcribe.phase_functions import phase_functions
 from codegen.transcribe.program import StepProgram, Unknown
 
 Equation = tuple[str, Expr]

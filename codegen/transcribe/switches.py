@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Expr, S, Symbol
 
-from codegen.differentiate.tangents import gradient
-from codegen.differentiate.zeros import identically_zero
+from codegen.expressions.tangents import gradient
+from codegen.expressions.zeros import identically_zero
 from codegen.model import Condition, Model
 from codegen.model.values import prescribed
 from codegen.transcribe.forms import occurring

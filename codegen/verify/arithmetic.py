@@ -13,7 +13,7 @@ from typing import Any
 import mpmath
 import numpy as np
 
-from codegen.special_functions import STEMS, by_name
+from codegen.expressions.special_functions import STEMS, by_name
 
 Array = Any
 Function = Callable[..., Array]

@@ -13,7 +13,7 @@ from typing import Any
 import mpmath
 from sympy import Symbol
 
-from codegen.special_functions import by_name
+from codegen.expressions.special_functions import by_name
 from codegen.verify.tape import Arithmetic
 
 DIGITS = 400

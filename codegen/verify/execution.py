@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.special_functions import STEMS
+from codegen.expressions.special_functions import STEMS
 from codegen.verify.tape import Arithmetic
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sympy import Expr, Symbol
 
-from codegen.expressions import rounded_at
+from codegen.expressions.checks import rounded_at
 from codegen.transcribe.program import StepProgram
 from codegen.verify.digits import EXACT, SIZED, Sized, difference, sized
 from codegen.verify.execution import Text

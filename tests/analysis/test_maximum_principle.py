@@ -16,11 +16,19 @@ from scipy.interpolate import CubicSpline
 from codegen.analysis.exact_optimum import ExactOptimum, exact_optimum
 from codegen.analysis.maximum_principle import necessary_conditions
 from codegen.analysis.reference_optimum import Reference, reference_optimum
+from codegen.author.problem import Control
+from codegen.author.symbols import (
+    canonical_pair,
+    control,
+    coordinate,
+    coordinates,
+    parameters,
+    recorded_declarations,
+    time,
+)
 from codegen.errors import ArgumentError, BoundaryError, DegenerateError, NumericsError
-from codegen.legendre import hamiltonian_form
 from codegen.model import Model, normalise
-from codegen.problem import Control
-from codegen.symbols import canonical_pair, control, coordinate, coordinates, parameters, recorded_declarations, time
+from codegen.model.legendre import hamiltonian_form
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PENDULUM_COST = 4.530760981081599

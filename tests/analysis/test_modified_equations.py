@@ -29,14 +29,14 @@ from codegen.analysis.angles import angles_that_span
 from codegen.analysis.flow_series import flow_series
 from codegen.analysis.function_ring import FunctionRing
 from codegen.analysis.modified_equations import modified_equations
-from codegen.analysis.modified_text import analysis
-from codegen.checks.one_step import generic_model
-from codegen.checks.symplecticity import generic_model_without_forces
+from codegen.checks.derivation.one_step import generic_model
+from codegen.checks.derivation.symplecticity import generic_model_without_forces
 from codegen.cli import main
 from codegen.errors import ArgumentError, ExpressionError, SchemeError
 from codegen.model import Boundary, normalise
-from codegen.problem_file import load_problem
+from codegen.model.problem_file import load_problem
 from codegen.schemes.one_step import alpha
+from codegen.show.modified_equations import analysis
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 REGISTERED = [(method, name) for method, names in schemes.METHODS.items() for name in names]

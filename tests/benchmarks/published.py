@@ -59,8 +59,8 @@ def solve_here(reference: Published, driver: str, steps: int | None, scheme: str
 
     from codegen import drivers
     from codegen.compiler import build
-    from codegen.drivers.control_result import control_result
-    from codegen.drivers.result import Request
+    from codegen.solutions.control import control_result
+    from codegen.solutions.result import Request
 
     path = ROOT / "problems" / "published" / f"{reference.problem}.py"
     module: Any = compiled(build(path, dict(reference.arguments), scheme=scheme).path)

@@ -27,8 +27,8 @@ from rich.table import Table
 from skimage.transform import ThinPlateSplineTransform
 from skimage.transform import warp as skimage_warp
 
+from codegen.author.points import PointSet, read_points
 from codegen.errors import RegistrationError
-from codegen.points import PointSet, read_points
 from codegen.registration import LandmarkPairs, certify, register, warp_reported
 from codegen.registration.frame import coarse_grid, pixel_grid
 from codegen.registration.warp import sources

@@ -1,9 +1,9 @@
 """Every scheme on the pendulum: measured order, symplecticity, the trend of the energy's error over a million steps.
 
 `python tests/benchmarks/scheme_orders.py [SCHEME ...]`. The exact motion is that of elliptic functions, in 30 digits.
-The rest is that of the section "energy in the long run" of reports (`codegen/report/drift.py`): the defect |S'JS - J|
-of the emitted step, and the rise of a straight line through the energy's error with its standard error and t value,
-beside the random walk by rounding.
+The rest is that of the section "energy in the long run" of reports (`codegen/report/measure/drift.py`): the
+defect |S'JS - J| of the emitted step, and the rise of a straight line through the energy's error with its standard
+error and t value, beside the random walk by rounding.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ sys.path[:0] = [str(Path(__file__).parents[1])]
 from simulation_systems import model_of, text_of  # noqa: E402
 
 from codegen import emit, schemes  # noqa: E402
-from codegen.compiler import cache_folder  # noqa: E402
+from codegen.cache import cache_folder  # noqa: E402
 from codegen.loading import load  # noqa: E402
-from codegen.report.drift import answer, drift_values  # noqa: E402
+from codegen.report.measure.drift import answer, drift_values  # noqa: E402
 
 MOMENTUM, DURATION, LONG = 1.4, 2.0, 1_000_000
 STEPS = {1: (100, 200, 400), 2: (100, 200, 400), 4: (40, 80, 160), 6: (6, 12, 24), 8: (5, 7, 10)}

@@ -11,7 +11,7 @@ from interpreted import as_machine_code
 
 from codegen import checks, compiler
 from codegen.checks import Context
-from codegen.compiler import Choices
+from codegen.naming import Choices
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 Prepare = Callable[..., Context]

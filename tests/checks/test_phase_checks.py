@@ -11,8 +11,8 @@ from interpreted import Interpreted
 
 from codegen import checks, schemes, transcribe
 from codegen.checks import Context
-from codegen.compiler import Choices
-from codegen.problem_file import load_problem
+from codegen.model.problem_file import load_problem
+from codegen.naming import Choices
 
 
 @pytest.fixture(scope="module")

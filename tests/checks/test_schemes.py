@@ -8,10 +8,10 @@ import pytest
 import sympy
 
 from codegen import checks, schemes
-from codegen.checks.area_preservation import area_factor
-from codegen.checks.consistency import first_difference
-from codegen.checks.midpoint_equivalence import residuals
-from codegen.checks.noether import momentum_change
+from codegen.checks.derivation.area_preservation import area_factor
+from codegen.checks.derivation.consistency import first_difference
+from codegen.checks.derivation.midpoint_equivalence import residuals
+from codegen.checks.derivation.noether import momentum_change
 
 ALL = [pytest.param(s, id=f"{method}-{s.name}") for method, table in schemes.METHODS.items() for s in table.values()]
 
@@ -92,7 +92,7 @@ def test_momentum_of_a_coordinate_that_is_not_cyclic_changes(prepared):
 
 
 def test_noether_fails_where_a_scheme_breaks_the_symmetry(prepared, monkeypatch):
-    from codegen.checks import noether
+    from codegen.checks.derivation import noether
 
     genuine = noether.variational_interval
 

@@ -17,7 +17,7 @@ import pytest
 from conftest import PROBLEMS
 from interpreted import as_machine_code
 
-from codegen import drivers
+from codegen import solving
 
 GENERATED = PROBLEMS.parent / "generated"
 STEPS = {"pendulum_swing_up": 12, "two_stage_rocket": 4}
@@ -74,7 +74,7 @@ def solved(problem: str):
     """The uncompiled module and what `newton` finds."""
     module = as_machine_code((GENERATED / f"{problem}.py").read_text(), problem)
     with np.errstate(all="ignore"):
-        return module, drivers.solve(module, steps=STEPS.get(problem, 6))
+        return module, solving.solve(module, steps=STEPS.get(problem, 6))
 
 
 def beside(module, result):
@@ -91,7 +91,7 @@ def test_same_optimum(case: Case):
     assert reference.status == "solved", reference.message
     start = beside(module, reference) if case.near else None
     with np.errstate(all="ignore"):
-        result = drivers.solve(module, case.driver, steps=reference.steps, warm=start)
+        result = solving.solve(module, case.driver, steps=reference.steps, warm=start)
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(reference.cost, rel=case.difference)
     assert result.residual <= 1e-8

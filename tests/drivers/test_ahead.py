@@ -12,18 +12,18 @@ from numba.core import ir
 from numba.core.compiler import Flags, run_frontend
 from numba.core.postproc import PostProcessor
 
-from codegen.drivers import ahead
-from codegen.drivers.processes import compilers
-from codegen.drivers.shortcuts import _replaced, quick_numba
 from codegen.loading import load
+from codegen.machine_code import ahead
+from codegen.machine_code.processes import compilers
+from codegen.machine_code.shortcuts import _replaced, quick_numba
 
 GENERATED = Path(__file__).parents[2] / "generated"
 
 COMPILE = """
 import sys
 from numba import njit
-from codegen.drivers import ahead, compilation
-from codegen.drivers.linking import link_inner_functions
+from codegen.machine_code import ahead, compilation
+from codegen.machine_code.linking import link_inner_functions
 from codegen.loading import load
 njit(lambda x: x)(0.0)
 link_inner_functions()
@@ -94,7 +94,8 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
     """In one line, with type and message of the error; the module has its machine code all the same."""
     (tmp_path / "pendulum.py").write_bytes((GENERATED.parent / "problems" / "pendulum.py").read_bytes())
     (tmp_path / "sitecustomize.py").write_text(
-        "import sys\nif 'codegen.drivers.compilation' in sys.orig_argv: sys.modules['codegen.drivers.ahead'] = None\n"
+        "import sys\n"
+        "if 'codegen.machine_code.compilation' in sys.orig_argv: sys.modules['codegen.machine_code.ahead'] = None\n"
     )
     paths = os.pathsep.join([str(tmp_path), str(GENERATED.parent), os.environ.get("PYTHONPATH", "")])
     surroundings = {**os.environ, "PYTHONPATH": paths, "CODEGEN_CACHE_DIR": str(tmp_path / "cache")}
@@ -103,7 +104,9 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
     assert done.returncode == 0
     assert done.stdout.startswith("out/pendulum.py: written")
     assert done.stderr.count("\n") == 1
-    assert "machine code could not be made ahead (ModuleNotFoundError: import of codegen.drivers.ahead" in done.stderr
+    assert (
+        "machine code could not be made ahead (ModuleNotFoundError: import of codegen.machine_code.ahead" in done.stderr
+    )
     program = USE.split("solution = ")[0] + "module.solve(9); print(*machine_code_counts(module))"
     compiled, read = output(program, tmp_path / "out" / "pendulum.py")
     assert compiled == "0" < read
@@ -121,7 +124,7 @@ def test_modules_have_the_functions_that_are_compiled_ahead(name, file, function
 
 
 def test_functions_that_read_other_values_are_not_the_same():
-    module, runtime = load(GENERATED / "hovercraft.py"), import_module("codegen.runtime.symmetric")
+    module, runtime = load(GENERATED / "hovercraft.py"), import_module("codegen.runtime.kkt.symmetric")
     assert not ahead._are_same(module.solve_forward, runtime.solve_backward)
     assert not ahead._are_same(module.subtract_row, runtime.subtract_products)
     before, runtime.BALANCE = runtime.BALANCE, 0.5
@@ -138,7 +141,7 @@ def test_variables_are_listed_as_numba_lists_them(function):
     statements = [statement for block in code.blocks.values() for statement in block.body]
     values = [s.value for s in statements if isinstance(s, ir.Assign) and isinstance(s.value, ir.Expr)]
     with quick_numba():
-        assert ir.Stmt.list_vars.__module__ == ir.Expr.list_vars.__module__ == "codegen.drivers.shortcuts"
+        assert ir.Stmt.list_vars.__module__ == ir.Expr.list_vars.__module__ == "codegen.machine_code.shortcuts"
         assert [s.list_vars() for s in statements] == [s._rec_list_vars(s.__dict__) for s in statements]
         assert [v.list_vars() for v in values] == [v._rec_list_vars(v._kws) for v in values]
 
@@ -146,9 +149,9 @@ def test_variables_are_listed_as_numba_lists_them(function):
 QUICKLY = """
 import sys
 from contextlib import nullcontext
-from codegen.drivers import shortcuts
-from codegen.drivers.compilation import parts
-from codegen.drivers.shortcuts import quick_numba
+from codegen.machine_code import shortcuts
+from codegen.machine_code.compilation import parts
+from codegen.machine_code.shortcuts import quick_numba
 from codegen.loading import load
 shortcuts.short_entries = lambda own: own  # LLVM makes the same of it, but not always in the same order
 module = load(sys.argv[1])

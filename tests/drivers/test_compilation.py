@@ -9,8 +9,8 @@ import sympy
 from numba import typeof
 from sympy import exp, log
 
-from codegen.drivers.compilation import SELDOM, compile_all
 from codegen.lower.printer import stabilised
+from codegen.machine_code.compilation import SELDOM, compile_all
 
 GENERATED = Path(__file__).parents[2] / "generated"
 

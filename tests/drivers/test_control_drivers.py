@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from codegen import drivers
-from codegen.drivers.control_result import control_result
+from codegen import drivers, solving
 from codegen.drivers.newton import control as newton
-from codegen.drivers.result import STATUSES, Request
 from codegen.drivers.scaled import ScaledProblem
 from codegen.errors import ArgumentError, NumericsError
+from codegen.solutions.control import control_result
+from codegen.solutions.result import STATUSES, Request
 
 MISSING = () if find_spec("cyipopt") else ("ipopt",)  # an extra
 CONTROL_DRIVERS = [n for n, driver in drivers.DRIVERS.items() if "control" in driver.tasks and n not in MISSING]
@@ -24,13 +24,13 @@ COST_50 = 0.0487567009
 
 @pytest.fixture(scope="module")
 def reference(orbital_transfer):
-    return {steps: drivers.solve(orbital_transfer, steps=steps) for steps in (20, 50)}
+    return {steps: solving.solve(orbital_transfer, steps=steps) for steps in (20, 50)}
 
 
 @pytest.mark.parametrize("steps", [20, 50])
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_drivers_agree_from_the_linear_guess(orbital_transfer, reference, name, steps):
-    result = drivers.solve(orbital_transfer, name, steps=steps)
+    result = solving.solve(orbital_transfer, name, steps=steps)
     assert result.status == "solved"
     assert result.cost == pytest.approx(reference[steps].cost, abs=1e-9)
     assert result.residual <= 1e-9
@@ -40,12 +40,12 @@ def test_drivers_agree_from_the_linear_guess(orbital_transfer, reference, name, 
 
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_cost_is_that_of_an_independent_program(orbital_transfer, name):
-    assert drivers.solve(orbital_transfer, name, steps=50).cost == pytest.approx(COST_50, abs=1e-9)
+    assert solving.solve(orbital_transfer, name, steps=50).cost == pytest.approx(COST_50, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_multipliers_are_those_of_the_unscaled_problem(orbital_transfer, reference, name):
-    result = drivers.solve(orbital_transfer, name, steps=20)
+    result = solving.solve(orbital_transfer, name, steps=20)
     expected = reference[20].multipliers
     np.testing.assert_allclose(result.multipliers, expected, atol=1e-4 * np.abs(expected).max())
     assert result.stationarity < 1e-5
@@ -53,7 +53,7 @@ def test_multipliers_are_those_of_the_unscaled_problem(orbital_transfer, referen
 
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_shapes_and_summary(orbital_transfer, name):
-    result = drivers.solve(orbital_transfer, name, steps=20)
+    result = solving.solve(orbital_transfer, name, steps=20)
     assert result.t.shape == (21,)
     assert result.q.shape == result.p.shape == result.multipliers.shape == (21, 2)
     assert result.u.shape == (20, 1)
@@ -64,7 +64,7 @@ def test_shapes_and_summary(orbital_transfer, name):
 
 
 def test_best_of_repeated_runs_is_timed(orbital_transfer):
-    result = drivers.solve(orbital_transfer, steps=20, repeat=3)
+    result = solving.solve(orbital_transfer, steps=20, repeat=3)
     assert 0.0 < result.seconds_solve < 1.0
 
 
@@ -129,7 +129,7 @@ def test_optimality_conditions_are_relative_to_large_multipliers(interpreted):
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_infeasible_problem_is_not_solved(orbital_transfer, name):
     """One interval leaves the end conditions four equations in one control."""
-    result = drivers.solve(orbital_transfer, name, steps=1)
+    result = solving.solve(orbital_transfer, name, steps=1)
     assert result.status in STATUSES
     assert result.status != "solved"
 
@@ -137,7 +137,7 @@ def test_infeasible_problem_is_not_solved(orbital_transfer, name):
 @pytest.mark.parametrize("name", ["slsqp", "fsolve"])
 def test_dense_drivers_refuse_large_problems(orbital_transfer, name):
     with pytest.raises(ArgumentError, match="dense"):
-        drivers.solve(orbital_transfer, name, steps=5000)
+        solving.solve(orbital_transfer, name, steps=5000)
 
 
 @pytest.mark.parametrize("name", ["slsqp", "trust-constr", "fsolve"])
@@ -149,7 +149,7 @@ def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
         return original(self, x)
 
     monkeypatch.setattr(ScaledProblem, "constraints", constraints)
-    drivers.solve(orbital_transfer, name, steps=10)
+    solving.solve(orbital_transfer, name, steps=10)
     assert seen == {1}
 
 
@@ -178,18 +178,18 @@ def test_scaled_derivatives_against_differences(orbital_transfer):
 
 def test_unknown_driver_is_refused(orbital_transfer):
     with pytest.raises(ArgumentError, match="did you mean trust-constr"):
-        drivers.solve(orbital_transfer, "trust-const")
+        solving.solve(orbital_transfer, "trust-const")
 
 
 @pytest.mark.parametrize("option", ["steps", "repeat", "every"])
 @pytest.mark.parametrize("value", [0, -3, 2.5, True])
 def test_counts_are_checked(orbital_transfer, option, value):
     with pytest.raises(NumericsError, match=option):
-        drivers.solve(orbital_transfer, **{option: value})
+        solving.solve(orbital_transfer, **{option: value})
 
 
 @pytest.mark.parametrize("driver", ["newton", "slsqp", "trust-constr"])
 def test_iterations_can_be_limited(interpreted, driver):
     module = interpreted("brachistochrone")
-    result = drivers.solve(module, driver, steps=6, max_iterations=2)
+    result = solving.solve(module, driver, steps=6, max_iterations=2)
     assert (result.status, result.iterations) == ("iteration limit", 2)

@@ -6,7 +6,7 @@ from llvmlite import ir
 from numba import njit
 from numba.core import types
 
-from codegen.drivers.shortcuts import quick_numba
+from codegen.machine_code.shortcuts import quick_numba
 
 
 def exchange(line, table, block, order, marks, strided):

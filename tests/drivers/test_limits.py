@@ -8,10 +8,12 @@ from conftest import PROBLEMS
 from failing_problems import INFEASIBLE
 from typer.testing import CliRunner
 
-from codegen import drivers, output, solve_options, terminal
+from codegen import drivers, solving, terminal
 from codegen.cli import main
 from codegen.errors import ArgumentError
-from codegen.runtime.iterates import Log
+from codegen.runtime.optimise.iterates import Log
+from codegen.solutions import output
+from codegen.solving import options as solve_options
 
 
 class Clock:
@@ -29,9 +31,9 @@ class Clock:
 def test_the_time_runs_out(interpreted, monkeypatch, name):
     """Both solvers stop at the first iterate after the time, and say how far they came."""
     module = interpreted(name)
-    whole = drivers.solve(module, steps=10)
+    whole = solving.solve(module, steps=10)
     monkeypatch.setattr(module, "perf_counter", Clock())
-    stopped = drivers.solve(module, steps=10, time_limit=3.5)
+    stopped = solving.solve(module, steps=10, time_limit=3.5)
     assert whole.status == "solved"
     assert stopped.status == "time limit"
     assert stopped.iterations == 3 < whole.iterations
@@ -45,7 +47,7 @@ def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, name):
     """Both solvers lower the violation of equations without a solution, and stop at the first step after the time."""
     (failing,) = (case for case in INFEASIBLE if case.id == name)
     module, clock, steps = interpreted(name.replace("-", "_"), failing.text), Clock(), []
-    whole = drivers.solve(module)
+    whole = solving.solve(module)
     original = module.sum_of_squares
 
     def of_the_restoration(grid, point):
@@ -55,7 +57,7 @@ def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, name):
 
     monkeypatch.setattr(module, "perf_counter", clock)
     monkeypatch.setattr(module, "sum_of_squares", of_the_restoration)
-    stopped = drivers.solve(module, time_limit=1e5)
+    stopped = solving.solve(module, time_limit=1e5)
     assert (whole.status, stopped.status) == ("infeasible", "time limit")
     assert 1 <= len(steps) <= 4
 
@@ -68,11 +70,11 @@ def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
         return Log(limit, watch)
 
     monkeypatch.setattr(module, "Log", recording)
-    monkeypatch.setattr("codegen.drivers.run.time.perf_counter", Clock())  # every solve takes one second
-    result = drivers.solve(module, steps=10, time_limit=1.5, guesses=2, doublings=1)
+    monkeypatch.setattr("codegen.solving.run.time.perf_counter", Clock())  # every solve takes one second
+    result = solving.solve(module, steps=10, time_limit=1.5, guesses=2, doublings=1)
     assert result.levels[0].status == "solved"
     assert limits[0] == 1.5
-    assert limits[-1] == drivers.LEAST_TIME
+    assert limits[-1] == solving.LEAST_TIME
     assert result.status == "time limit"
     assert sorted(limits, reverse=True) == limits
 
@@ -80,36 +82,36 @@ def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
 @pytest.mark.parametrize("limit", [0.0, -1.0, math.nan])
 def test_times_that_are_none(interpreted, limit):
     with pytest.raises(ArgumentError, match=r"--time-limit .*positive number of seconds"):
-        drivers.solve(interpreted("cart_pole"), steps=5, time_limit=limit)
+        solving.solve(interpreted("cart_pole"), steps=5, time_limit=limit)
     with pytest.raises(ValueError, match="time_limit"):
         interpreted("cart_pole").solve(5, time_limit=limit)
 
 
 def test_tasks_and_drivers_without_a_time_limit(interpreted, pendulum):
     with pytest.raises(ArgumentError, match=r"driver slsqp takes no --time-limit .* newton, ipopt"):
-        drivers.solve(interpreted("cart_pole"), "slsqp", steps=5, time_limit=1.0)
+        solving.solve(interpreted("cart_pole"), "slsqp", steps=5, time_limit=1.0)
     with pytest.raises(ArgumentError, match="does not apply to a simulate problem"):
-        drivers.solve(pendulum, time_limit=1.0)
+        solving.solve(pendulum, time_limit=1.0)
 
 
 @pytest.mark.parametrize(("limit", "status"), [({"time_limit": 1e-6}, "time limit"),
                                                ({"max_iterations": 2}, "iteration limit")])  # fmt: skip
 def test_ipopt_says_which_limit_it_met(interpreted, limit, status):
     pytest.importorskip("cyipopt")
-    result = drivers.solve(interpreted("cart_pole"), "ipopt", steps=10, **limit)
+    result = solving.solve(interpreted("cart_pole"), "ipopt", steps=10, **limit)
     assert result.status == status
     assert f"raise {next(iter(limit))}, or try driver newton" in result.message
 
 
 def test_iterates_are_shown_as_they_come(interpreted):
     seen = []
-    result = drivers.solve(interpreted("cart_pole"), steps=10, watch=lambda number, row: seen.append((number, row[0])))
+    result = solving.solve(interpreted("cart_pole"), steps=10, watch=lambda number, row: seen.append((number, row[0])))
     assert [number for number, _ in seen] == list(range(result.iterations + 1))
     assert seen[-1][1] == pytest.approx(result.cost)
 
 
 def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
-    with terminal.solving() as watch:
+    with terminal.following() as watch:
         assert watch is None
     shown = []
 
@@ -125,7 +127,7 @@ def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
 
     monkeypatch.setattr(terminal, "working", lambda what: Line())
     monkeypatch.setattr(terminal.time, "monotonic", iter([0.0, 0.5, 1.5, 1.55, 2.0]).__next__)
-    with terminal.solving() as watch:
+    with terminal.following() as watch:
         for number in range(4):
             watch(number, (3.0 + number, 1e-3, 2e-4, 0.0, 1.0))
     assert shown == [
@@ -137,7 +139,7 @@ def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
 def solved(monkeypatch, interpreted, *words):
     """What `codegen solve` prints with a module that is run by the interpreter."""
     monkeypatch.setattr("codegen.loading.load", lambda path: interpreted("cart_pole"))
-    monkeypatch.setattr("codegen.machine_code.require", lambda made, module: 0.0)
+    monkeypatch.setattr("codegen.cli.machine_code.require", lambda made, module: 0.0)
     found = CliRunner().invoke(main, ["solve", str(PROBLEMS / "cart_pole.py"), "--steps", "10", "--json", *words])
     return json.loads(found.stdout), found.stderr
 
@@ -155,7 +157,7 @@ def test_messages_name_the_option_that_was_given(monkeypatch, interpreted, words
 
 
 def test_results_name_arguments_where_functions_are_called(interpreted):
-    result = drivers.solve(interpreted("cart_pole"), steps=10, max_iterations=2, doublings=1)
+    result = solving.solve(interpreted("cart_pole"), steps=10, max_iterations=2, doublings=1)
     assert all("raise max_iterations" in text for text in (result.message, result.levels[0].message))
     named = solve_options.with_options(result)
     assert all("raise --max-iterations" in text for text in (named.message, named.levels[0].message))
@@ -163,7 +165,7 @@ def test_results_name_arguments_where_functions_are_called(interpreted):
 
 @pytest.mark.parametrize("driver", ["newton", "slsqp"])
 def test_no_driver_is_advised_to_try_itself(interpreted, monkeypatch, driver):
-    monkeypatch.setattr("codegen.drivers.control_result._rounding_level", lambda *_: 0.0)
+    monkeypatch.setattr("codegen.solutions.control._rounding_level", lambda *_: 0.0)
     module = interpreted("cart_pole")
     function = drivers.find(driver).function("control")
 
@@ -174,26 +176,26 @@ def test_no_driver_is_advised_to_try_itself(interpreted, monkeypatch, driver):
         return type(attempt)(**{**vars(attempt), "unknowns": changed, "status": "solved"})
 
     monkeypatch.setattr(f"codegen.drivers.{driver}.control", liar)
-    result = drivers.solve(module, driver, steps=6)
+    result = solving.solve(module, driver, steps=6)
     assert result.status == "inaccurate"
     assert ("driver newton" in result.message) == (driver != "newton")
 
 
 class TestGrids:
     def test_every_grid_is_told_of(self, interpreted):
-        result = drivers.solve(interpreted("double_integrator_effort"), steps=10, doublings=2)
+        result = solving.solve(interpreted("double_integrator_effort"), steps=10, doublings=2)
         assert [level.steps for level in result.levels] == [10, 20, 40]
         for level in result.levels:  # the discrete optimum in closed form
             assert level.cost == pytest.approx(12 * level.steps**2 / (level.steps**2 - 1), rel=1e-10)
         record = output.as_record(result, 0.0, 0.0)
         assert [level["steps"] for level in record["levels"]] == [10, 20, 40]
         assert record["levels"][-1]["cost"] == record["cost"]
-        assert "levels" not in output.as_record(drivers.solve(interpreted("cart_pole"), steps=5), 0.0, 0.0)
+        assert "levels" not in output.as_record(solving.solve(interpreted("cart_pole"), steps=5), 0.0, 0.0)
 
     def test_a_coarse_grid_that_fails_ends_nothing(self, interpreted):
         """One interval has no node between the ends, where the double integrator has two conditions too many."""
         module = interpreted("double_integrator_effort")
-        result = drivers.solve(module, steps=1, doublings=3)
+        result = solving.solve(module, steps=1, doublings=3)
         assert [level.status == "solved" for level in result.levels] == [False, True, True, True]
         assert result.status == "solved"
         assert result.cost == pytest.approx(12 * 64 / 63, rel=1e-10)
@@ -202,6 +204,6 @@ class TestGrids:
         assert result.summary["observed_order"] == pytest.approx(order, rel=1e-6)
 
     def test_estimates_come_from_grids_that_were_solved(self, interpreted):
-        result = drivers.solve(interpreted("double_integrator_effort"), steps=1, doublings=1)
+        result = solving.solve(interpreted("double_integrator_effort"), steps=1, doublings=1)
         assert [level.status == "solved" for level in result.levels] == [False, True]
         assert "cost_extrapolated" not in result.summary

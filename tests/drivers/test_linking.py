@@ -10,7 +10,7 @@ from numba import njit
 from numba.core import types
 from numba.core.errors import TypingError
 
-from codegen.drivers.operators import remembered_operators
+from codegen.machine_code.operators import remembered_operators
 
 MODULE = """
 import numpy as np
@@ -38,7 +38,7 @@ COMPILE = """
 import sys
 from pathlib import Path
 from numba import njit
-from codegen.drivers import compilation
+from codegen.machine_code import compilation
 from codegen.loading import GeneratedModule
 sys.path.insert(0, sys.argv[1])
 njit(lambda x: x)(0.0)
@@ -54,7 +54,7 @@ print(*[f.overloads[f.signatures[0]].library.is_inner for f in (linked.power_sum
 AGAIN = """
 import sys
 from numba import njit
-from codegen.drivers import compilation
+from codegen.machine_code import compilation
 sys.path.insert(0, sys.argv[1])
 njit(lambda x: x)(0.0)
 import linked

@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from codegen import machine_code
+from codegen.cli import machine_code
 from codegen.compiler import build
 from codegen.loading import has_machine_code, load, machine_code_counts
 
@@ -29,7 +29,7 @@ def test_machine_code_is_found_where_numba_was_told_to_keep_it(tmp_path):
     script = f"""
 from dataclasses import replace
 from pathlib import Path
-from codegen import machine_code
+from codegen.cli import machine_code
 from codegen.compiler import build
 from codegen.loading import load
 
@@ -48,7 +48,7 @@ def test_numba_starts_without_linear_algebra_and_finds_it_when_asked():
 import sys
 import numpy as np
 from numba import njit
-from codegen.drivers.shortcuts import blas_presumed
+from codegen.machine_code.shortcuts import blas_presumed
 
 with blas_presumed():
     njit(lambda x: x)(0.0)

@@ -7,9 +7,9 @@ import pytest
 from interpreted import of_problem
 from sympy import cos, sin
 
-from codegen import Control, control, coordinates, drivers
-from codegen.drivers.multistart import varied
+from codegen import Control, control, coordinates, solving
 from codegen.errors import ArgumentError
+from codegen.solving.multistart import varied
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def hoop():
 
 
 def test_best_of_several_guesses(hoop):
-    alone = drivers.solve(hoop)
+    alone = solving.solve(hoop)
     assert not alone.solved
-    result = drivers.solve(hoop, guesses=6)
+    result = solving.solve(hoop, guesses=6)
     assert result.solved
     assert len(result.attempts) == result.summary["guesses"] == 6
     solved = [line for line in result.attempts if ": solved" in line]
@@ -46,14 +46,14 @@ def test_best_of_several_guesses(hoop):
 
 def test_where_no_guess_is_solved_the_first_failure_counts(hoop, monkeypatch):
     monkeypatch.setattr(hoop, "minimise", lambda grid, unknowns, *rest: ("stalled", hoop.evaluate(grid, unknowns), 0))
-    result = drivers.solve(hoop, guesses=3)
+    result = solving.solve(hoop, guesses=3)
     assert result.status == "stalled"
     assert result.summary["guesses_solved"] == 0
     assert len(result.attempts) == 3
 
 
 def test_guesses_are_refined_together_with_their_record(hoop):
-    result = drivers.solve(hoop, guesses=6, doublings=1)
+    result = solving.solve(hoop, guesses=6, doublings=1)
     assert result.solved
     assert result.steps == 12
     assert result.summary["guesses"] == len(result.attempts) == 6
@@ -74,6 +74,6 @@ def test_a_variation_keeps_what_is_given_and_is_reproducible(interpreted, proble
 
 def test_several_guesses_contradict_a_warm_start_and_a_simulation(hoop, pendulum):
     with pytest.raises(ArgumentError, match="warm start"):
-        drivers.solve(hoop, guesses=2, warm=hoop.initial_guess(hoop.make_grid(4)))
+        solving.solve(hoop, guesses=2, warm=hoop.initial_guess(hoop.make_grid(4)))
     with pytest.raises(ArgumentError, match="optimisation"):
-        drivers.solve(pendulum, guesses=2)
+        solving.solve(pendulum, guesses=2)

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from codegen import drivers
+from codegen import solving
 from codegen.drivers.newton import simulate as newton
-from codegen.drivers.result import Request
-from codegen.drivers.simulate_result import simulate_result
 from codegen.errors import ArgumentError
+from codegen.solutions.result import Request
+from codegen.solutions.simulate import simulate_result
 
 
 @pytest.mark.parametrize("every", [1, 7])
 def test_newton_and_fsolve_agree(pendulum, every):
-    ours = drivers.solve(pendulum, "newton", steps=200, every=every)
-    theirs = drivers.solve(pendulum, "fsolve", steps=200, every=every)
+    ours = solving.solve(pendulum, "newton", steps=200, every=every)
+    theirs = solving.solve(pendulum, "fsolve", steps=200, every=every)
     assert ours.status == theirs.status == "solved"
     np.testing.assert_allclose(theirs.t, ours.t, rtol=1e-14)
     np.testing.assert_allclose(theirs.q, ours.q, atol=1e-9)
@@ -27,7 +27,7 @@ def test_newton_and_fsolve_agree(pendulum, every):
 
 def test_midpoint_rule_holds(pendulum):
     """The scheme written out by hand, from which the residual must not differ."""
-    result = drivers.solve(pendulum, steps=100)
+    result = solving.solve(pendulum, steps=100)
     h = 60 / 100
     q, p = result.q[:, 0], result.p[:, 0]
     np.testing.assert_allclose(np.diff(q), h * (p[1:] + p[:-1]) / 2, atol=1e-13)
@@ -39,13 +39,13 @@ def test_midpoint_rule_holds(pendulum):
 
 def test_fsolve_has_nothing_to_do_for_an_explicit_scheme(explicit_pendulum):
     with pytest.raises(ArgumentError, match="explicit"):
-        drivers.solve(explicit_pendulum, "fsolve")
+        solving.solve(explicit_pendulum, "fsolve")
 
 
 @pytest.mark.parametrize("name", ["slsqp", "trust-constr"])
 def test_optimisers_do_not_apply(pendulum, name):
     with pytest.raises(ArgumentError, match="use one of newton, fsolve"):
-        drivers.solve(pendulum, name)
+        solving.solve(pendulum, name)
 
 
 def test_false_claim_is_downgraded(pendulum):

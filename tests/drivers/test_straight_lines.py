@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from codegen.drivers.straight_lines import is_straight_line, write_directly
 from codegen.loading import load
+from codegen.machine_code.straight_lines import is_straight_line, write_directly
 
 GENERATED = Path(__file__).parents[2] / "generated"
 KERNELS = ("interval_gradient", "interval_hessian", "start_gradient", "end_gradient")

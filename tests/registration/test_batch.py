@@ -10,7 +10,7 @@ from codegen.errors import ArgumentError, ImageError
 from codegen.registration import batch
 from codegen.registration.batch import Places, jobs_in_folder, jobs_in_table, run_all
 from codegen.registration.images import write_image
-from codegen.registration.job import Options, Result
+from codegen.registration.jobs import Options, Result
 
 HEADER = "moving_x,moving_y,fixed_x,fixed_y\n"
 

@@ -9,8 +9,14 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from codegen.runtime.elements import padded
-from codegen.runtime.symmetric import eliminate_rows, solve_backward, solve_forward, solve_pivots, subtract_products
+from codegen.runtime.kkt.elements import padded
+from codegen.runtime.kkt.symmetric import (
+    eliminate_rows,
+    solve_backward,
+    solve_forward,
+    solve_pivots,
+    subtract_products,
+)
 
 ROUNDING = 1e-9
 

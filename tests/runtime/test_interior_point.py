@@ -15,8 +15,16 @@ from dense_problem import INFINITY, Dense, Motion, Point, transcribe
 from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, T, nlp, u, v, x1, x2, x3
 from sympy import exp, log, symbols
 
-from codegen.runtime import barrier, curvature, exact_bounds, filter, interior_point, interior_steps, restoration
-from codegen.runtime.iterates import Log
+from codegen.runtime.optimise import (
+    barrier,
+    curvature,
+    exact_bounds,
+    filter,
+    interior_point,
+    interior_steps,
+    restoration,
+)
+from codegen.runtime.optimise.iterates import Log
 
 
 @pytest.fixture(scope="module", autouse=True)

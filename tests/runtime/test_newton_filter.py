@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from codegen.runtime import newton_filter
-from codegen.runtime.newton_filter import SMALL_SHIFT, Shift, regularised_step
+from codegen.runtime.optimise import newton_filter
+from codegen.runtime.optimise.newton_filter import SMALL_SHIFT, Shift, regularised_step
 
 GRID = SimpleNamespace(is_multiplier=np.array([False, True]), steps=1)
 POINT = SimpleNamespace(unknowns=np.zeros(2), gradient=np.array([1.0, 0.0]))

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from codegen.runtime import (
-    dense,
-    lu,
+from codegen.runtime.kkt import dense, lu
+from codegen.runtime.stepping import (
     path,
     scalar,
     step_callbacks,
@@ -17,7 +16,7 @@ from codegen.runtime import (
     step_linear,
     step_newton,
 )
-from codegen.runtime.trajectory import energies, follow, largest_residual
+from codegen.runtime.stepping.trajectory import energies, follow, largest_residual
 
 NOTHING = np.empty(0)
 START = np.array([0.7, 1.1])

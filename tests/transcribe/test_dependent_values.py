@@ -6,9 +6,10 @@ from dense_assembly import DenseProblem
 from interpreted import of_problem
 from sympy import Eq
 
-from codegen import Control, controls, coordinates, notes, states, time
+from codegen import Control, controls, coordinates, states, time
 from codegen.errors import BoundaryError
 from codegen.model import normalise
+from codegen.solutions import notes
 from codegen.transcribe import transcribe
 
 

@@ -20,7 +20,8 @@ from codegen.registration.coarse import Positions
 from codegen.registration.fields import displacements, write_field
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import write_image
-from codegen.registration.register import Registration, register
+from codegen.registration.maps import Registration
+from codegen.registration.register import register
 from codegen.registration.warp import warp
 
 FRAMES, FRAME_MILLISECONDS = 21, 70

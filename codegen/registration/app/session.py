@@ -13,8 +13,8 @@ from codegen.registration.app.history import History
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.rows import Changes
 from codegen.registration.app.state import MOST_PAIRS, Pair, Place, Settings, Side, Work, other, pairs_of
+from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.register import Registration
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from codegen.errors import RegistrationError
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Task
 from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
-from codegen.registration.register import FIRST_STEPS, Registration, register
+from codegen.registration.maps import FIRST_STEPS, Registration
+from codegen.registration.register import register
 
 COARSE = 8.0
 """The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""

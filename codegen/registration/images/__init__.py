@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from codegen.errors import ImageError
 from codegen.files import replacing
 from codegen.registration.images import by_pillow, by_tifffile
-from codegen.registration.images.header import KINDS, Header, header_of, readable
+from codegen.registration.images.header import header_of
+from codegen.registration.images.kinds import KINDS, Header, readable
 
 Pixels: TypeAlias = NDArray[Any]
 """An image of shape (h, w), or (h, w, c) with c = 2 (grey, opacity), 3 (RGB) or 4 (RGB, opacity)."""

@@ -1,16 +1,13 @@
-"""What the first bytes of an image file say, read before anything is decoded, and errors of decoders as ImageError."""
+"""What the first bytes of an image file say, read before anything is decoded."""
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 
-from codegen.errors import CodegenError, ImageError
-
-KINDS = {"PNG": (".png",), "JPEG": (".jpg", ".jpeg"), "TIFF": (".tif", ".tiff")}
+from codegen.errors import ImageError
+from codegen.registration.images import by_tifffile
+from codegen.registration.images.kinds import Header
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -21,31 +18,6 @@ _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _BARE = frozenset(range(0xD0, 0xD9)) | {0x01, 0xFF}
 
 
-@dataclass(frozen=True)
-class Header:
-    """Kind of file, size in pixels, bits of a sample and stored samples of a pixel."""
-
-    kind: str
-    width: int
-    height: int
-    bits: int
-    samples: int
-
-
-@contextmanager
-def readable(name: str) -> Iterator[None]:
-    """Errors of decoders, of which there are many kinds for damaged files, as one ImageError."""
-    try:
-        yield
-    except CodegenError:
-        raise
-    except MemoryError as error:
-        raise ImageError(f"{name} does not fit into memory", "give a smaller image") from error
-    except Exception as error:  # decoders raise nearly everything for damaged files
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
-        raise ImageError(f"{name} is damaged or no image ({reason})", "give a whole PNG, JPEG or TIFF file") from error
-
-
 def header_of(name: str, data: bytes) -> Header:
     """Read the header; ImageError when the bytes begin like no PNG, JPEG or TIFF file."""
     if data.startswith(_PNG):
@@ -53,9 +25,7 @@ def header_of(name: str, data: bytes) -> Header:
     if data.startswith(b"\xff\xd8\xff"):
         return _jpeg(name, data)
     if data.startswith(_TIFF):
-        from codegen.registration.images.by_tifffile import header
-
-        return header(name, data)
+        return by_tifffile.header(name, data)
     what = "is empty" if not data else "is no PNG, JPEG or TIFF file"
     raise ImageError(f"{name} {what}", "convert it to PNG, JPEG or TIFF")
 

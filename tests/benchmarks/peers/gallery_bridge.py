@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from codegen.compiler import build
-from codegen.drivers import prepare
-from codegen.drivers.processes import compilers
 from codegen.loading import load
+from codegen.machine_code.processes import compilers
+from codegen.solving import prepare
 
 from .casadi_gallery import Array, PreparedGallery
 

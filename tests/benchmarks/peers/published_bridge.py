@@ -8,12 +8,12 @@ import cyipopt
 import numpy as np
 
 from codegen.compiler import build
-from codegen.drivers import prepare
 from codegen.drivers.ipopt import _Callbacks
-from codegen.drivers.processes import compilers
-from codegen.drivers.result import Request
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.loading import load
+from codegen.machine_code.processes import compilers
+from codegen.solutions.result import Request
+from codegen.solving import prepare
 
 from .casadi_gallery import Array
 from .gallery_bridge import PROBLEMS, perturbed

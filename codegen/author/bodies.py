@@ -1,0 +1,175 @@
+"""Several different bodies in one problem: the problems of each, and what ties them together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
+from typing import Any
+
+import sympy
+
+from codegen.author.drawing import Item
+from codegen.author.problem import Control, Expression, Relations, form_of
+from codegen.author.symbols import Coordinate, EndValue, Momentum, Quantity, Velocity
+from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
+from codegen.expressions import checks as expressions
+
+
+def together(
+    *bodies: Control,
+    interaction: Expression = 0,
+    cost: Expression = 0,
+    terminal_cost: Expression = 0,
+    maximise: Expression = 0,
+    terminal_maximise: Expression = 0,
+    path: Relations = (),
+    start_conditions: Relations = (),
+    end_conditions: Relations = (),
+    constraint: Sequence[Expression] = (),
+    drawing: Sequence[Item] = (),
+) -> Control:
+    """One control problem of several bodies, each given by a problem of its own with coordinates of its own.
+
+    The bodies move at the same time, each by its own equations: Lagrangians or Hamiltonians, costs and terminal costs
+    add up, and every condition of every body holds. What ties them together comes beside: `interaction`, which is
+    added to the Lagrangian (minus a potential energy) or to the Hamiltonian, further costs, and relations between the
+    quantities of several bodies, at every time (`path`, `constraint`) or at an end.
+
+    Raises a kind of CodegenError when the bodies are not given in the same way, or differ in duration or steps, when
+    two of them have a coordinate in common, or when there is only one. Many identical bodies that meet at their ends
+    alone are solved faster as one Control with `bodies=H`.
+    """
+    form = _common_form(bodies)
+    _require_same("duration", [body.duration for body in bodies])
+    _require_same("steps", [body.steps for body in bodies])
+    _require_single(bodies)
+    _require_own_coordinates(bodies, form)
+    if form == "dynamics":
+        if interaction != 0:
+            raise ExpressionError("interaction beside dynamics", "add what acts between bodies to their dynamics")
+        motion: Any = _merged("dynamics", [body.dynamics for body in bodies])
+    else:
+        motion = _sum(form, [*(getattr(body, form) for body in bodies), interaction])
+
+    def listed(what: str, further: Relations) -> list[Any]:
+        given = [*(getattr(body, what) for body in bodies), further]
+        return [*chain.from_iterable(each.items() if isinstance(each, Mapping) else each for each in given)]
+
+    def merged(what: str) -> dict[Any, Any]:
+        return _merged(what, [getattr(body, what) for body in bodies])
+
+    return Control(
+        **{form: motion},
+        cost=_sum("cost", [*(body.cost for body in bodies), cost]),
+        terminal_cost=_sum("terminal_cost", [*(body.terminal_cost for body in bodies), terminal_cost]),
+        maximise=_sum("maximise", [*(body.maximise for body in bodies), maximise]),
+        terminal_maximise=_sum("terminal_maximise", [*(b.terminal_maximise for b in bodies), terminal_maximise]),
+        duration=bodies[0].duration,
+        steps=bodies[0].steps,
+        force=merged("force"),
+        start=merged("start"),
+        end=merged("end"),
+        bounds=merged("bounds"),
+        guess=merged("guess"),
+        scale=merged("scale"),
+        periodic=_merged("periodic", [_shifts(body.periodic) for body in bodies]),
+        path=listed("path", path),
+        start_conditions=listed("start_conditions", start_conditions),
+        end_conditions=listed("end_conditions", end_conditions),
+        constraint=listed("constraint", constraint),
+        drawing=[*chain.from_iterable(body.drawing for body in bodies), *drawing],
+    )
+
+
+def _common_form(bodies: Sequence[Any]) -> str:
+    """Which argument says how every body moves."""
+    for place, body in enumerate(bodies):
+        if not isinstance(body, Control):
+            raise ProblemFileError(f"body {place} is a {type(body).__name__}", "let every body be a Control")
+    if len(bodies) < 2:
+        raise ProblemFileError(f"together(...) has {len(bodies)} bodies", "give two or more, or return one as it is")
+    forms = [form_of(body) for body in bodies]
+    for place, form in enumerate(forms):
+        if form != forms[0]:
+            raise ExpressionError(
+                f"body 0 is given by {forms[0]}, body {place} by {form}", "give all bodies in the same way"
+            )
+    return forms[0]
+
+
+def _require_same(what: str, values: Sequence[Any]) -> None:
+    for place, value in enumerate(values):
+        if expressions.checked(value, what) != expressions.checked(values[0], what):
+            raise ExpressionError(
+                f"{what} is {values[0]} for body 0 and {value} for body {place}", "let all bodies move at the same time"
+            )
+
+
+def _require_single(bodies: Sequence[Control]) -> None:
+    for place, body in enumerate(bodies):
+        if body.bodies != 1:
+            raise ExpressionError(
+                f"body {place} stands for {body.bodies!r} bodies",
+                "give each of them a Control of its own, or use bodies alone",
+            )
+
+
+def _require_own_coordinates(bodies: Sequence[Control], form: str) -> None:
+    """Refuse a coordinate or state that two bodies have: which of both moves it?"""
+    owners: dict[Quantity, int] = {}
+    for place, body in enumerate(bodies):
+        for symbol in sorted(_moving(body, form), key=lambda symbol: symbol.declared):
+            if owners.setdefault(symbol, place) != place:
+                raise SymbolError(
+                    f"bodies {owners[symbol]} and {place} both have {symbol}",
+                    "declare coordinates of its own for each body, or write what both share as interaction",
+                )
+
+
+def _moving(body: Control, form: str) -> set[Quantity]:
+    """The coordinates or states of a body."""
+    if form == "dynamics":
+        return set(body.dynamics or {})
+    symbols = expressions.checked(getattr(body, form), form).free_symbols
+    rates = {symbol.partner for symbol in symbols if isinstance(symbol, (Velocity, Momentum))}
+    return rates | {symbol for symbol in symbols if isinstance(symbol, Coordinate)}
+
+
+def _merged(what: str, mappings: Sequence[Any]) -> dict[Any, Any]:
+    """All entries; a shared control or parameter may be said twice, if both times the same."""
+    found: dict[Any, Any] = {}
+    for place, mapping in enumerate(mappings):
+        if not isinstance(mapping, Mapping):
+            raise ExpressionError(
+                f"{what} of body {place} is a {type(mapping).__name__}", f"write {what} as {{symbol: value, ...}}"
+            )
+        for key, value in mapping.items():
+            if key in found and found[key] != value:
+                raise ExpressionError(f"{what} of {key} is given twice: {found[key]} and {value}", "give it once")
+            found[key] = value
+    return found
+
+
+def _shifts(periodic: Any) -> Any:
+    return periodic if isinstance(periodic, Mapping) else dict.fromkeys(periodic, 0)
+
+
+def _sum(what: str, terms: Sequence[Expression]) -> Expression:
+    return sympy.Add(*(expressions.checked(term, what) for term in terms))
+
+
+def require_body(value: EndValue, bodies: int) -> None:
+    """Raise BoundaryError unless there is the body that a quantity of a single one belongs to."""
+    if value.body >= bodies:
+        raise BoundaryError(
+            f"{value.partner}.of({value.body}) is no body", f"number them 0 to {bodies - 1}, or raise bodies"
+        )
+
+
+def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iterable[sympy.Symbol]) -> None:
+    """Raise ExpressionError when a condition between bodies, `what`, has quantities in it that every body has."""
+    if mixed := sorted(map(str, every)):
+        raise ExpressionError(
+            f"{what} has {', '.join(mixed)} of every body beside {min(map(str, single))} of one",
+            "write .of(...) for each coordinate; velocities, momenta and controls cannot be tied",
+        )

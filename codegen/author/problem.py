@@ -1,0 +1,146 @@
+"""What an author writes: dynamics, forces, a cost, conditions on the motion, and what to do with them.
+
+A problem file returns one of the classes below. They hold the author's expressions as written; `codegen.model` checks
+them and brings them into the one form that the rest of the pipeline reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, ClassVar
+
+from codegen.author.drawing import Item
+from codegen.errors import ExpressionError, ProblemFileError
+
+FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
+"""The arguments that may say how a system moves, and the form that each makes of a model."""
+
+Expression = Any
+"""A sympy expression or a number."""
+
+SAME_AT_BOTH_ENDS = (
+    'declare V = free_parameter("V", guess) for each quantity v that returns, and write Eq(v, V) into the '
+    "start_conditions of the first phase and into the end_conditions of the last"
+)
+"""How a motion of several phases is made periodic."""
+
+Relation = Any
+"""A sympy relation (Eq, <=, >=), or an expression that is to vanish."""
+
+Relations = Sequence[Relation] | Mapping[str, Relation]
+"""Relations, each with a name for messages where they are a mapping."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A system and the time interval [0, T] on which it moves.
+
+    Exactly one of these says how: a Lagrangian L(q, dq, t), a Hamiltonian H(q, p, t), or `dynamics`, which maps each
+    state of a first-order system to its derivative, x' = f(x, u, t). `force` maps a coordinate to the generalised
+    force on it (the covector component of f in the Lagrange-d'Alembert principle). `duration` is T; `steps` is the
+    default number N of intervals. `start` maps coordinates and velocities (or momenta, or states) to their values at
+    t = 0. `drawing` lists what a picture of the system shows (see `codegen.author.drawing`); nothing else depends
+    on it.
+    """
+
+    task: ClassVar[str] = ""
+
+    _: KW_ONLY
+    lagrangian: Expression = None
+    hamiltonian: Expression = None
+    dynamics: Mapping[Any, Expression] | None = None
+    force: Mapping[Any, Expression] = field(default_factory=dict)
+    duration: Expression
+    start: Mapping[Any, Expression] = field(default_factory=dict)
+    steps: int = 100
+    drawing: Sequence[Item] = ()
+
+
+@dataclass(frozen=True)
+class Simulate(Problem):
+    """Follow the motion from a complete initial state (all coordinates, and all velocities or all momenta)."""
+
+    task: ClassVar[str] = "simulate"
+
+
+@dataclass(frozen=True)
+class Control(Problem):
+    """Move the system such that `terminal_cost` at T plus the integral of `cost` over [0, T] is least.
+
+    Or, with `maximise` and `terminal_maximise` in their place, such that the same sum of those is greatest; the `cost`
+    of a solution is then minus that sum, and the summary has it as `maximum`.
+
+    What `start` or `end` leaves out is free, up to `start_conditions` and `end_conditions`: relations between
+    coordinates and velocities (or momenta, or states) at that end. `path` relations hold at every time and may have
+    controls in them. Relations are a list, or map names, which messages use, to relations, as in
+    `path={"heating rate": q <= 70}`. `bounds` maps coordinates, velocities, momenta, states, controls and free
+    parameters to pairs (lower, upper), None where there is none. A `constraint` c(q) = 0 is holonomic: a Lagrangian
+    system moves on the manifold where it vanishes. `periodic` lists what has the same value at T as at 0, or maps it to
+    the difference.
+
+    With `bodies=H` there are H of these systems, which start and end each for itself where a value depends on
+    `body_number()`, and which end conditions in `q.of(0)`, `q.of(1)`, ... tie together.
+
+    `guess` maps coordinates, states and controls to expressions of parameters and time, from which the solver starts;
+    without it coordinates are interpolated linearly between their end values and controls are zero. Free parameters
+    have their first guess there. `scale` maps coordinates, momenta, states, controls and free parameters to their
+    typical size, a positive number, where the solver is not to find it by itself.
+    """
+
+    task: ClassVar[str] = "control"
+
+    _: KW_ONLY
+    cost: Expression = 0
+    terminal_cost: Expression = 0
+    end: Mapping[Any, Expression] = field(default_factory=dict)
+    maximise: Expression = 0
+    terminal_maximise: Expression = 0
+    start_conditions: Relations = ()
+    end_conditions: Relations = ()
+    bounds: Mapping[Any, tuple[Expression | None, Expression | None]] = field(default_factory=dict)
+    path: Relations = ()
+    constraint: Sequence[Expression] = ()
+    periodic: Mapping[Any, Expression] | Sequence[Any] = ()
+    bodies: int = 1
+    guess: Mapping[Any, Expression] = field(default_factory=dict)
+    scale: Mapping[Any, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, init=False)
+class Phases:
+    """Control problems that follow each other in time, where dynamics, bounds and cost may change from one to the next.
+
+    All phases are given in the same way (Lagrangian, Hamiltonian or dynamics) and have the same coordinates or states;
+    each has a duration and `steps` intervals of its own. Time does not begin anew with a phase. Only the first phase
+    has a `start`; what an earlier phase says of its end (`end`, `end_conditions`, `terminal_cost`) holds at the switch
+    to the next one, before the jump there.
+
+    `jumps` has one mapping for each switch, which gives states, or coordinates and velocities (or momenta), their
+    values after the switch in terms of those before it, as in `jumps=[{m: m - dry_mass}]` or `jumps=[{dq: -e * dq}]`.
+    What is left out has the same value after as before; of a Lagrangian these are velocities, whatever momenta do.
+    """
+
+    phases: tuple[Control, ...]
+    jumps: Sequence[Mapping[Any, Expression]]
+
+    def __init__(self, *phases: Control, jumps: Sequence[Mapping[Any, Expression]] = (), **others: Any) -> None:
+        """Put the phases in order; ProblemFileError for arguments that phases do not have in common."""
+        for name in others:
+            raise ProblemFileError(
+                f"Phases(...) has no argument {name!r}",
+                SAME_AT_BOTH_ENDS if name == "periodic" else "give phases and jumps; the rest belongs to each Control",
+            )
+        object.__setattr__(self, "phases", phases)
+        object.__setattr__(self, "jumps", jumps)
+
+
+def form_of(problem: Problem) -> str:
+    """Which argument says how the system moves; ExpressionError unless it is exactly one."""
+    given = [form for form in FORMS if getattr(problem, form) is not None]
+    if len(given) != 1:
+        raise ExpressionError(
+            "a problem needs exactly one of lagrangian, hamiltonian and dynamics",
+            "give one of them" if not given else f"leave out all but one of {', '.join(given)}",
+        )
+    return given[0]

@@ -1,0 +1,74 @@
+"""The determinant of the one-step map of every scheme, for a system with one degree of freedom (thesis 1.0.1, 2.4).
+
+By implicit differentiation of the equations of a step: with E(z0, y) = 0, y the unknowns, Dy = -(dE/dy)^-1 dE/dz0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import sympy
+from sympy import Expr
+
+from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.derivation.one_step import jacobians, step_equations, without_forces
+from codegen.checks.derivation.symplecticity import PRESERVED, defect_at_random_points
+from codegen.errors import DegenerateError
+from codegen.expressions.zeros import identically_zero
+from codegen.model import Model
+from codegen.schemes import METHODS, Composition, DiscreteLagrangian, RungeKutta, Scheme
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Derive the determinant for every registered scheme, forces left out, where there is one coordinate.
+
+    Compositions are left out, whose determinant is a product of those of their base.
+    """
+    if context.model.form == "first-order":
+        yield does_not_apply("area preservation", "a first-order system has no phase plane of q and p")
+        return
+    if len(context.model.coordinates) != 1:
+        yield does_not_apply("area preservation", "there is more than one coordinate")
+        return
+    model = without_forces(context.model)
+    curved = not identically_zero(sympy.hessian(model.function, [*model.coordinates, *model.rates]).det())
+    for method, table in METHODS.items():
+        try:
+            yield from _of_method(context.model, model, method, table.values(), curved)
+        except DegenerateError:
+            yield does_not_apply("area preservation", f"a degenerate Legendre transform rules out {method} schemes")
+
+
+def _of_method(forced: Model, model: Model, method: str, schemes: Iterable[Scheme], curved: bool) -> Iterator[Finding]:
+    """The rows of the schemes of a method; DegenerateError where the problem has no form for it."""
+    for scheme in schemes:
+        if not isinstance(scheme, Composition):
+            claim = "symplectic" if scheme.symplectic else "not symplectic"
+            if isinstance(scheme, RungeKutta) or (isinstance(scheme, DiscreteLagrangian) and len(scheme.nodes) > 2):
+                # The determinant of a step with inner stages is a long expression; for two variables it is S^T J S.
+                defect = defect_at_random_points(forced, step_equations(model, scheme))
+                passed = (defect < PRESERVED) == scheme.symplectic or not curved
+                detail = f"|det - 1| = {defect:.2g} at random points, and the scheme is {claim}"
+                yield Finding("area preservation", f"{scheme.name} ({method})", passed, detail)
+                continue
+            determinant = area_factor(model, scheme)
+            # Where the potential or the kinetic energy is linear, every scheme may preserve areas by accident.
+            passed = (determinant == 1) == scheme.symplectic or (determinant == 1 and not curved)
+            detail = f"det = {sympy.sstr(determinant)}, and the scheme is {claim}"
+            yield Finding("area preservation", f"{scheme.name} ({method})", passed, detail)
+
+
+def area_factor(model: Model, scheme: Scheme) -> Expr:
+    """The determinant of the derivative of the one-step map, simplified; a product over substeps.
+
+    That of a composition is the factor of one step of its base, of any length.
+    """
+    factor = sympy.S.One
+    for left, right, equations in step_equations(model, scheme).links():
+        before, after = jacobians(left, right, equations)
+        if len(right) == len(left):
+            factor *= before.det() / after.det()
+        else:
+            factor *= (-after.LUsolve(before))[-len(left) :, :].det()
+    factor = sympy.factor(sympy.simplify(factor))
+    return factor if factor.count_ops() < sympy.expand(factor).count_ops() else sympy.expand(factor)

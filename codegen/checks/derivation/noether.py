@@ -1,0 +1,64 @@
+"""Discrete Noether theorem: a cyclic coordinate's discrete momentum is conserved where no force acts on it.
+
+Source: Marsden and West (2001), section 1.3.3. For a translation of q_i the infinitesimal symmetry of Ld is
+D1 Ld + D2 Ld = 0 in that component, which is p_k = p_k1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import sympy
+from sympy import Expr
+
+from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.derivation.one_step import without_boundaries, without_forces
+from codegen.checks.evaluation import vanishing
+from codegen.discretise import one_step_interval, variational_interval
+from codegen.model import Model, legendre
+from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Prove conservation for every coordinate that the Lagrangian or Hamiltonian does not hold."""
+    model = context.model
+    if model.form == "first-order":
+        yield does_not_apply("discrete Noether", "a first-order system has no momenta")
+        return
+    cyclic = [i for i, q in enumerate(model.coordinates) if not model.function.has(q)]
+    if not cyclic:
+        yield does_not_apply("discrete Noether", f"no coordinate is cyclic in the {model.form.capitalize()}")
+    for i in cyclic:
+        q = model.coordinates[i]
+        change = momentum_change(model, context.scheme, i)
+        known = vanishing(change)
+        passed, detail = bool(known), f"{q} is cyclic, and without force its discrete momentum is conserved, {known}"
+        if model.force[i] != 0:
+            detail += f" (the force {sympy.sstr(model.force[i])} changes it)"
+        if any(constraint.has(q) for constraint in model.holonomic):
+            detail += " (the force of a constraint changes it)"
+        if not passed:
+            detail = f"{q} is cyclic, but its discrete momentum changes by {sympy.sstr(change)[:200]} in a step"
+        yield Finding("discrete Noether", f"momentum of {q}", passed, detail)
+
+
+def momentum_change(model: Model, scheme: Scheme, i: int) -> Expr:
+    """The sum of all D_j Ld in one component, or what a one-step method adds to the momentum; forces left out.
+
+    A composition conserves what its base does.
+    """
+    model = without_forces(without_boundaries(model))
+    if isinstance(scheme, Composition):
+        scheme = scheme.base
+    if isinstance(scheme, DiscreteLagrangian):
+        interval = variational_interval(legendre.lagrangian_form(model), scheme)
+        inner = interval.inner[i :: len(model.coordinates)]
+        places = (interval.q.left[i], interval.q.right[i], *inner)
+        return sum((sympy.diff(interval.lagrangian, q) for q in places), sympy.S.Zero)
+    assert isinstance(scheme, OneStep | RungeKutta)
+    step = one_step_interval(legendre.hamiltonian_form(model), scheme)
+    dimension = len(model.coordinates)
+    if isinstance(scheme, RungeKutta):
+        return step.equations[len(step.stages) + dimension + i] - (step.p.right[i] - step.p.left[i])
+    momenta = step.equations[dimension + i :: 2 * dimension]
+    return sum(momenta, sympy.S.Zero) - (step.p.right[i] - step.p.left[i])

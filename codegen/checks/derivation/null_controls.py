@@ -1,0 +1,94 @@
+"""Controls that cost nothing: a mode of the discrete controls that the discrete cost does not see.
+
+With controls on nodes and averages in the cost, u_k = (-1)^k a leaves the average of every interval unchanged. The
+continuous cost does penalise it, so the discrete optimum may be arbitrarily wrong (thesis, Figures
+3.7-3.9 and A.1-A.5). Where the mode acts on the motion, the optimiser moves the system with it, for nothing: what it
+then finds is no optimum of the problem, which the integral of the cost over the controls that it found reveals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import sympy
+from sympy import Symbol
+
+from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.evaluation import vanishing
+from codegen.checks.solution.solutions import integral_of_cost
+from codegen.discretise import at_nodes
+from codegen.transcribe.program import ControlProgram
+
+_ALLOWED = 0.1
+"""Relative difference between both costs that the order of the scheme may explain."""
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Look for the alternating mode of nodal controls, and for free modes of interval controls, control by control."""
+    program = context.program
+    if not isinstance(program, ControlProgram):
+        yield does_not_apply("null controls", "a simulation has no controls to be found")
+        return
+    if not program.model.controls:
+        yield does_not_apply("null controls", "there are no controls")
+        return
+    if not program.nodal_controls:
+        yield from (_interval(program, u) for u in program.model.controls)
+        return
+    acting = False
+    for u in program.model.controls:
+        finding, acts = _nodal(program, u)
+        acting = acting or acts
+        yield finding
+    if acting:
+        yield from _false_optimum(context)
+
+
+def _false_optimum(context: Context) -> Iterator[Finding]:
+    """The discrete cost of what the solver finds, against the integral of the cost over the controls found."""
+    model, solution = context.model, context.solution
+    if solution.status != "solved" or model.terminal_cost != 0:
+        return
+    claimed, true = float(solution.cost), integral_of_cost(model, context.module, solution)
+    numbers = f"discrete cost {claimed:.6g}, integral of the cost over the same controls {true:.6g}"
+    passed = abs(true - claimed) <= _ALLOWED * max(abs(true), abs(claimed))
+    detail = f"{numbers} (N = {solution.t.size - 1})"
+    if not passed:
+        detail = f"a false optimum, which the alternating controls pay for: {detail}"
+    yield Finding("null controls", "optimum with nodal controls", passed, detail)
+
+
+def _nodal(program: ControlProgram, u: Symbol) -> tuple[Finding, bool]:
+    """Whether the mode costs nothing, and whether it then acts.
+
+    It is the cost of an interval under u_k + a, u_k1 - a; both signs of a occur in turn.
+    """
+    (left,), (right,) = at_nodes([u], "_k"), at_nodes([u], "_k1")
+    amplitude = sympy.Dummy("a", real=True)
+    mode = {left: left + amplitude, right: right - amplitude}
+    change = program.cost.subs(mode, simultaneous=True).diff(amplitude)
+    if not vanishing(change) or not _is_penalised(program, u):
+        return Finding(
+            "null controls", f"nodal control {u}", True, "the alternating control is seen by the cost"
+        ), False
+    # What the mode adds to the equations of motion; it vanishes where forces are averaged and do not depend on place.
+    force = (program.element - program.cost).subs(mode, simultaneous=True).diff(amplitude)
+    acts = not vanishing(force)
+    effect = "yet acts on the motion" if acts else "and does nothing either, so that it is undetermined"
+    detail = f"alternating nodal control {u}: {u}_k = (-1)^k a costs nothing, {effect}; use controls on intervals"
+    return Finding("null controls", f"nodal control {u}", False, detail), acts
+
+
+def _interval(program: ControlProgram, u: Symbol) -> Finding:
+    """With one control an interval a free mode would have to be free within an interval."""
+    (site,) = at_nodes([u], "_k")
+    passed = not (bool(vanishing(program.cost.diff(site))) and _is_penalised(program, u))
+    detail = "none: the discrete cost sees the control of every interval" if passed else f"{site} costs nothing"
+    if passed and not _is_penalised(program, u):
+        detail = "none of the discretisation: the problem's own cost does not hold it"
+    return Finding("null controls", f"interval control {u}", passed, detail)
+
+
+def _is_penalised(program: ControlProgram, u: Symbol) -> bool:
+    """Whether the continuous cost holds the control at all."""
+    return program.model.cost is not None and bool(program.model.cost.has(u))

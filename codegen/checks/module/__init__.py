@@ -1,0 +1,1 @@
+"""Evidence that the emitted module says what was derived."""

@@ -1,0 +1,278 @@
+"""Sizes and patterns of the module against the derivation, and every kernel run once inside arrays of those sizes.
+
+Compiled code does not check bounds, so a module whose layout does not fit must not be run at all. Here the kernels are
+interpreted, which finds what lies outside an array, and arrays start out as NaN, which finds what is never written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import sympy
+
+from codegen import mangling
+from codegen.checks.base import Context, Finding
+from codegen.checks.evaluation import random_points
+from codegen.checks.module.flat_vector import FlatVector
+from codegen.checks.module.kernel_arguments import (
+    all_shared_symbols,
+    kernel_stems,
+    other_symbols,
+    parameter_vector,
+)
+from codegen.checks.module.step_kernels import step_length
+from codegen.discretise import STEP
+from codegen.transcribe.program import ControlProgram, StepProgram
+
+_STEPS = 2
+
+
+def check(context: Context) -> Iterator[Finding]:
+    """Compare names and sizes, then run every kernel."""
+    if isinstance(context.program, ControlProgram):
+        problem = _control_difference(context.module, context.program) or _control_run(context.module, context.program)
+    else:
+        problem = _step_difference(context.module, context.program) or _step_run(context.module, context.program)
+    yield Finding("layout", "sizes and patterns", not problem, problem or "every kernel fills its arrays, and no more")
+
+
+def _control_difference(module: Any, program: ControlProgram) -> str:
+    """How tables of the module contradict the program; empty when they do not."""
+    flat = FlatVector.on_grid(program, _STEPS)
+    names = {
+        "node": tuple(u.name for u in program.node),
+        "interval": tuple(u.name for u in flat.inside[len(program.node) :]),
+        "boundary": tuple(f"{v.where} {v.quantity}" for v in program.boundary_values),
+        "parameters": tuple(p.name for p in program.model.parameters),
+    }
+    return (
+        _differing_metadata(module.metadata, names)
+        or _differing_values(module, _sizes(program))
+        or _differing_condensed(module, program)
+        or _differing_values(module, _tables(program))
+        or _differing_patterns(module, program)
+        or _differing_couplings(module, program)
+        or _differing_grid(module, program, flat)
+    )
+
+
+def _differing_metadata(recorded: Mapping[str, Any], names: Mapping[str, tuple[str, ...]]) -> str:
+    for key, marked in names.items():
+        wanted = tuple(mangling.plain(name) for name in marked)
+        if tuple(recorded.get(key, ())) != wanted:
+            return f"{key} is {tuple(recorded.get(key, ()))}, expected {wanted}"
+    return ""
+
+
+def _differing_values(module: Any, wanted: Mapping[str, Any]) -> str:
+    """The first of some constants that is missing or not what it should be."""
+    for name, value in wanted.items():
+        found = getattr(module, name, None)
+        found = found.tolist() if isinstance(found, np.ndarray) else found
+        if found != value:
+            return f"{name} is {found}, expected {value}"
+    return ""
+
+
+def _sizes(program: ControlProgram) -> dict[str, int]:
+    own, shared = program.own, len(program.shared)
+    node, couplings = len(program.node), len(program.couplings)
+    stride = node + len(program.interval) + len(program.controls) + len(program.slacks)
+    return {
+        "NODE": node,
+        "STRIDE": stride,
+        "ELEMENT": stride + node,
+        "BODIES": program.bodies,
+        **({"OWN": own} if program.shared else {}),
+        "SHARED": shared,
+        "COUPLINGS": couplings,
+        "ROOT": program.bodies * own + shared - own + couplings,
+        **({"PHASES": len(program.phases)} if program.phases else {}),
+    }
+
+
+def _differing_condensed(module: Any, program: ControlProgram) -> str:
+    """Slacks are eliminated inside their interval, and with them controls if their block allows it."""
+    slacks = len(program.slacks)
+    possible = sorted({slacks, slacks + len(program.controls)})
+    if module.CONDENSED in possible:
+        return ""
+    return f"CONDENSED is {module.CONDENSED}, expected {' or '.join(map(str, possible))}"
+
+
+def _tables(program: ControlProgram) -> dict[str, list[Any]]:
+    """Index arrays that follow from the program."""
+    tables: dict[str, list[Any]] = {
+        "IS_MULTIPLIER": [u.multiplier for u in FlatVector(program, _STEPS).inside],
+        "ONLY_AT_ENDS": list(program.only_at_ends),
+    }
+    for name, end in (("START", program.start), ("END", program.end)):
+        tables[f"{name}_PINNED"] = sorted([*(place for place, _ in end.pins), *(place for place, _, _ in end.shared)])
+        if program.start.shared or program.end.shared:
+            tables[f"{name}_SHARED_PLACES"] = [place for place, _, _ in end.shared]
+            tables[f"{name}_SHARED"] = [j for _, j, _ in end.shared]
+    if program.method == "variational":
+        n = len(program.model.coordinates)
+        tables["EQUATIONS"] = list(range(n, 2 * n))
+    if program.slacks:
+        node = len(program.node)
+        first = node + len(program.interval) + len(program.controls)
+        tables["SLACKS"] = list(range(first, first + len(program.slacks)))
+        tables["SLACK_MULTIPLIERS"] = [node + place for place in program.slack_multipliers]
+    if program.phases:
+        inside = range(len(program.interval) + len(program.controls) + len(program.slacks))
+        tables["PHASE_LACKS"] = [[i in phase.regular.lacking for i in inside] for phase in program.phases]
+        tables["SWITCH_LACKS"] = [[i in phase.elements[0].lacking for i in inside] for phase in program.phases[1:]]
+        tables["SHARED_IS_MULTIPLIER"] = [u.multiplier for u in program.shared]
+    return tables
+
+
+def _differing_patterns(module: Any, program: ControlProgram) -> str:
+    node, shared = len(program.node), len(program.shared)
+    element = len(program.element_symbols)
+    for prefix, size in (("", element), ("START_", node + shared), ("END_", node + shared)):
+        rows, columns = (_indices(module, f"{prefix}HESSIAN_{side}") for side in ("ROWS", "COLUMNS"))
+        if rows.size != columns.size or np.any(columns > rows) or np.any(columns < 0) or np.any(rows >= size):
+            return f"{prefix}HESSIAN_ROWS and {prefix}HESSIAN_COLUMNS are no lower triangle of a matrix of size {size}"
+    return ""
+
+
+def _differing_couplings(module: Any, program: ControlProgram) -> str:
+    """Whether the tables of the terms of conditions between bodies stay inside what they refer to."""
+    if not program.couplings:
+        return ""
+    kinds, rows, counts = (_indices(module, f"COUPLING_{name}") for name in ("KINDS", "ROWS", "COUNTS"))
+    places = _indices(module, "COUPLING_PLACES")
+    available = sum(hasattr(module, f"coupling_{kind}") for kind in range(kinds.size))
+    unknowns = _sizes(program)["ROOT"] - len(program.couplings)
+    limits = (
+        ("KINDS", kinds, available),
+        ("ROWS", rows, len(program.couplings)),
+        ("COUNTS", counts, places.shape[-1] + 1),
+        ("PLACES", places, unknowns),
+    )
+    for name, table, size in limits:
+        if table.shape[0] != kinds.size or np.any(table < 0) or np.any(table >= size):
+            return f"COUPLING_{name} is {table.tolist()}, expected {kinds.size} entries below {size}"
+    return ""
+
+
+def _differing_grid(module: Any, program: ControlProgram, flat: FlatVector) -> str:
+    """The vector of unknowns and the table of parameters that the module makes."""
+    grid = module.make_grid(_STEPS)
+    parameters = len(program.model.parameters) + len(program.boundary_values) + len(program.shared)
+    if grid.parameters.shape != (program.bodies, parameters):
+        return f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, parameters)}"
+    for name, found, wanted in (
+        ("grid.is_multiplier", grid.is_multiplier, flat.multipliers()),
+        ("free_unknowns", module.free_unknowns(grid), flat.free()),
+    ):
+        if found.shape != wanted.shape:
+            return f"{name} has {found.size} entries, expected {wanted.size}"
+        if not np.array_equal(found, wanted):
+            return f"{name} is wrong for {flat.names()[int(np.argmax(found != wanted))]}"
+    return ""
+
+
+def _indices(module: Any, name: str) -> Any:
+    return np.asarray(getattr(module, name, ()), dtype=np.int64)
+
+
+def _control_run(module: Any, program: ControlProgram) -> str:
+    unknowns = program.element_symbols
+    symbols = [*unknowns, *other_symbols(program)]
+    values = [e for share in program.interval_elements for e in (share.element, share.cost)]
+    values += [program.start.element, program.end.element]
+    (point,) = random_points(values, symbols, program.model.default_values, count=1)
+    shared, size, node = len(program.shared), len(unknowns), len(program.node)
+    x, given = np.array([point[s] for s in unknowns[: size - shared]]), parameter_vector(point, program)
+    t, h = point[program.model.time], point[STEP]
+    entries = _indices(module, "HESSIAN_ROWS").size
+    problem = ""
+    for stem in dict.fromkeys([*kernel_stems(program), "interval"]):
+        problem = problem or _run(module, f"{stem}_gradient", (x, t, h, given), gradient=(size,))
+        problem = problem or _run(module, f"{stem}_hessian", (x, t, h, given), hessian=(entries,))
+    for end, local in (("start", x[:node]), ("end", x[x.size - node :])):
+        problem = problem or _run(module, f"{end}_gradient", (local, t, given), adds=True, gradient=(node + shared,))
+        entries = _indices(module, f"{end.upper()}_HESSIAN_ROWS").size
+        if hasattr(module, f"{end}_hessian") or entries:
+            problem = problem or _run(module, f"{end}_hessian", (local, t, given), hessian=(entries,))
+    return problem or _run_couplings(module, program, given)
+
+
+def _run_couplings(module: Any, program: ControlProgram, given: Any) -> str:
+    """Run the kernel of every term of the conditions between bodies with as many values as it is said to read."""
+    if not program.couplings:
+        return ""
+    conditions = [coupling.expression for coupling in program.couplings]
+    symbols = all_shared_symbols(program)
+    (point,) = random_points(conditions, [*symbols, *other_symbols(program)], program.model.default_values, count=1)
+    values = np.array([point[symbol] for symbol in symbols])
+    tables = module.COUPLING_KINDS, module.COUPLING_COUNTS, module.COUPLING_PLACES
+    for kind, count, places in zip(*tables, strict=True):
+        shapes: dict[str, Any] = {"slopes": (count,), "curvatures": (count * count,)}
+        problem = _run(module, f"coupling_{kind}", (values[places[:count]], given), **shapes)
+        if problem:
+            return problem
+    return ""
+
+
+def _step_difference(module: Any, program: StepProgram) -> str:
+    """How names or sizes of the module contradict the program; empty when they do not."""
+    names = {
+        "node": tuple(u.name for u in program.state),
+        "stages": tuple(s.name for s in program.stage_symbols),
+        "unknowns": tuple(s.name for s in program.unknowns),
+        "parameters": tuple(p.name for p in program.model.parameters),
+    }
+    sizes = {"STATE": len(program.state), "STAGES": len(program.stage_symbols), "UNKNOWNS": len(program.unknowns)}
+    sizes["PARTS"] = len(program.fractions)
+    if program.fractions:
+        found = np.array(getattr(module, "FRACTIONS", []))
+        exact = np.array([[float(sympy.N(f, 20)) for f in row] for row in program.fractions])
+        if found.shape != exact.shape or not np.abs(found - exact).max() < 1e-15:
+            return "FRACTIONS are not those of the composition"
+    wanted = {name: size for name, size in sizes.items() if size or hasattr(module, name)}
+    return _differing_metadata(module.metadata, names) or _differing_values(module, wanted)
+
+
+def _step_run(module: Any, program: StepProgram) -> str:
+    interval = [*program.stage_symbols, *program.right_symbols]
+    symbols = [*program.left_symbols, *interval, *program.model.parameters, program.model.time]
+    symbols = list(dict.fromkeys([*symbols, *program.lengths, *program.unknowns]))
+    expressions = [*(value for _, value in program.equations), program.energy]
+    (point,) = random_points(expressions, symbols, program.model.default_values, count=1)
+
+    def at(group: Any) -> Any:
+        return np.array([point[symbol] for symbol in group])
+
+    length = step_length(point, program)
+    base = (at(program.left_symbols), point[program.model.time], length, at(program.model.parameters))
+    size, whole = len(program.unknowns), len(interval)
+    problem = _run(module, "step_equations", (base[0], at(interval), *base[1:]), residual=(whole,))
+    problem = problem or _run(module, "energy", (base[0], base[1], base[3]))
+    if not size:
+        return problem or _run(module, "explicit_step", base, interval=(whole,))
+    y = at(program.unknowns)
+    problem = problem or _run(module, "predict_step", base, unknowns=(size,))
+    problem = problem or _run(module, "step_residual", (y, *base), residual=(size,))
+    problem = problem or _run(module, "step_jacobian", (y, *base), residual=(size,), jacobian=(size, size))
+    return problem or _run(module, "complete_step", (y, *base), interval=(whole,))
+
+
+def _run(module: Any, name: str, inputs: Any, adds: bool = False, **outputs: tuple[int, ...]) -> str:
+    """Interpret a kernel with outputs of the given shapes; what goes wrong, in words."""
+    kernel = getattr(module, name, None)
+    if kernel is None:
+        return f"kernel {name} is missing"
+    arrays = {key: np.full(shape, 0.0 if adds else np.nan) for key, shape in outputs.items()}
+    try:
+        getattr(kernel, "py_func", kernel)(*inputs, **arrays)
+    except Exception as error:  # a damaged kernel may fail in any way
+        return " ".join(f"kernel {name} fails ({type(error).__name__}: {error})".split())
+    for key, array in arrays.items():
+        if np.isnan(array).any():
+            return f"kernel {name} leaves {key}{np.argwhere(np.isnan(array))[0].tolist()} without a value"
+    return ""

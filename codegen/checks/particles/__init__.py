@@ -1,0 +1,1 @@
+"""Evidence about modules of particles."""

@@ -1,0 +1,1 @@
+"""Evidence that what the module finds is a solution."""

@@ -1,0 +1,28 @@
+"""The command `codegen analyse`: modified equations of a scheme."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from codegen.cli.options import Method, Problem, Set
+from codegen.terminal import working
+
+
+def analyse(
+    problem: Problem,
+    set_: Set = [],  # noqa: B006
+    scheme: Annotated[str | None, typer.Option(help="Discretisation, or alpha for the whole family.")] = None,
+    method: Method = None,
+    order: Annotated[int, typer.Option(metavar="N", help="Highest power of the step h.")] = 3,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
+) -> None:
+    """Print the modified equations of a scheme, and the modified Hamiltonian if there is one."""
+    from codegen.model.problem_file import parse_arguments
+    from codegen.show.modified_equations import analysis
+
+    arguments = parse_arguments(set_, problem)
+    with working("Expanding"):
+        text = analysis(problem, arguments, scheme=scheme, method=method, order=order, latex=latex)
+    typer.echo(text)

@@ -1,0 +1,43 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def positive(text: str | int) -> int:
+    """A positive integer; typer passes defaults through as well."""
+    if isinstance(text, int):
+        return text
+    if not (text.isascii() and text.isdigit() and len(text) < 13 and int(text) > 0):
+        raise typer.BadParameter(f"{text!r} is not a positive integer")
+    return int(text)
+
+
+class Controls(StrEnum):
+    """Where controls live."""
+
+    INTERVAL = "interval"
+    NODAL = "nodal"
+
+
+Problem = Annotated[Path, typer.Argument(metavar="PROBLEM.py", help="The problem file.", show_default=False)]
+Set = Annotated[list[str], typer.Option("--set", metavar="NAME=VALUE", help="An argument of problem(); repeatable.")]
+Scheme = Annotated[str | None, typer.Option(help="Discretisation, such as midpoint or stormer-verlet.")]
+Method = Annotated[
+    str | None,
+    typer.Option(help="Formulation: variational, hamiltonian or one-step; of particles stepping, full or action."),
+]
+Place = Annotated[Controls, typer.Option(help="Where controls live; nodal reproduces the thesis.")]
+Steps = Annotated[
+    int | None, typer.Option(parser=positive, metavar="N", help="Number of intervals. [default: the problem's own]")
+]
+Every = Annotated[int, typer.Option(parser=positive, metavar="N", help="Store every so many-th step of a simulation.")]
+Repeat = Annotated[int, typer.Option(parser=positive, metavar="N", help="Time the best of so many solves.")]
+Log = Annotated[bool, typer.Option("--log", help="Print the iterates of the generated solver.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if current, else a cache]")]

@@ -1,0 +1,38 @@
+"""The command `codegen report`: measure everything, and write one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from codegen.errors import one_line
+
+
+def report(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the page and the measurements.")],
+    problem: Annotated[
+        Path | None, typer.Argument(metavar="[PROBLEM.py]", help="The problem file; with --all a folder of them.")
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="All problems of a folder. [default: problems]")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A few cases only, in less than two minutes.")] = False,
+    limit: Annotated[
+        float | None, typer.Option(min=0.1, metavar="S", help="Go no further after a solve of S seconds.")
+    ] = None,
+    compare: Annotated[
+        Path | None, typer.Option(metavar="OLD", help="An earlier report; exit status 1 if anything is worse.")
+    ] = None,
+) -> None:
+    """Measure everything about problems and write one page; what DIR holds already is not measured again."""
+    from codegen import report as reports
+    from codegen.solutions import output
+
+    output.require_folder(out, "--out", may_be_made=True)
+    made = reports.problems_report(problem, out, everything=everything, quick=quick, limit=limit, earlier=compare)
+    typer.echo(made.page)
+    if made.regressions:
+        first = made.regressions[0]
+        text = f"{len(made.regressions)} regressions, first {first.what} of {first.problem}: {first.case}"
+        typer.echo(one_line(f"codegen: {text}"), err=True)
+        raise typer.Exit(1)

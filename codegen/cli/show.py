@@ -1,0 +1,28 @@
+"""The command `codegen show`: the derived discrete equations."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from codegen.cli.options import Controls, Method, Place, Problem, Scheme, Set
+from codegen.terminal import working
+
+
+def show(
+    problem: Problem,
+    set_: Set = [],  # noqa: B006
+    scheme: Scheme = None,
+    method: Method = None,
+    controls: Place = Controls.INTERVAL,
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
+) -> None:
+    """Print the derived discrete equations."""
+    from codegen.model.problem_file import parse_arguments
+    from codegen.show.equations import equations
+
+    arguments = parse_arguments(set_, problem)
+    with working("Deriving"):
+        text = equations(problem, arguments, scheme=scheme, method=method, controls=controls.value, latex=latex)
+    typer.echo(text)

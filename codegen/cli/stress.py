@@ -1,0 +1,45 @@
+"""The command `codegen stress`: stiff and extreme cases, and what becomes of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from codegen.cli.options import Set
+from codegen.errors import ArgumentError, one_line
+from codegen.terminal import console, progress, working
+
+
+def stress(
+    problem: Annotated[Path | None, typer.Argument(metavar="PROBLEM.py", help="Stress this problem alone.")] = None,
+    set_: Set = [],  # noqa: B006
+    all_: Annotated[bool, typer.Option("--all", help="All stiff and extreme cases of every kind of problem.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Only the cases of a few modules.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for stress.csv and stress.html.", show_default=False)] = ...,  # type: ignore[assignment]
+) -> None:
+    """Solve stiff and extreme cases; exit status 1 if one ends in a wrong answer, a NaN, a hang or an untyped error."""
+    from codegen import stress as stressing
+    from codegen.solutions import output
+    from codegen.stress import families, generic, page
+
+    if (problem is None) != (all_ or quick):
+        raise ArgumentError("stress takes a problem file, or --all, or --quick", "give one of them")
+    output.require_folder(out, "--out", may_be_made=True)
+    if problem is not None:
+        from codegen.model.problem_file import parse_arguments
+
+        with working("Deriving"):
+            cases = generic.cases_of(problem, parse_arguments(set_, problem))
+    else:
+        cases = families.quick_cases() if quick else families.all_cases()
+    with progress("Stressing", len(cases)) as moved:
+        rows = stressing.run(cases, out, moved)
+    console().print(page.table(rows))
+    failed = [row for row in rows if not row.passed]
+    for row in failed:
+        typer.echo(f"{row.outcome}: {row.case.name}, {row.case.setup.label}: {one_line(row.text, 300)}", err=True)
+    if failed:
+        typer.echo(f"codegen: {len(failed)} of {len(rows)} rows failed; see {out / 'stress.html'}", err=True)
+        raise typer.Exit(1)

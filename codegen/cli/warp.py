@@ -1,0 +1,178 @@
+"""The command `codegen warp`: what is asked for on the command line, and what it says at the end."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from codegen.errors import ArgumentError, one_line
+from codegen.terminal import console, progress, working
+
+if TYPE_CHECKING:
+    from codegen.registration.batch import Batch
+    from codegen.registration.jobs import Options
+
+# Nothing of codegen.registration may be imported before the command runs: it brings numba.
+
+
+class Align(StrEnum):
+    """What is taken out before the flow."""
+
+    NONE = "none"
+    SIMILARITY = "similarity"
+    AFFINE = "affine"
+
+
+class Interpolation(StrEnum):
+    """How the image is read between its pixels."""
+
+    NEAREST = "nearest"
+    LINEAR = "linear"
+    CUBIC = "cubic"
+
+
+Moving = Annotated[
+    Path,
+    typer.Argument(metavar="MOVING", help="The image to be warped, a folder of images, or a table of pairs (.csv)."),
+]
+Landmarks = Annotated[
+    list[Path],
+    typer.Option(metavar="FILE", help="Landmarks; elastix and Slicer: give it twice, first the moving file."),
+]
+Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The warped image; for many pairs a folder.")]
+Fixed = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="The image to which it is registered, in whose frame the result is.")
+]
+Inverse = Annotated[
+    bool, typer.Option("--inverse", help="Bring the fixed image into the frame of the moving one instead.")
+]
+Sigma = Annotated[
+    str, typer.Option(metavar="S", help="Pixels by which landmarks may miss, or auto: by leaving landmarks out.")
+]
+Scheme = Annotated[str, typer.Option(help="The scheme that integrates the flow.")]
+Steps = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Steps of the scheme. [default: as many as it needs]")
+]
+Field = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Save displacements: .npz, .nii.gz or .mha; for many pairs a folder."),
+]
+Report = Annotated[
+    Path | None, typer.Option(metavar="FILE.html", help="Write a page about the pair; for many pairs a folder.")
+]
+Coarse = Annotated[
+    bool, typer.Option("--coarse", help="Map a coarse grid and interpolate, with a certified error below 0.01 pixel.")
+]
+
+
+def warp(
+    moving: Moving,
+    landmarks: Landmarks = [],  # noqa: B006  typer copies it
+    out: Out = None,
+    fixed: Fixed = None,
+    inverse: Inverse = False,
+    sigma: Sigma = "0",
+    align: Annotated[Align, typer.Option(help="What is taken out before the flow.")] = Align.SIMILARITY,
+    scheme: Scheme = "rk4",
+    steps: Steps = None,
+    interpolation: Annotated[Interpolation, typer.Option(help="Between pixels.")] = Interpolation.LINEAR,
+    field: Field = None,
+    report: Report = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    coarse: Coarse = False,
+) -> None:
+    """Warp an image, or many, by landmarks, moving to fixed, with a certificate that nothing folds."""
+    if len(landmarks) > 2:
+        raise ArgumentError(
+            f"--landmarks was given {len(landmarks)} times", "give one file, or a moving and a fixed one"
+        )
+    from codegen.registration.jobs import Options
+
+    options = Options(
+        inverse, _sigma(sigma), align.value, scheme, steps, interpolation.value, coarse,
+    )  # fmt: skip
+    many = moving.is_dir() or moving.suffix.lower() == ".csv"
+    (_many if many else _one)(moving, tuple(landmarks), out, fixed, field, report, options, json)
+
+
+def _sigma(text: str) -> Any:
+    if text == "auto":
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1e6:
+        raise ArgumentError(f"--sigma {text[:30]}", "give a distance in pixels, or auto")
+    return value
+
+
+def _one(
+    moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
+    report: Path | None, options: Options, json: bool,
+) -> None:  # fmt: skip
+    from codegen.registration import job, warp_text
+    from codegen.registration.jobs import Job
+    from codegen.solutions import output
+
+    if out is None or not landmarks:
+        missing = "--out" if out is None else "--landmarks"
+        raise ArgumentError(f"{missing} is missing", "say where the landmarks are and where the image goes")
+    with working("Registering"):
+        result = job.run(Job(moving, landmarks, out, fixed, field, report), options)
+    if json:
+        typer.echo(output.as_json(result.record))
+    else:
+        console().print(warp_text.table(result.record))
+    if not result.passed:
+        typer.echo(one_line(f"codegen: {result.record['message']}"), err=True)
+        raise typer.Exit(1)
+
+
+def _many(
+    moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
+    report: Path | None, options: Options, json: bool,
+) -> None:  # fmt: skip
+    from codegen.registration import batch, batch_report, warp_text
+    from codegen.solutions import output
+
+    places = batch.Places(out, field, report)
+    if moving.is_dir():
+        if out is None or out.resolve() == moving.resolve():
+            raise ArgumentError(f"--out is missing, or is {moving} itself", "give a folder for the warped images")
+        jobs, without = batch.jobs_in_folder(moving, places, fixed, landmarks)
+        if without:
+            names = ", ".join(path.name for path in without[:3]) + (", ..." if len(without) > 3 else "")
+            typer.echo(f"codegen: {len(without)} images have no landmarks and are left out: {names}", err=True)
+    elif landmarks:
+        raise ArgumentError(f"{moving} names the landmarks of its pairs", "leave --landmarks out")
+    else:
+        jobs = batch.jobs_in_table(moving, places, fixed)
+    for option, folder in (("--out", out), ("--field", field), ("--report", report)):
+        if folder is not None:
+            output.require_folder(folder, option, may_be_made=True)
+    batch.make_folders(places)
+    summary = (out / batch.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
+    if report is not None:
+        batch.require_free(jobs, report / batch_report.NAME)
+    with progress("Warping", len(jobs)) as told:
+        done = batch.run_all(jobs, options, summary, told)
+    if report is not None:
+        batch_report.write_batch_report(report, done, [job.report for job in jobs])
+    if json:
+        typer.echo(output.as_json(warp_text.record(done, summary)))
+    else:
+        console().print(warp_text.overview(done, summary))
+    _finish(done)
+
+
+def _finish(done: Batch) -> None:
+    """Name the pairs that failed."""
+    for line in done.failed:
+        typer.echo(one_line(f"{line['moving']}: {line['status']}: {line['message']}", 400), err=True)
+    if done.failed:
+        typer.echo(f"codegen: {len(done.failed)} of {len(done.lines)} pairs failed", err=True)
+        raise typer.Exit(1)

@@ -1,0 +1,209 @@
+"""Program -> first and second derivatives, their exact sparsity, and what is provably constant."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.derive.pairwise import PairDerivatives, pair_derivatives
+from codegen.discretise import STEP
+from codegen.expressions import Assignment, second_derivatives
+from codegen.expressions import checks as expressions
+from codegen.expressions import jacobian as differentiated
+from codegen.expressions.zeros import identically_zero
+from codegen.transcribe.connect import PairwiseProgram
+from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
+
+Entry = tuple[int, int, Expr]
+"""Row, column and value of a structurally nonzero derivative."""
+
+
+_LONG = 200
+"""Operations from which on a scalar is differentiated on its graph; shorter ones read better from plain derivatives."""
+_LONG_STEP = 1000
+"""The same for all equations of a step together."""
+
+
+@dataclass(frozen=True)
+class ElementDerivatives:
+    """Gradient (dense) and Hessian (lower triangle, structural nonzeros) of a scalar in its local unknowns, and a cost.
+
+    Those of a long scalar are straight-line programs: gradient and cost may read the symbols of one list of
+    assignments, the Hessian those of the other. An entry that does not depend on unknowns reads no such symbol.
+    """
+
+    unknowns: tuple[Symbol, ...]
+    gradient: tuple[Expr, ...]
+    hessian: tuple[Entry, ...]
+    cost: Expr = sympy.S.Zero
+    gradient_assignments: tuple[Assignment, ...] = ()
+    hessian_assignments: tuple[Assignment, ...] = ()
+
+    @property
+    def varying(self) -> set[Symbol]:
+        """The symbols by which an entry of the Hessian depends on unknowns."""
+        return {*self.unknowns, *(symbol for symbol, _ in self.hessian_assignments)}
+
+
+@dataclass(frozen=True)
+class ControlDerivatives:
+    """Everything that the structured Newton method of a control problem needs.
+
+    `condensed` is how many of an interval's last unknowns can be eliminated inside it: slacks always, because their
+    barrier terms are positive, and controls when their block of the Hessian is constant and regular;
+    `linear_quadratic` says that no Hessian entry depends on an unknown and one Newton step suffices (not so with nodal
+    controls, which can make the system singular). `elements` are the shares of all kinds of intervals, of which there
+    are several where there are phases; their Hessians have one pattern.
+    """
+
+    elements: tuple[ElementDerivatives, ...]
+    start: ElementDerivatives
+    end: ElementDerivatives
+    condensed: int
+    linear_quadratic: bool
+
+    @property
+    def element(self) -> ElementDerivatives:
+        """The first of them, which is the only one where there are no phases."""
+        return self.elements[0]
+
+
+@dataclass(frozen=True)
+class StepDerivatives:
+    """Residual of an implicit step and its Jacobian (dense, row by row); empty for an explicit one.
+
+    `constant` says that the Jacobian depends on parameters and the step's length only, so that it can be factored once.
+    Those of a long residual are straight-line programs, and may read the symbols of `assignments`.
+    """
+
+    residual: tuple[Expr, ...]
+    jacobian: tuple[tuple[Expr, ...], ...]
+    constant: bool
+    assignments: tuple[Assignment, ...] = ()
+
+
+def control_derivatives(program: ControlProgram) -> ControlDerivatives:
+    """Differentiate the interval's scalar and both end elements twice."""
+    unknowns = program.element_symbols
+    elements = _with_one_pattern([_element(e.element, unknowns, e.cost) for e in program.interval_elements])
+    start = _end_element(program.start, (*program.left_symbols, *program.shared_symbols))
+    end = _end_element(program.end, (*program.right_symbols, *program.shared_symbols))
+    shares = (*elements, start, end)
+    variables = set[Symbol]().union(*(share.varying for share in shares))
+    entries = [entry for share in shares for entry in share.hessian]
+    return ControlDerivatives(
+        elements=elements,
+        start=start,
+        end=end,
+        condensed=_condensed(program, elements),
+        linear_quadratic=not program.nodal_controls
+        and not program.has_inequalities
+        and not program.couplings
+        and not any(value.free_symbols & variables for _, _, value in entries),
+    )
+
+
+def step_derivatives(program: StepProgram) -> StepDerivatives:
+    """Differentiate the residual of a step by its unknowns, on which the assignments before it do not depend."""
+    fixed = {*program.model.parameters, STEP}
+    residual, assignments = program.residual, tuple[Assignment, ...]()
+    if sum(int(r.count_ops()) for r in residual) < _LONG_STEP:
+        jacobian = tuple(tuple(_tidy_derivative(r, y) for y in program.unknowns) for r in residual)
+    else:
+        found, places = differentiated(residual, program.unknowns, fixed)
+        residual, assignments = found.values[: len(residual)], found.assignments
+        entries = dict(zip(places, found.values[len(residual) :], strict=True))
+        count = range(len(program.unknowns))
+        jacobian = tuple(tuple(entries.get((i, j), sympy.S.Zero) for j in count) for i in range(len(residual)))
+    constant = all(entry.free_symbols <= fixed for row in jacobian for entry in row)
+    return StepDerivatives(residual, jacobian, constant, assignments)
+
+
+def _tidy_derivative(expression: Expr, symbol: Symbol) -> Expr:
+    """A derivative, written as zero where it is one."""
+    derivative = sympy.diff(expression, symbol)
+    return sympy.S.Zero if identically_zero(derivative) else derivative
+
+
+def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int] = ()) -> ElementDerivatives:
+    """Derivatives by the unknowns; those at the `given` places are numbers, and nobody asks for their derivatives."""
+    if scalar.count_ops() >= _LONG:
+        return _long_element(scalar, unknowns, cost, given)
+    gradient = tuple(sympy.S.Zero if i in given else sympy.diff(scalar, x) for i, x in enumerate(unknowns))
+    hessian: list[Entry] = []
+    for row, first in enumerate(gradient):
+        present = first.free_symbols
+        for column, x in enumerate(unknowns[: row + 1]):
+            if x not in present or column in given:
+                continue
+            second = sympy.diff(first, x)
+            if not identically_zero(second):
+                hessian.append((row, column, second))
+    return ElementDerivatives(tuple(unknowns), gradient, tuple(hessian), cost)
+
+
+def _long_element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int]) -> ElementDerivatives:
+    free = [place for place in range(len(unknowns)) if place not in given]
+    found = second_derivatives(scalar, [unknowns[place] for place in free], (cost,))
+    *slopes, written_cost = found.gradient.values
+    gradient = dict(zip(free, slopes, strict=True))
+    entries = zip(found.places, found.hessian.values, strict=True)
+    return ElementDerivatives(
+        unknowns=tuple(unknowns),
+        gradient=tuple(gradient.get(place, sympy.S.Zero) for place in range(len(unknowns))),
+        hessian=tuple((free[row], free[column], value) for (row, column), value in entries),
+        cost=written_cost,
+        gradient_assignments=found.gradient.assignments,
+        hessian_assignments=found.hessian.assignments,
+    )
+
+
+def _with_one_pattern(shares: Sequence[ElementDerivatives]) -> tuple[ElementDerivatives, ...]:
+    """The same derivatives, with zeros where another share has an entry of the Hessian."""
+    if len(shares) == 1:
+        return tuple(shares)
+    pattern = sorted({(row, column) for share in shares for row, column, _ in share.hessian})
+    values = [{(row, column): value for row, column, value in share.hessian} for share in shares]
+    return tuple(
+        replace(share, hessian=tuple((*place, own.get(place, sympy.S.Zero)) for place in pattern))
+        for share, own in zip(shares, values, strict=True)
+    )
+
+
+def _end_element(end: EndElement, unknowns: tuple[Symbol, ...]) -> ElementDerivatives:
+    """Derivatives of an end's share; what is pinned there is a number and not differentiated twice."""
+    return _element(end.element, unknowns, end.cost, {i for i, _ in end.pins})
+
+
+def _condensed(program: ControlProgram, elements: Sequence[ElementDerivatives]) -> int:
+    slacks = len(program.slacks)
+    if all(_constant_and_regular(program, element, element.varying) for element in elements):
+        return slacks + len(program.control_symbols)
+    return slacks
+
+
+def _constant_and_regular(program: ControlProgram, element: ElementDerivatives, unknowns: set[Symbol]) -> bool:
+    size = len(program.control_symbols)
+    if size == 0:
+        return False
+    first = len(program.left_symbols) + len(program.interval_symbols)
+    block = sympy.zeros(size, size)
+    for row, column, value in element.hessian:
+        if first <= row < first + size and first <= column < first + size:
+            if value.free_symbols & (unknowns | {program.model.time}):
+                return False
+            block[row - first, column - first] = block[column - first, row - first] = value
+    points = expressions.trial_points(block.free_symbols, {}, {})
+    return expressions.null_direction(expressions.values_at(block, point) for point in points) is None
+
+
+def derivatives(
+    program: ControlProgram | StepProgram | PairwiseProgram,
+) -> ControlDerivatives | StepDerivatives | PairDerivatives:
+    """The derivatives that the solver of a program needs."""
+    if isinstance(program, PairwiseProgram):
+        return pair_derivatives(program.model)
+    return control_derivatives(program) if isinstance(program, ControlProgram) else step_derivatives(program)

@@ -1,0 +1,171 @@
+"""First and second derivatives of the terms of a pairwise Hamiltonian, by the chain rule through their scalars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.expressions.cancellation import without_cancellation
+from codegen.expressions.invariants import Invariants
+from codegen.model.pairwise import PairwiseModel
+
+Assignment = tuple[Symbol, Expr]
+
+
+@dataclass(frozen=True)
+class TermDerivatives:
+    """One term and its derivatives by the moving symbols of one or two particles.
+
+    `differences` are those of two coordinates on which a scalar depends; `scalars` are polynomials of the moving
+    symbols and of differences. `slopes` and `curvatures` name the derivatives of the term by
+    them, expressions in the scalars; `gradient` (dense) and `hessian` (lower triangle, structural nonzeros) are written
+    in these names. `distances` are the scalars that vanish where both particles meet.
+    """
+
+    moving: tuple[Symbol, ...]
+    differences: tuple[Assignment, ...]
+    scalars: tuple[Assignment, ...]
+    distances: tuple[Symbol, ...]
+    value: Expr
+    slopes: tuple[Assignment, ...]
+    curvatures: tuple[Assignment, ...]
+    gradient: tuple[Expr, ...]
+    hessian: tuple[tuple[int, int, Expr], ...]
+
+
+@dataclass(frozen=True)
+class PairDerivatives:
+    """Both terms with their derivatives, and what is known about the whole Hamiltonian.
+
+    `separable`: no term mixes coordinates and momenta. `quadratic`: H(q, r p) = r^2 H(q, p), kinetic energy alone.
+    `isotropic`: the second derivatives by momenta are a matrix of particles times the identity of space.
+    """
+
+    alone: TermDerivatives
+    pair: TermDerivatives
+    separable: bool
+    quadratic: bool
+    isotropic: bool
+
+
+def pair_derivatives(model: PairwiseModel) -> PairDerivatives:
+    """Differentiate the self term and the pair term twice."""
+    alone = _differentiated(model.self_term, model.first.moving, ())
+    pair = _differentiated(model.pair_term, model.first.moving, model.second.moving)
+    dimension = len(model.coordinates)
+    mixed = [
+        value
+        for term in (alone, pair)
+        for row, column, value in term.hessian
+        if (row // dimension) % 2 != (column // dimension) % 2
+    ]
+    return PairDerivatives(
+        alone=alone,
+        pair=pair,
+        separable=not mixed,
+        quadratic=_is_quadratic(model),
+        isotropic=_is_isotropic(alone, dimension) and _is_isotropic(pair, dimension),
+    )
+
+
+def _differentiated(term: Expr, first: Sequence[Symbol], second: Sequence[Symbol]) -> TermDerivatives:
+    parts = Invariants.of(term, first, second)
+    count, moving = len(parts.symbols), parts.moving
+    slopes = [Symbol(f"by_{s}", real=True) for s in parts.symbols]
+    slope_values = [parts.slope(k) for k in range(count)]
+    curvatures: dict[tuple[int, int], Assignment] = {}
+    for k in range(count):
+        for m in range(k + 1):
+            value = parts.curvature(k, m)
+            if value != 0:
+                curvatures[k, m] = Symbol(f"by_{parts.symbols[k]}_{parts.symbols[m]}", real=True), value
+    differences = _Differences(first, second)
+    polynomials = [differences.inserted(p) for p in parts.polynomials]
+    gradients = [[differences.derivative(p, z) for z in moving] for p in polynomials]
+    gradient = [
+        sum((f * g[z] for f, g in zip(slopes, gradients, strict=True)), sympy.S.Zero) for z in range(len(moving))
+    ]
+    entries: list[tuple[int, int, Expr]] = []
+    for row in range(len(moving)):
+        for column in range(row + 1):
+            value = sum(
+                (f * differences.derivative(g[row], moving[column]) for f, g in zip(slopes, gradients, strict=True)),
+                sympy.S.Zero,
+            )
+            for (k, m), (symbol, _) in curvatures.items():
+                value += symbol * gradients[k][row] * gradients[m][column]
+                if k != m:
+                    value += symbol * gradients[m][row] * gradients[k][column]
+            if value != 0:
+                entries.append((row, column, value))
+    return TermDerivatives(
+        moving=moving,
+        differences=tuple(differences.used),
+        scalars=tuple(zip(parts.symbols, polynomials, strict=True)),
+        distances=tuple(parts.symbols[k] for k in parts.distances()),
+        value=without_cancellation(parts.outer),
+        slopes=tuple(zip(slopes, slope_values, strict=True)),
+        curvatures=tuple(curvatures.values()),
+        gradient=tuple(gradient),
+        hessian=tuple(entries),
+    )
+
+
+class _Differences:
+    """The differences of the coordinates of two particles, as symbols of their own."""
+
+    def __init__(self, first: Sequence[Symbol], second: Sequence[Symbol]) -> None:
+        half = len(second) // 2
+        self.pairs = {
+            Symbol(f"d{x.name.removesuffix('_i')}", real=True): (x, y)
+            for x, y in zip(first[:half], second, strict=False)
+        }
+        self.used: list[Assignment] = []
+
+    def inserted(self, polynomial: Expr) -> Expr:
+        """The polynomial in differences, if it depends on nothing else."""
+        written = polynomial.xreplace({x: d + y for d, (x, y) in self.pairs.items()})
+        expanded = sympy.expand(written)
+        if expanded.free_symbols - self.pairs.keys() or not expanded.free_symbols:
+            return polynomial
+        for d, (x, y) in self.pairs.items():
+            if d in expanded.free_symbols and (d, x - y) not in self.used:
+                self.used.append((d, x - y))
+        return expanded
+
+    def derivative(self, expression: Expr, z: Symbol) -> Expr:
+        """The derivative by a moving symbol, through differences as well."""
+        total = sympy.diff(expression, z)
+        for d, (x, y) in self.pairs.items():
+            if z in (x, y):
+                total += sympy.diff(expression, d) * (1 if z == x else -1)
+        return total
+
+
+def _is_quadratic(model: PairwiseModel) -> bool:
+    """Whether every term is homogeneous of degree two in the momenta."""
+    factor = Symbol("factor", positive=True)
+    scaled = {p: factor * p for p in (*model.first.p, *model.second.p)}
+
+    def is_homogeneous(term: Expr) -> bool:
+        return bool(sympy.expand(sympy.factor_terms(term.xreplace(scaled) - factor**2 * term)) == 0)
+
+    return is_homogeneous(model.self_term) and is_homogeneous(model.pair_term)
+
+
+def _is_isotropic(term: TermDerivatives, dimension: int) -> bool:
+    """Whether second derivatives by momenta join equal components only, by the same value for all of them."""
+    blocks: dict[tuple[int, int], set[Expr]] = {}
+    counts: dict[tuple[int, int], int] = {}
+    for row, column, value in term.hessian:
+        (one, a), (other, b) = divmod(row, dimension), divmod(column, dimension)
+        if one % 2 == 0 or other % 2 == 0:
+            continue
+        if a != b:
+            return False
+        blocks.setdefault((one, other), set()).add(value)
+        counts[one, other] = counts.get((one, other), 0) + 1
+    return all(len(values) == 1 and counts[place] == dimension for place, values in blocks.items())

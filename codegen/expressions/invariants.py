@@ -1,0 +1,152 @@
+"""A pair term as a function of few scalars: squared distance, scalar products, distance from a boundary.
+
+The scalars are polynomials in the coordinates and momenta of two particles, so that their derivatives are short and
+exact; what is left is a function of three or four variables. Digits are lost neither where points nearly meet nor
+near a boundary, because each part is differentiated by itself: f_k dI_k, and f_kl dI_k dI_l + f_k d2I_k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.expressions.cancellation import without_cancellation
+
+_SINGULAR = (sympy.zoo, sympy.nan, sympy.oo, -sympy.oo)
+
+
+@dataclass(frozen=True)
+class Invariants:
+    """`outer` is a function of `symbols`, each of which stands for one of the `polynomials` in moving symbols.
+
+    `first` and `second` are the moving symbols (coordinates, momenta) of both particles.
+    """
+
+    first: tuple[Symbol, ...]
+    second: tuple[Symbol, ...]
+    symbols: tuple[Symbol, ...]
+    polynomials: tuple[Expr, ...]
+    outer: Expr
+
+    @classmethod
+    def of(cls, term: Expr, first: Sequence[Symbol], second: Sequence[Symbol] = ()) -> Invariants:
+        """Find the scalars of a term: its longest sums that are polynomials in moving symbols."""
+        moving = {*first, *second}
+        found: dict[Expr, Symbol] = {}
+
+        def named(polynomial: Expr) -> Symbol:
+            if polynomial not in found:
+                found[polynomial] = Symbol(f"s{len(found)}", real=True)
+            return found[polynomial]
+
+        def replaced(part: Expr) -> Expr:
+            if not part.free_symbols & moving:
+                return part
+            if part in moving:
+                return named(part)
+            if part.is_Add:
+                short = [term for term in part.args if _is_quadratic(term, moving)]
+                rest = [term for term in part.args if term not in short]
+                if any(term.free_symbols & moving for term in rest):
+                    numbers = [term for term in short if not term.free_symbols & moving]
+                    rest, short = [*rest, *numbers], [term for term in short if term not in numbers]
+                if not short:
+                    return sympy.Add(*map(replaced, rest))
+                content, primitive = _directed(sympy.Add(*short))
+                return content * named(primitive) + sum(map(replaced, rest), sympy.S.Zero)
+            return part.func(*map(replaced, part.args))
+
+        outer = replaced(term)
+        return cls(tuple(first), tuple(second), tuple(found.values()), tuple(found), outer)
+
+    @property
+    def moving(self) -> tuple[Symbol, ...]:
+        """All symbols by which derivatives are taken."""
+        return (*self.first, *self.second)
+
+    @property
+    def value(self) -> Expr:
+        """The outer function, rewritten so that no digits cancel."""
+        return without_cancellation(self.outer)
+
+    def slope(self, k: int) -> Expr:
+        """The derivative of the outer function by its k-th variable."""
+        return without_cancellation(sympy.diff(self.outer, self.symbols[k]))
+
+    def curvature(self, k: int, m: int) -> Expr:
+        """A second derivative of the outer function."""
+        return without_cancellation(sympy.diff(self.outer, self.symbols[k], self.symbols[m]))
+
+    def distances(self) -> tuple[int, ...]:
+        """Places of the squared distances: what vanishes where both particles meet, and is nowhere negative."""
+        return tuple(k for k in self._vanishing() if _is_square(self.polynomials[k], self.moving))
+
+    def _vanishing(self) -> tuple[int, ...]:
+        """Places of the scalars that vanish where both particles meet, such as a difference of coordinates."""
+        if not self.second:
+            return ()
+        return tuple(
+            k for k, polynomial in enumerate(self.polynomials) if sympy.expand(polynomial.xreplace(self._meeting)) == 0
+        )
+
+    @property
+    def _meeting(self) -> dict[Symbol, Symbol]:
+        """The substitution that puts the second particle where the first is."""
+        half = len(self.first) // 2
+        return dict(zip(self.second[:half], self.first[:half], strict=True))
+
+    def coincidence(self) -> tuple[Expr | None, bool]:
+        """The limit of the term where both particles meet, None if it has none; whether its gradient follows.
+
+        The limit is taken in the squared distance s from above. The gradient of s is of the size of its root, so that
+        the gradient of the term is that of the limit if f_s sqrt(s) tends to zero. Of a difference, which has two
+        signs, the value and the slope at zero are taken.
+        """
+        places = self._vanishing()
+        if len(places) > 1:
+            return None, False
+        values = {s: p.xreplace(self._meeting) for s, p in zip(self.symbols, self.polynomials, strict=True)}
+        if not places:
+            return self.outer.xreplace(values), True
+        if not self.distances():
+            values[self.symbols[places[0]]] = sympy.S.Zero
+            value, slope = self.outer.xreplace(values), self.slope(places[0]).xreplace(values)
+            return (None, False) if value.has(*_SINGULAR) else (value, not slope.has(*_SINGULAR))
+        # What has the same value where both meet is one symbol; that of a term in its domain is positive.
+        same = {value: Symbol(f"m{k}", positive=True) for k, value in enumerate(dict.fromkeys(values.values()))}
+        positive = {s: same[values[s]] for s in self.symbols}
+        distance, outer = positive[self.symbols[places[0]]], self.outer.xreplace(positive)
+        limit = sympy.limit(outer, distance, 0, "+")
+        if limit.has(*_SINGULAR):
+            return None, False
+        pull = sympy.limit(sympy.diff(outer, distance) * sympy.sqrt(distance), distance, 0, "+")
+        return limit.xreplace({symbol: value for value, symbol in same.items()}), bool(pull == 0)
+
+
+def _is_square(polynomial: Expr, moving: Sequence[Symbol]) -> bool:
+    """Whether a polynomial of degree two is a sum of squares: of a lower degree or indefinite, it has both signs."""
+    own = [symbol for symbol in moving if symbol in polynomial.free_symbols]
+    if not own or sympy.Poly(polynomial, *own).total_degree() != 2:
+        return False
+    eigenvalues = np.linalg.eigvalsh(np.array(sympy.hessian(polynomial, own), float))
+    return bool(eigenvalues.min() >= -1e-12 * eigenvalues.max())
+
+
+def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:
+    """Whether a term is a polynomial of degree two at most in moving symbols, with numbers as coefficients."""
+    if not term.is_polynomial(*moving) or term.free_symbols - moving:
+        return False
+    own = sorted(term.free_symbols & moving, key=str)
+    return not own or int(sympy.Poly(term, *own).total_degree()) <= 2
+
+
+def _directed(polynomial: Expr) -> tuple[Expr, Expr]:
+    """Content and primitive part, the sign of squares that stand alone taken into the content."""
+    content, primitive = polynomial.primitive()
+    if primitive.as_coeff_Add()[0] == 0 and primitive.could_extract_minus_sign():
+        return -content, -primitive
+    return content, primitive

@@ -1,0 +1,1 @@
+"""Machine code of generated modules: compiled by several processes at once, and kept."""

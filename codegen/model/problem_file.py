@@ -1,0 +1,298 @@
+"""Reading a problem file: from a path and `--set` arguments to a checked model, or to one line that says what is wrong.
+
+Importing this module, `parse_arguments` and `input_digest` need no sympy, so that a build which is up to date can be
+recognised before anything slow is imported.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import keyword
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, Any, cast
+
+from codegen.author.set_values import converted
+from codegen.errors import ArgumentError, CodegenError, ProblemFileError, clause
+
+if TYPE_CHECKING:
+    from codegen.model import Model
+    from codegen.model.pairwise import PairwiseModel
+
+
+def parse_arguments(items: Sequence[str], path: Path | None = None) -> dict[str, str]:
+    """Split the `name=value` strings of `--set`; a value may hold further equality signs, or be empty.
+
+    Raises ArgumentError for an item without an equality sign or without a name, whose remedy quotes an argument of the
+    problem file at `path`, and for a name given twice.
+    """
+    arguments: dict[str, str] = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        name = name.strip()
+        if not equals or not name:
+            raise ArgumentError(f"--set {item!r} is not of the form name=value", _example(path, item.strip()))
+        if name in arguments:
+            raise ArgumentError(f"--set gives {clause(name)} twice", "give it once")
+        arguments[name] = value
+    return arguments
+
+
+def _example(path: Path | None, name: str) -> str:
+    """How to set the argument of that name, or else the first one, of the problem in a file, to its own value."""
+    arguments = [] if path is None else _arguments(path)
+    if not arguments:
+        return "write --set name=value with an argument of problem()"
+    chosen, default = next((pair for pair in arguments if pair[0].arg == name), arguments[0])
+    value = "value" if default is None else ast.unparse(default).strip("'")
+    return f"write for example --set {chosen.arg}={value}"
+
+
+def input_digest(path: Path, arguments: Mapping[str, str], *extra: str) -> str:
+    """The SHA-256, in hexadecimal, of a problem file's text, its arguments in any order, and further strings.
+
+    Line endings do not matter. Files that the problem file imports or reads are not seen. Raises ProblemFileError
+    when the file cannot be read.
+    """
+    pairs = [part for name in sorted(arguments) for part in (name, arguments[name])]
+    digest = hashlib.sha256()
+    for part in (_source(path), str(len(arguments)), *pairs, *extra):
+        data = part.encode(errors="surrogateescape")
+        # The length in front keeps ("ab", "c") and ("a", "bc") apart.
+        digest.update(f"{len(data)}:".encode() + data)
+    return digest.hexdigest()
+
+
+def split_points(path: Path | str, arguments: Mapping[str, str]) -> tuple[dict[str, str], str | None]:
+    """The arguments that shape a module, and the file of points, if one is given, which is read when it is solved.
+
+    Arguments of problem() that name files of points are known by their annotation, `Points`. Raises ProblemFileError
+    when the problem file cannot be read, and ArgumentError when two files of points are given.
+    """
+    path = Path(path)
+    names = _point_arguments(path)
+    given = [name for name in arguments if name in names]
+    if len(given) > 1:
+        raise ArgumentError(f"--set gives files of points as {' and '.join(given)}", "give one of them")
+    others = {name: value for name, value in arguments.items() if name not in names}
+    return others, arguments[given[0]] if given else None
+
+
+def _point_arguments(path: Path) -> set[str]:
+    return {
+        argument.arg
+        for argument, _ in _arguments(path)
+        if isinstance(argument.annotation, ast.Name) and argument.annotation.id == "Points"
+    }
+
+
+def _arguments(path: Path) -> list[tuple[ast.arg, ast.expr | None]]:
+    """The arguments of problem() with their defaults, from the text of the file alone."""
+    try:
+        tree = ast.parse(_source(path))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # what is wrong is said where the file is run
+        return []
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and node.name == "problem":
+            plain, named = node.args.args, node.args.kwonlyargs
+            before = [None] * (len(plain) - len(node.args.defaults))
+            return [*zip(plain, [*before, *node.args.defaults]), *zip(named, node.args.kw_defaults)]
+    return []
+
+
+def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
+    """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise what it returns.
+
+    The model is named after the file and titled by the first line of its docstring. The file is run anew each time;
+    neither it nor modules beside it stay imported, and what it prints goes to stderr.
+
+    Raises ProblemFileError when the file cannot be read, imported or called; ArgumentError when an argument does not
+    fit `problem`; another CodegenError when the problem is not well posed. All name the file, in one line.
+    """
+    path = Path(path)
+    title, code = _compiled(path)
+
+    from codegen.author.symbols import recorded_declarations
+    from codegen.model import normalise
+    from codegen.model.pairwise import is_pairwise, normalise_pairwise
+
+    with _fresh_module(path) as module, redirect_stdout(sys.stderr):
+        with _blaming(path):
+            exec(code, module.__dict__)
+        function = _problem_function(path, module)
+        keywords = _keywords(path, function, arguments)
+        with _blaming(path), recorded_declarations() as declared:
+            problem = function(**keywords)
+    try:
+        if is_pairwise(problem):
+            return normalise_pairwise(problem, declared, name=path.stem, title=title)
+        return normalise(problem, declared, name=path.stem, title=title)
+    except CodegenError as error:
+        raise _with_place(error, str(path)) from error
+
+
+# Messages
+
+
+def _unusable(place: Path | str, finding: str, remedy: str) -> ProblemFileError:
+    return ProblemFileError(clause(f"{place}: {finding}"), remedy)
+
+
+def _with_place(error: CodegenError, place: str) -> CodegenError:
+    return type(error)(clause(f"{place}: {error.finding}"), clause(error.remedy))
+
+
+_UNPACK = "unpack what is returned, as in (x,), (v,) = coordinates('x'), or use state('x'), control('u') and their like"
+_OF_SYMPY = "take functions of expressions from sympy, not from math or numpy"
+_MISTAKES = (
+    ("truth value of Relational", "write two inequalities, such as x >= 0 and x <= 2, for 0 <= x <= 2, or use bounds"),
+    ("'tuple'", _UNPACK),
+    ("multiply sequence", _UNPACK),
+    ("Cannot convert expression to float", _OF_SYMPY),
+    ("ufunc", _OF_SYMPY),
+)
+"""Words of a TypeError, and what its author should have written."""
+
+
+@contextmanager
+def _blaming(path: Path) -> Iterator[None]:
+    """Turn whatever the author's code raises into an error that names the file and the line."""
+    try:
+        yield
+    except CodegenError as error:
+        raise _with_place(error, _place(path, error)) from error
+    except (Exception, SystemExit) as error:  # the author's code may raise anything; only Ctrl-C is not its fault
+        finding = f"{type(error).__name__}: {error}".rstrip(": ")
+        raise _unusable(_place(path, error), finding, _remedy(error)) from error
+
+
+def _remedy(error: BaseException) -> str:
+    """What to do about an error that Python raises in an author's code, where the mistake is a common one."""
+    if isinstance(error, ImportError):
+        return "install what is missing, or correct the import"
+    if isinstance(error, SystemExit):
+        return "let problem() return instead of exiting"
+    if isinstance(error, TypeError):
+        return next((remedy for words, remedy in _MISTAKES if words in str(error)), "correct the file")
+    return "correct the file"
+
+
+def _place(path: Path, error: BaseException) -> str:
+    """The file and the innermost of its lines that an exception passed through."""
+    filename = str(path.absolute())
+    lines = [line for frame, line in traceback.walk_tb(error.__traceback__) if frame.f_code.co_filename == filename]
+    return f"{path}:{lines[-1]}" if lines else str(path)
+
+
+# The file
+
+
+def _source(path: Path) -> str:
+    try:
+        if path.is_dir():
+            raise _unusable(path, "is a directory", "give a problem file, such as pendulum.py")
+        if not path.exists():
+            raise _unusable(path, "no such file", "check the path of the problem file")
+        if path.suffix != ".py" or not path.is_file():
+            raise _unusable(path, "is not a Python file", "give a problem file, such as pendulum.py")
+        return importlib.util.decode_source(path.read_bytes())
+    except OSError as error:
+        raise _unusable(path, f"cannot be read ({error.strerror})", "check the path and its permissions") from error
+    except (ValueError, SyntaxError) as error:
+        raise _unusable(path, "is not text in UTF-8", "give a problem file written in Python") from error
+
+
+def _compiled(path: Path) -> tuple[str, CodeType]:
+    """The title of a problem file and its code."""
+    source = _source(path)
+    if not path.stem.isidentifier() or keyword.iskeyword(path.stem):
+        raise _unusable(path, f"{path.stem!r} cannot name a module", "rename the file to a Python identifier")
+    filename = str(path.absolute())
+    try:
+        tree = ast.parse(source, filename)
+        code = compile(tree, filename, "exec", dont_inherit=True)
+    except SyntaxError as error:
+        place = f"{path}:{error.lineno}" if error.lineno else path
+        raise _unusable(place, f"{type(error).__name__}: {error.msg}", "correct the syntax") from error
+    except (ValueError, RecursionError, MemoryError, OverflowError) as error:
+        raise _unusable(path, f"cannot be parsed ({error})", "give a problem file written in Python") from error
+    docstring = (ast.get_docstring(tree) or "").strip()
+    if not docstring:
+        raise _unusable(path, "has no docstring", "state the physics and its source in a docstring at the top")
+    return docstring.splitlines()[0].strip(), code
+
+
+@contextmanager
+def _fresh_module(path: Path) -> Iterator[ModuleType]:
+    """An empty module for the file, and its folder on sys.path, for as long as the context lasts."""
+    module = ModuleType(f"_problem_{path.stem}")
+    module.__file__ = str(path.absolute())
+    folder = path.resolve().parent
+    before = set(sys.modules)
+    writes_bytecode = sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
+    sys.path.insert(0, str(folder))
+    # Dataclasses look their module up by name.
+    sys.modules[module.__name__] = module
+    importlib.invalidate_caches()
+    try:
+        yield module
+    finally:
+        sys.dont_write_bytecode = writes_bytecode
+        if str(folder) in sys.path:
+            sys.path.remove(str(folder))
+        sys.modules.pop(module.__name__, None)
+        _forget_modules(set(sys.modules) - before, folder)
+
+
+def _forget_modules(names: set[str], folder: Path) -> None:
+    """Forget newly imported modules and packages that lie directly in a folder, with their submodules.
+
+    Only what lies directly there, since an environment with sympy itself may lie deeper in the author's folder.
+    """
+    for top in [name for name in names if "." not in name]:
+        module = sys.modules[top]
+        places = [getattr(module, "__file__", None), *getattr(module, "__path__", [])]
+        if any(place and Path(place).parent == folder for place in places):
+            for name in [name for name in names if name.partition(".")[0] == top]:
+                del sys.modules[name]
+
+
+# The arguments of problem()
+
+
+def _problem_function(path: Path, module: ModuleType) -> Callable[..., Any]:
+    function = getattr(module, "problem", None)
+    if not callable(function):
+        raise _unusable(path, "defines no function problem()", "define problem(), returning a Simulate or a Control")
+    if inspect.iscoroutinefunction(function):
+        raise _unusable(path, "problem() is asynchronous", "write def instead of async def")
+    return cast(Callable[..., Any], function)
+
+
+def _keywords(path: Path, function: Callable[..., Any], arguments: Mapping[str, str]) -> dict[str, Any]:
+    """The `--set` arguments, converted to the types that the parameters of problem() are annotated with."""
+    with _blaming(path):
+        signature = inspect.signature(function, eval_str=True)
+    for parameter in signature.parameters.values():
+        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            raise _unusable(path, f"problem() takes {parameter}, which has no name for --set", "name each argument")
+        if parameter.default is parameter.empty:
+            raise _unusable(path, f"problem() requires {parameter.name}", f"give {parameter.name} a default value")
+    known = list(signature.parameters)
+    for name in arguments:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
+            remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
+            raise ArgumentError(clause(f"{path}: --set {name}: no such argument"), remedy)
+    return {name: converted(path, text, signature.parameters[name]) for name, text in arguments.items()}

@@ -1,0 +1,86 @@
+"""What a module is called and where it comes from: the user's choices, versions, and the record in its header."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from codegen import __version__
+from codegen.errors import ArgumentError
+from codegen.model.problem_file import input_digest
+
+if TYPE_CHECKING:
+    from codegen.lower.module import Origin
+
+DEFAULT_SCHEME = "midpoint"
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a user chooses beside the problem: None stands for the default.
+
+    `general` forces the form of a module that leaves nothing out, to measure what leaving out saves; no command has it.
+    """
+
+    scheme: str | None = None
+    method: str | None = None
+    controls: str = "interval"
+    general: bool = False
+
+
+def chosen(
+    scheme: str | None = None, method: str | None = None, controls: str = "interval", general: bool = False
+) -> Choices:
+    """What a user chooses, in the form in which a module records it: the default scheme needs no name."""
+    return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
+
+
+def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Origin:
+    """The header's record of where a module comes from; it names no folder, so that any machine makes the same text."""
+    from codegen.lower.module import Origin
+
+    settings = (shlex.quote(f"{key}={value}") for key, value in sorted(arguments.items()))
+    words = ["codegen build", shlex.quote(path.name), *(f"--set {setting}" for setting in settings)]
+    for option in ("scheme", "method"):
+        words += [f"--{option} {value}" for value in (getattr(choices, option),) if value]
+    words += ["--controls nodal"] if choices.controls == "nodal" else []
+    words += ["(in the general form, for measurements)"] if choices.general else []
+    inputs = input_digest(path, arguments, *choice_texts(choices), *versions())
+    return Origin(path.name, " ".join(words), inputs, versions())
+
+
+def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
+    """The problem's name, followed by every choice that is not the default."""
+    parts = [path.stem]
+    if choices.method:
+        parts.append(choices.method)
+    if choices.scheme and choices.scheme != DEFAULT_SCHEME:
+        parts.append(choices.scheme)
+    if choices.controls != "interval":
+        parts.append(f"{choices.controls}_controls")
+    if choices.general:
+        parts.append("general_form")
+    parts += [f"{key}_{value}" for key, value in sorted(arguments.items())]
+    name = "_".join(parts)
+    plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
+    if plain == name.replace("-", "_"):
+        return plain
+    # Characters were lost that may have told two modules apart.
+    return f"{plain}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
+
+
+def versions() -> tuple[str, ...]:
+    """The versions that a generated text depends on."""
+    return (f"codegen {__version__}", f"sympy {metadata.version('sympy')}")
+
+
+def choice_texts(choices: Choices) -> tuple[str, ...]:
+    """The choices as a digest takes them; ArgumentError where controls live neither on intervals nor at nodes."""
+    if choices.controls not in ("interval", "nodal"):
+        raise ArgumentError(f"controls is {choices.controls!r}", "use interval or nodal")
+    return (choices.scheme or "", choices.method or "", choices.controls, *(["general"] if choices.general else []))

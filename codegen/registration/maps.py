@@ -1,0 +1,264 @@
+"""Maps that carry landmarks where they belong, their inverses, and how many steps they take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.errors import LandmarkError, RegistrationError
+from codegen.registration.alignment import Alignment, Kind
+from codegen.registration.flow import Flow
+from codegen.registration.frame import MARGIN, Frame, coarse_grid
+from codegen.registration.matching import Matching
+from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
+from codegen.registration.solver import DEFAULT_SCHEME
+
+TOLERANCE = 0.01
+"""Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
+ROUND_TRIP = 1e-8
+"""Largest distance in pixels at which a point may come back from the way forwards and backwards."""
+MISSED = 1e-4
+"""Distance in pixels by which landmarks are missed that should be met."""
+FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Registration:
+    """A map from the moving image to the fixed one, and its inverse: alignment, then the flow backwards.
+
+    The flow itself runs from the fixed image to the moving one; see `Matching`.
+
+    `residuals` are the distances, in pixels of the fixed image, between where moving landmarks arrive and the fixed
+    ones, shape (n,). `error` estimates how far the map is from that of infinitely many steps, in pixels, NaN where
+    steps were given. `round_trip` is the farthest from where it was, in pixels, that a landmark or a point of a coarse
+    grid comes back. `rung` says which of the solver's attempts succeeded, and `message` how. The `status` is "solved",
+    or "folded" where a map that should meet the landmarks misses some, because its few steps have no inverse there.
+    """
+
+    matching: Matching
+    flow: Flow
+    residuals: NDArray[np.float64]
+    error: float
+    round_trip: float
+    status: str
+    rung: str
+    message: str
+
+    def __repr__(self) -> str:
+        found = f"{self.status} in {self.steps} steps of {self.scheme}"
+        errors = f"residuals at most {self.residuals.max(initial=0.0):.2g} px, round trip {self.round_trip:.2g} px"
+        return f"<Registration of {len(self.pairs)} landmarks, moving to fixed: {found}, {errors}>"
+
+    @property
+    def pairs(self) -> LandmarkPairs:
+        """The landmarks."""
+        return self.matching.pairs
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the moving image."""
+        return self.matching.shape
+
+    @property
+    def fixed_shape(self) -> tuple[int, int]:
+        """Height and width of the fixed image."""
+        return self.matching.fixed_shape
+
+    @property
+    def alignment(self) -> Alignment:
+        """The similarity or affine map that comes before the flow."""
+        return self.matching.alignment
+
+    @property
+    def frame(self) -> Frame:
+        """The disc in which the flow moves points."""
+        return self.matching.frame
+
+    @property
+    def sigma(self) -> float:
+        """How far landmarks may miss, in pixels."""
+        return self.matching.sigma
+
+    @property
+    def scheme(self) -> str:
+        """The name of the scheme that makes the flow's steps."""
+        return self.matching.scheme
+
+    @property
+    def steps(self) -> int:
+        """The number of the flow's steps."""
+        return self.flow.steps
+
+    def map_points(self, xy: Any) -> PointArray:
+        """Moving to fixed, points in pixels of shape (n, 2)."""
+        return self.positions(1.0, xy)
+
+    def map_points_inverse(self, xy: Any) -> PointArray:
+        """Fixed to moving, points in pixels of shape (n, 2)."""
+        return self.positions(1.0, xy, inverse=True)
+
+    def positions(self, time: float, xy: Any, inverse: bool = False) -> PointArray:
+        """Where points of the moving image are at a time from 0, where they were, to 1, where `map_points` has them.
+
+        With `inverse`, where points are from that are at given places at that time. Shape (n, 2), pixels.
+        """
+        points, part = as_points(xy), self._part(time)
+        if inverse:
+            aligned = points if part is self.alignment else self.alignment.apply(part.apply_inverse(points))
+            return self.alignment.apply_inverse(self._carried(aligned, 1.0 - time, 1.0))
+        carried = self._carried(self.alignment.apply(points), 1.0, 1.0 - time)
+        return carried if part is self.alignment else part.apply(self.alignment.apply_inverse(carried))
+
+    def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
+        """The derivative of the map, or of its inverse, at points in pixels: shape (n, 2, 2), rows are x and y."""
+        points = as_points(xy)
+        if inverse:
+            jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points))[1]
+            return np.asarray(self.alignment.inverse_matrix @ jacobians)
+        aligned = self.frame.to_disc(self.alignment.apply(points))
+        return np.asarray(self.flow.carry_with_jacobian(aligned, 1.0, 0.0)[1] @ self.alignment.matrix)
+
+    def determinant(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
+        """The factor by which the map, or its inverse, enlarges areas at points in pixels, shape (n,)."""
+        return _determinant(self.jacobian(xy, inverse))
+
+    def arriving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
+        """Where what arrives at points of the fixed image, in pixels, is from, and by which factor areas have grown.
+
+        The factor, shape (n,), is that of the inverse map turned over, which costs less than `determinant` where points
+        come from.
+        """
+        points = as_points(xy)
+        before = self.frame.to_disc(points)
+        after, jacobians = self.flow.carry_with_jacobian(before)
+        jacobians = self.alignment.inverse_matrix @ jacobians
+        with np.errstate(divide="ignore"):
+            factors = 1.0 / _determinant(jacobians)
+        return self.alignment.apply_inverse(self._moved(points, before, after)), factors
+
+    def leaving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
+        """Where points of the moving image, in pixels, are carried, and by which factor areas grow, shape (n,)."""
+        points = as_points(xy)
+        aligned = self.alignment.apply(points)
+        before = self.frame.to_disc(aligned)
+        after, jacobians = self.flow.carry_with_jacobian(before, 1.0, 0.0)
+        return self._moved(aligned, before, after), _determinant(jacobians @ self.alignment.matrix)
+
+    def arriving_determinant(self, xy: Any) -> NDArray[np.float64]:
+        """The factors of `arriving`, shape (n,)."""
+        return self.arriving(xy)[1]
+
+    def _carried(self, points: PointArray, start: float, stop: float) -> PointArray:
+        """Points in pixels of the fixed image carried by the flow."""
+        before = self.frame.to_disc(points)
+        return self._moved(points, before, self.flow.carry(before, start, stop))
+
+    def _moved(self, points: PointArray, before: PointArray, after: PointArray) -> PointArray:
+        """Points in pixels moved as they were in the disc: what does not move keeps its every bit."""
+        return points + self.frame.radius * (after - before)
+
+    def _part(self, time: float) -> Alignment:
+        if not 0.0 <= time <= 1.0:
+            raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
+        return self.alignment.part(time, self.pairs.moving.mean(axis=0))
+
+
+def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of 2 by 2 matrices, shape (n, 2, 2)."""
+    return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
+
+
+def registered(
+    pairs: LandmarkPairs,
+    shape: Sequence[int],
+    *,
+    fixed_shape: Sequence[int] | None = None,
+    align: Kind = "similarity",
+    sigma: float = 0.0,
+    scheme: str = DEFAULT_SCHEME,
+    steps: int | None = None,
+    tolerance: float = TOLERANCE,
+    margin: float = MARGIN,
+    start: Registration | None = None,
+    quick: bool = False,
+) -> Registration:
+    """The map for a given `sigma`; all arguments, and what is raised, are those of `register.register`."""
+    matching = Matching.of(
+        pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, scheme=scheme, margin=margin
+    )
+    velocities = None if start is None or len(start.pairs) != len(pairs) else _guess(matching, start)
+    if steps is not None:
+        return in_steps(matching, steps, velocities, quick)
+    return _refined(matching, tolerance, velocities)
+
+
+def _guess(matching: Matching, known: Registration) -> NDArray[np.float64]:
+    """Velocities at the start from those of nearly the same landmarks: what differs is taken for a straight way."""
+    (start, target), (known_start, known_target) = matching.ends, known.matching.ends
+    return np.asarray(known.flow.velocities + (target - start) - (known_target - known_start))
+
+
+def in_steps(
+    matching: Matching, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
+) -> Registration:
+    """The registration in a given number of steps; `velocities` and `quick` are those of `Matching.solve`."""
+    flow, solution, rung = matching.solve(steps, velocities, quick)
+    found = Registration(matching, flow, np.empty(0), np.nan, np.nan, solution.status, rung, solution.message)
+    probe = _probe(matching)
+    there = found.map_points(probe)
+    back = np.linalg.norm(found.map_points_inverse(there) - probe, axis=1).max()
+    residuals = np.linalg.norm(there[: len(matching.pairs)] - matching.pairs.fixed, axis=1)
+    missed = _missed(matching, steps, residuals)
+    if missed:
+        found = replace(found, status="folded", message=missed)
+    return replace(found, residuals=residuals, round_trip=float(back))
+
+
+def _missed(matching: Matching, steps: int, residuals: NDArray[np.float64]) -> str:
+    """What is said of a map whose inverse meets the landmarks, as the solver found, but which itself misses them."""
+    worst = int(np.argmax(residuals))
+    if matching.sigma > 0.0 or residuals[worst] <= MISSED:
+        return ""
+    x, y = matching.pairs.moving[worst]
+    where = f"landmark {matching.pairs.names[worst]}, at ({x:.1f}, {y:.1f}), by {residuals[worst]:.2g} pixels"
+    return f"the map folds in {steps} steps and misses {where}; take more steps"
+
+
+def _probe(matching: Matching) -> PointArray:
+    """The points at which maps are compared: moving landmarks, then a coarse grid over the moving image."""
+    return np.vstack([matching.pairs.moving, coarse_grid(matching.shape)])
+
+
+def _refined(matching: Matching, tolerance: float, velocities: NDArray[np.float64] | None) -> Registration:
+    """Double the steps until the map no longer changes, and keep the smallest number whose error is small enough."""
+    if not tolerance > 0.0:
+        raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
+    coarse, steps, probe = None, FIRST_STEPS, _probe(matching)
+    while True:
+        try:
+            fine = in_steps(matching, steps, velocities if coarse is None else coarse.flow.velocities, quick=True)
+        except RegistrationError:
+            # A few steps may have no solution, or one that has nothing to do with that of more steps.
+            if 2 * steps > MOST_FIRST_STEPS:
+                raise
+            coarse, steps = None, 2 * steps
+            continue
+        if coarse is not None:
+            coarse, fine = _with_errors(coarse, fine, probe)
+            for found in (coarse, fine):
+                if found.error <= tolerance and found.round_trip <= ROUND_TRIP:
+                    return found
+        if 2 * steps > MOST_STEPS:
+            return fine
+        coarse, steps = fine, 2 * steps
+
+
+def _with_errors(coarse: Registration, fine: Registration, probe: PointArray) -> tuple[Registration, Registration]:
+    """The same registrations, of which the second has twice the steps, with their errors by Richardson's estimate."""
+    change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
+    gain = 2.0 ** float(fine.flow.module.metadata["order"])
+    return replace(coarse, error=change * gain / (gain - 1.0)), replace(fine, error=change / (gain - 1.0))

@@ -1,0 +1,45 @@
+"""The record of one registration in words and numbers, for terminals and pages."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping
+from typing import Any
+
+from codegen.registration.jobs import MOST_LEFT_OUT
+
+
+def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What was found, in words and numbers; distances in pixels."""
+    seen = record["summary"]
+    found = [("landmarks", str(seen["landmarks"]))]
+    if "det_min" not in seen:
+        return found
+    sigma = f", sigma {record['sigma']:.3g} px" if record["sigma"] or seen["sigma_chosen"] else ""
+    sigma += " by leave-one-out" if seen["sigma_chosen"] else ""
+    x, y = seen["det_min_at"]
+    found += [
+        ("method", f"{record['align']} alignment, {record['scheme']}, {record['steps']} steps{sigma}"),
+        ("residual", f"{number(record['residual'])} px at most"),
+        ("det J", f"{number(seen['det_min'])} at ({x:g}, {y:g}) to {number(seen['det_max'])}"),
+        ("folded", f"{seen['folded']} pixels"),
+        ("round trip", f"{number(seen['round_trip'])} px"),
+    ]
+    if seen["scheme_error"] is not None:
+        found.append(("error of the scheme", f"{number(seen['scheme_error'])} px"))
+    if seen.get("leave_one_out"):
+        finite = [error for error in seen["leave_one_out"] if error is not None]
+        found.append(("leave one out", f"{number(statistics.median(finite)) if finite else '–'} px (median)"))
+        found.append(("outliers", ", ".join(seen["outliers"]) or "none"))
+    elif seen["landmarks"] > MOST_LEFT_OUT:
+        found.append(("leave one out", f"not done for more than {MOST_LEFT_OUT} landmarks"))
+    if seen.get("spacing", 1) != 1:
+        text = f"every {seen['spacing']} pixels, error below {number(seen['spacing_bound'])} px"
+        found.append(("grid", text))
+    return found
+
+
+def number(value: float | None) -> str:
+    """A number in few characters."""
+    return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"

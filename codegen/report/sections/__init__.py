@@ -1,0 +1,1 @@
+"""What a page says of the measurements, one file a kind of problem."""

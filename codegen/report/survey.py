@@ -1,0 +1,56 @@
+"""What can be built from a problem file, and what is known of its solution in closed form; needs sympy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from codegen import schemes
+from codegen.errors import CodegenError
+from codegen.model import Model
+from codegen.model.problem_file import load_problem
+from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
+
+
+def survey(path: Path, arguments: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Task, form, coordinates, numbers of bodies and phases, and the methods and schemes that may apply.
+
+    A scheme is a row (method, name, order, whether it is symplectic); the problem's default comes first. Whether a
+    scheme does apply is found when it is built. Plain values, so that the answer can be stored as JSON. Raises what
+    the problem file raises.
+    """
+    model = load_problem(path, dict(arguments or {}))
+    rows = _rows(model)
+    found = {"task": model.task, "schemes": [[m, s.name, s.order, s.symplectic] for m, s in rows]}
+    if isinstance(model, Model):
+        return {**found, "form": model.form, "phases": len(model.phases)}
+    return {**found, "form": "particles", "phases": 0}
+
+
+def exact_cost(path: Path, arguments: Mapping[str, str] | None = None) -> float | None:
+    """The optimal cost of a control problem whose maximum principle is solved in closed form, else None."""
+    from codegen.analysis.exact_optimum import exact_optimum
+
+    model = load_problem(path, dict(arguments or {}))
+    if not isinstance(model, Model) or model.task != "control":
+        return None
+    try:
+        optimum = exact_optimum(model)
+    except CodegenError:  # such as bounds, or controls that the maximum principle does not determine
+        return None
+    return None if optimum is None else optimum.cost_at()
+
+
+def _rows(model: Any) -> list[tuple[str, schemes.Scheme]]:
+    if not isinstance(model, Model):
+        methods = ("stepping",) if model.task == "connect" else ("hamiltonian",)
+        kept = [s for s in PARTICLE_SCHEMES.values() if not isinstance(s, Adaptive)]
+        rows = [(method, scheme) for method in methods for scheme in kept]
+    elif model.form == "first-order":
+        rows = [(schemes.FIRST_ORDER, scheme) for scheme in schemes.of_method(schemes.FIRST_ORDER)]
+    else:
+        rows = [(method, scheme) for method in schemes.METHODS for scheme in schemes.of_method(method)]
+    on_lagrangian_side = model.task == "control" or (isinstance(model, Model) and model.form == "lagrangian")
+    preferred = "variational" if on_lagrangian_side else "hamiltonian"
+    return sorted(rows, key=lambda row: (row[0] != preferred, row[1].name != "midpoint"))

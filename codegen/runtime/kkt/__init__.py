@@ -1,0 +1,1 @@
+"""The KKT matrix: elements of intervals, their factorisation, substitution with its factors."""

@@ -1,0 +1,108 @@
+"""Factor the KKT matrix, and solve with its factors, where bodies share unknowns, which come last."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.arrays import zero_matrix, zero_vector
+from codegen.runtime.kkt.condensation import condense, expand
+from codegen.runtime.unknowns.coupling import add_coupling_matrix
+from codegen.runtime.kkt.elements import BLOCK, padded
+from codegen.runtime.unknowns.equal_ends import follow_shared, release_tied
+from codegen.runtime.stand_ins.example import BODIES, CARRIED, COUPLINGS, NODE, ROOT, SHARED, STRIDE, TIED
+from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body
+from codegen.runtime.unknowns.layout import multiplier_unknowns
+from codegen.runtime.unknowns.shared import read_shared, root_place
+from codegen.runtime.kkt.substitution import backward, forward
+from codegen.runtime.kkt.symmetric import (
+    eliminate_rows,
+    solve_backward,
+    solve_forward,
+    solve_pivots,
+    subtract_products,
+)
+
+SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
+
+
+def allocate_system(grid):
+    """Room for the factors and for what is condensed, and the number of equations.
+
+    The factors of the shared unknowns come last: the rows of the upper factor, the inverse of the pivots, the order of
+    elimination, and the right-hand side, less what the elimination of the bodies has taken away.
+    """
+    root = np.zeros((ROOT, ROOT_WIDTH)), np.zeros((ROOT, 2)), np.zeros(ROOT, np.uint64), np.zeros(ROOT)
+    return (*allocate_factors(grid), *root), multiplier_unknowns(grid).size
+
+
+@njit(cache=True, error_model="numpy")
+def factor(
+    unknowns, gradient, steps, h, parameters, weight, diagonal, equations, upper, inverse, order, inverses, couplings,
+    root_upper, root_inverse, root_order, root_right,
+):  # fmt: skip
+    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
+    negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST + SHARED, LAST_WIDTH)
+    root, left = zero_matrix(ROOT, ROOT_WIDTH), zero_matrix(SHARED, SHARED_WIDTH)
+    for i in range(ROOT):
+        root_right[i] = -gradient[gradient.size - ROOT + i]
+    for body in range(BODIES):
+        first, behind = body * chain, (body + 1) * chain
+        read_shared(unknowns, body, parameters)
+        regular, found, excess = eliminate_body(
+            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
+            upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+        )  # fmt: skip
+        if not regular or excess > 0:
+            return regular, excess
+        negative += found
+        for i in range(SHARED):
+            for j in range(SHARED + CARRIED):
+                left[i, j] = last[LAST + i, LAST + j]
+        subtract_products(upper[body, steps * BLOCK :], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
+        for i in range(SHARED):
+            for j in range(SHARED):
+                root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
+            if CARRIED:
+                root_right[root_place(body, i)] += left[i, SHARED]
+    for i in range(ROOT):
+        root[i, i] += diagonal[diagonal.size - ROOT + i]
+    if COUPLINGS:
+        add_coupling_matrix(unknowns, parameters[0], weight, root)
+    found = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
+    return found >= 0, negative + found - equations
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def substitute(
+    gradient, carried, steps, upper, inverse, order, inverses, couplings, root_upper, root_inverse, root_order,
+    root_right, step,
+):  # fmt: skip
+    """Solve with the factors: forward unless elimination has done that, the shared unknowns, and backward."""
+    chain = steps * STRIDE + NODE
+    right, last = zero_matrix(BODIES, steps * BLOCK + NODE + SHARED), zero_matrix(BODIES, LAST_WIDTH)
+    shared = zero_vector(ROOT_WIDTH)
+    for i in range(ROOT):
+        shared[i] = root_right[i] if carried else -gradient[gradient.size - ROOT + i]
+    if not carried:
+        for body in range(BODIES):
+            slopes = gradient[body * chain : (body + 1) * chain]
+            condense(slopes, inverses[body], couplings[body], steps, right[body])
+            if TIED:
+                release_tied(right[body], 0, steps * BLOCK, body, shared)
+            forward(upper[body], inverse[body], order[body], steps, right[body], last[body])
+            for i in range(SHARED):
+                shared[root_place(body, i)] += right[body, steps * BLOCK + NODE + i] + last[body, LAST + i]
+    solve_forward(root_upper, root_order, *root_upper.shape, shared)
+    solve_pivots(root_inverse, root_order, ROOT, shared)
+    solve_backward(root_upper, root_order, *root_upper.shape, shared)
+    for i in range(ROOT):
+        step[step.size - ROOT + i] = shared[i]
+    for body in range(BODIES):
+        slopes, solution = gradient[body * chain : (body + 1) * chain], step[body * chain : (body + 1) * chain]
+        for i in range(SHARED):
+            last[body, LAST + i] = right[body, steps * BLOCK + NODE + i] = shared[root_place(body, i)]
+        if CARRIED:
+            last[body, LAST + SHARED] = -1.0 if carried else 0.0
+        backward(upper[body], order[body], steps, carried, last[body], right[body])
+        if TIED:
+            follow_shared(right[body], 0, steps * BLOCK, body, shared)
+        expand(slopes, inverses[body], couplings[body], steps, right[body], solution)

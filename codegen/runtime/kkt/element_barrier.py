@@ -1,0 +1,52 @@
+"""An interval's element matrix, with controls and slacks of the interval eliminated.
+
+Barrier terms make the block C of these unknowns different on every interval. Eliminating them leaves, in the remaining
+unknowns of the element, K - B' inverse(C) B, with B the coupling block.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.kkt.condensation import ENTRIES, scatter, subtract_condensed
+from codegen.runtime.kkt.elements import BLOCK, WIDTH
+from codegen.runtime.stand_ins.example import BODIES, CONDENSED
+from codegen.runtime.kkt.inverse import invert_positive_definite
+
+INSIDE, INSIDE_ROWS, INSIDE_COLUMNS = ENTRIES[2]
+
+
+def allocate_condensed(grid):
+    """Room for the inverse of C, and for B, of all intervals; the inverse of interval k has place k + 1."""
+    return (
+        np.zeros((BODIES, grid.steps + 1, CONDENSED, CONDENSED)),
+        np.zeros((BODIES, grid.steps, CONDENSED, WIDTH)),
+    )
+
+
+@njit(error_model="numpy", inline="always")
+def prepare_condensed(weight, diagonal, inverses):
+    """True: blocks are inverted interval by interval."""
+    return True
+
+
+@njit(error_model="numpy", inline="always")
+def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
+    """Add K - B' inverse(C) B of interval k to the element matrix; False when C is not positive definite.
+
+    `diagonal` and `gradient` are those of the interval's node and interval unknowns; inverse(C) and B are kept for the
+    recovery.
+    """
+    block = inverses[k + 1]
+    scatter(hessian, gradient, element, couplings[k])
+    for a in range(CONDENSED):
+        for b in range(CONDENSED):
+            block[a, b] = 0.0
+        block[a, a] = diagonal[BLOCK + a]
+    for j in range(INSIDE.size):
+        block[INSIDE_ROWS[j], INSIDE_COLUMNS[j]] += hessian[INSIDE[j]]
+        if INSIDE_ROWS[j] != INSIDE_COLUMNS[j]:
+            block[INSIDE_COLUMNS[j], INSIDE_ROWS[j]] += hessian[INSIDE[j]]
+    if not invert_positive_definite(block, CONDENSED):
+        return False
+    subtract_condensed(couplings[k], block, element)
+    return True

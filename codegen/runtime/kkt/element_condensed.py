@@ -1,0 +1,43 @@
+"""An interval's element matrix, with the interval's controls eliminated.
+
+The controls' block C of the Hessian is the same on every interval, so it is inverted once. Eliminating the controls
+of an interval leaves, in the remaining unknowns of its element, K - B' inverse(C) B, with B the coupling block.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.kkt.condensation import scatter, subtract_condensed
+from codegen.runtime.kkt.elements import BLOCK, WIDTH
+from codegen.runtime.stand_ins.example import BODIES, CONDENSED, control_hessian
+from codegen.runtime.kkt.inverse import invert_positive_definite
+
+
+def allocate_condensed(grid):
+    """For every body the block C, which is filled in, with room for its inverse, and room for B of all intervals."""
+    inverses, block = np.zeros((BODIES, 2, CONDENSED, CONDENSED)), np.zeros((CONDENSED, CONDENSED))
+    control_hessian(grid.h, grid.parameters[0], block)
+    for a in range(CONDENSED):
+        for b in range(a):
+            block[b, a] = block[a, b]
+    inverses[:, 0] = block
+    return inverses, np.zeros((BODIES, grid.steps, CONDENSED, WIDTH))
+
+
+@njit(error_model="numpy", inline="always")
+def prepare_condensed(weight, diagonal, inverses):
+    """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
+    block, inverse = inverses[0], inverses[1]
+    for a in range(CONDENSED):
+        for b in range(CONDENSED):
+            inverse[a, b] = weight * block[a, b]
+        inverse[a, a] += diagonal[BLOCK + a]
+    return invert_positive_definite(inverse, CONDENSED)
+
+
+@njit(error_model="numpy", inline="always")
+def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
+    """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
+    scatter(hessian, gradient, element, couplings[k])
+    subtract_condensed(couplings[k], inverses[1], element)
+    return True

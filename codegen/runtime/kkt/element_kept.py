@@ -1,0 +1,46 @@
+"""An interval's element matrix, with all its unknowns kept: none can be eliminated beforehand."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.kkt.elements import BORDER, TAIL
+from codegen.runtime.stand_ins.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS
+
+PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER)
+PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER)
+
+
+def allocate_condensed(grid):
+    """Room for eliminated unknowns: none."""
+    return np.zeros((BODIES, 0, 0, 0)), np.zeros((BODIES, 0, 0, 0))
+
+
+@njit(error_model="numpy", inline="always")
+def prepare_condensed(weight, diagonal, inverses):
+    """True: there is no block that could be indefinite."""
+    return True
+
+
+@njit(error_model="numpy", inline="always")
+def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
+    """Add the Hessian of an interval to the element matrix."""
+    for j in range(hessian.size):
+        row, column = PLACE_ROWS[j], PLACE_COLUMNS[j]
+        element[row, column] += hessian[j]
+        if row != column:
+            element[column, row] += hessian[j]
+    return True
+
+
+@njit(error_model="numpy")
+def condense(gradient, inverses, couplings, steps, right):
+    """Fill a body's right-hand side with -gradient."""
+    for i in range(gradient.size):
+        right[i] = -gradient[i]
+
+
+@njit(error_model="numpy")
+def expand(gradient, inverses, couplings, steps, solved, step):
+    """Fill a body's step with what was solved for, which is all there is."""
+    for i in range(step.size):
+        step[i] = solved[i]

@@ -1,0 +1,89 @@
+"""Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
+
+The rows of an element matrix are those of block k, which is node k and its interval without what is eliminated inside
+the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns. One more
+column is the right-hand side: elimination carries it along where a row, as wide as a multiple of four, has room for it.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.stand_ins.example import (
+    CARRIED,
+    CONDENSED,
+    END_PINNED,
+    END_SHARED,
+    END_SHARED_PLACES,
+    HESSIAN_COLUMNS,
+    HESSIAN_ROWS,
+    IS_MULTIPLIER,
+    NODE,
+    ONLY_AT_ENDS,
+    PHASES,
+    SHARED,
+    SHARED_IS_MULTIPLIER,
+    START_PINNED,
+    START_SHARED,
+    START_SHARED_PLACES,
+    STRIDE,
+    TIED,
+)
+from codegen.runtime.unknowns.equal_ends import release_tied_rows
+
+
+def padded(size):
+    """The next multiple of four: four entries of a row are computed at once."""
+    return (size + 3) // 4 * 4
+
+
+BLOCK = STRIDE - CONDENSED  # unknowns of a node and its interval
+# Those to eliminate: what only ends have is zero in inner nodes, and is left out where it comes last.
+INNER = BLOCK - ONLY_AT_ENDS.size
+if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
+    INNER = BLOCK
+SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
+FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
+BORDER = FIRST.size
+TAIL = SIZE + BORDER  # where shared unknowns begin
+ROWS = TAIL + SHARED  # of an element matrix
+COLUMNS = padded(ROWS)  # that elimination passes over
+WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
+if CARRIED:
+    RIGHT = ROWS  # the column of the right-hand side
+LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
+if PHASES:
+    LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
+IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
+
+
+@njit(error_model="numpy")
+def pin_ends(k, steps, diagonal, element):
+    """Add the last node's share of `diagonal`, and pin what is given at the ends.
+
+    The row and column of an unknown that a boundary condition gives are those of the unit matrix.
+    """
+    if k == steps - 1:
+        for i in range(NODE):
+            element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
+    if k == 0:
+        if TIED:
+            release_tied_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
+        for i in START_PINNED:
+            pin(i, element)
+    if k == steps - 1:
+        if TIED:
+            release_tied_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
+        for i in END_PINNED:
+            pin(BLOCK + i, element)
+
+
+@njit(error_model="numpy")
+def pin(place, element):
+    """Make one row and column of an element matrix that of the unit matrix, and its right-hand side zero."""
+    for i in range(element.shape[0]):
+        element[place, i] = 0.0
+        element[i, place] = 0.0
+    element[place, place] = 1.0
+    if CARRIED:
+        element[place, RIGHT] = 0.0

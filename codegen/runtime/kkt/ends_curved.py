@@ -1,0 +1,94 @@
+"""What the boundary conditions do to the first and last element matrix where they are curved."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.arrays import zero_vector
+from codegen.runtime.kkt.elements import BLOCK, LOCAL_IS_MULTIPLIER, TAIL, pin_ends
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    END_HESSIAN_COLUMNS,
+    END_HESSIAN_ROWS,
+    NODE,
+    ROOT,
+    SCALED,
+    SHARED,
+    START_HESSIAN_COLUMNS,
+    START_HESSIAN_ROWS,
+    STRIDE,
+    end_hessian,
+    start_hessian,
+)
+from codegen.runtime.unknowns.shared import root_place
+from codegen.runtime.optimise.sizes import add_entry
+
+END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
+
+
+@njit(error_model="numpy")
+def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
+    """Add the Hessians of the boundary conditions to the first or last element matrix, and pin what is given."""
+    if k == 0:
+        entries = zero_vector(START_HESSIAN_ROWS.size)
+        start_hessian(unknowns[:NODE], 0.0, parameters, entries)
+        add_end_hessian(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, 0, weight, element)
+    if k == steps - 1:
+        entries = zero_vector(END_HESSIAN_ROWS.size)
+        end_hessian(unknowns[steps * STRIDE : steps * STRIDE + NODE], steps * h, parameters, entries)
+        add_end_hessian(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, BLOCK, weight, element)
+    pin_ends(k, steps, diagonal, element)
+
+
+@njit(error_model="numpy")
+def add_end_hessian(entries, rows, columns, first, weight, element):
+    """Add the lower triangle `entries` of an end's Hessian, and its mirror image; its node begins at row `first`."""
+    for j in range(entries.size):
+        value = entries[j]
+        if not (END_IS_MULTIPLIER[rows[j]] or END_IS_MULTIPLIER[columns[j]]):
+            value *= weight
+        row = first + rows[j] if rows[j] < NODE else TAIL + rows[j] - NODE
+        column = first + columns[j] if columns[j] < NODE else TAIL + columns[j] - NODE
+        element[row, column] += value
+        if row != column:
+            element[column, row] += value
+
+
+if SCALED:
+
+    @njit(error_model="numpy")
+    def note_ends(unknowns, body, steps, h, parameters, tables):
+        """Put derivatives of the ends' own shares into the tables of `sizes`."""
+        first = body * (steps * STRIDE + NODE)
+        last = first + steps * STRIDE
+        entries = zero_vector(START_HESSIAN_ROWS.size)
+        start_hessian(unknowns[first : first + NODE], 0.0, parameters[body], entries)
+        for j in range(entries.size):
+            add_entry(end_kind(START_HESSIAN_ROWS[j]), end_kind(START_HESSIAN_COLUMNS[j]), abs(entries[j]), tables)
+        entries = zero_vector(END_HESSIAN_ROWS.size)
+        end_hessian(unknowns[last : last + NODE], steps * h, parameters[body], entries)
+        for j in range(entries.size):
+            add_entry(end_kind(END_HESSIAN_ROWS[j]), end_kind(END_HESSIAN_COLUMNS[j]), abs(entries[j]), tables)
+
+    @njit(error_model="numpy")
+    def end_kind(local):
+        """The kind of an unknown of an end: of its node, or a shared one."""
+        return local if local < NODE else STRIDE + local - NODE
+
+
+def end_entries(grid, unknowns):
+    """Entries (rows, columns, values) that the ends add to the lower triangle of the KKT matrix."""
+    chain = grid.steps * STRIDE + NODE
+    rows, columns, values = [], [], []
+    for body in range(BODIES):
+        first, last = body * chain, (body + 1) * chain - NODE
+        at_start, at_end = np.empty(START_HESSIAN_ROWS.size), np.empty(END_HESSIAN_ROWS.size)
+        start_hessian(unknowns[first : first + NODE], 0.0, grid.parameters[body], at_start)
+        end_hessian(unknowns[last : last + NODE], grid.steps * grid.h, grid.parameters[body], at_end)
+        from_start, from_end = first + np.arange(NODE), last + np.arange(NODE)
+        if SHARED:
+            root = unknowns.size - ROOT + np.array([root_place(body, j) for j in range(SHARED)])
+            from_start, from_end = np.concatenate([from_start, root]), np.concatenate([from_end, root])
+        rows += [from_start[START_HESSIAN_ROWS], from_end[END_HESSIAN_ROWS]]
+        columns += [from_start[START_HESSIAN_COLUMNS], from_end[END_HESSIAN_COLUMNS]]
+        values += [at_start, at_end]
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)

@@ -1,0 +1,25 @@
+"""What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.kkt.elements import pin_ends
+from codegen.runtime.stand_ins.example import SCALED
+
+
+@njit(error_model="numpy")
+def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
+    """Pin what is given."""
+    pin_ends(k, steps, diagonal, element)
+
+
+if SCALED:
+
+    @njit(error_model="numpy")
+    def note_ends(unknowns, body, steps, h, parameters, tables):
+        """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
+
+
+def end_entries(grid, unknowns):
+    """Entries (rows, columns, values) that the ends add to the lower triangle of the KKT matrix: none."""
+    return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)

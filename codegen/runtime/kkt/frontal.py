@@ -1,0 +1,193 @@
+"""Frontal factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete, count inertia.
+
+The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Block k holds
+the unknowns of node k and of the interval after it. Blocks 1, 2, ... are eliminated in this order, with pivoting inside
+each; that is the forward sweep of a Riccati recursion. Block 0 is singular by itself, because its equations are matched
+by later unknowns, so it borders the front to the end and is eliminated with the last node. Shared unknowns border all
+fronts of all bodies; what elimination leaves of them is the Schur complement that ties bodies together, a dense matrix.
+The pivots' signs give the inertia of the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program
+for finite element analysis; Haynsworth (1968), Determination of the inertia of a partitioned Hermitian matrix; Rao,
+Wright and Rawlings (1998), Application of interior-point methods to model predictive control, for the Riccati view.
+
+Too many negative pivots show before the end. At a minimum, the rows that are eliminated and the multipliers of all
+equations that reach into them make a matrix with one negative eigenvalue for every multiplier; without the multipliers
+that are still to come it has at most as many (Cauchy's interlacing theorem).
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.arrays import clear, zero_matrix, zero_vector
+from codegen.runtime.kkt.element_condensed import add_element, allocate_condensed, prepare_condensed
+from codegen.runtime.kkt.elements import (
+    BLOCK,
+    BORDER,
+    COLUMNS,
+    FIRST,
+    INNER,
+    IS_CURVATURE,
+    LOCAL_IS_MULTIPLIER,
+    RIGHT,
+    ROWS,
+    SIZE,
+    TAIL,
+    WIDTH,
+    padded,
+)
+from codegen.runtime.kkt.ends_flat import close_element
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    CARRIED,
+    ELEMENT,
+    HESSIAN_ROWS,
+    IS_MULTIPLIER,
+    NODE,
+    SHARED,
+    STRIDE,
+    interval_hessian,
+)
+from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
+
+REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
+REST_WIDTH = padded(REST)
+LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
+LAST_WIDTH = padded(LAST + padded(CARRIED + SHARED))
+MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
+ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
+COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
+
+
+def allocate_factors(grid):
+    """Room for the factors of all bodies, and for what is condensed.
+
+    A body has BLOCK rows for each block, then LAST rows for its last node and block 0. Three arrays hold the rows of
+    the upper factor, the inverse of the pivots, and the order of elimination. The right-hand side, if it was carried
+    along, is a column of the upper factor, multiplied by the inverse of the pivots already. Places and the inverse of
+    the pivots are zeros, so that solving without factors, as compilation does, stays inside the arrays.
+    """
+    rows = grid.steps * BLOCK + LAST
+    upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
+    return upper, inverse, np.zeros((BODIES, rows), np.uint64), *allocate_condensed(grid)
+
+
+# Sums may be taken in any order, which lets them run in parallel in the processor.
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def eliminate_body(
+    unknowns, gradient, diagonal, steps, h, parameters, weight, upper, inverse, order, inverses, couplings, last
+):
+    """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
+
+    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
+    the elimination has stopped.
+    """
+    if not prepare_condensed(weight, diagonal, inverses):
+        return False, 0, 0
+    negative, hessian = 0, zero_vector(HESSIAN_ROWS.size)
+    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
+    for k in range(steps):
+        first, behind = k * BLOCK, (k + 1) * BLOCK
+        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
+        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
+        if weight != 1.0:
+            weigh(weight, hessian)
+        clear(element)
+        if not add_element(hessian, here, slope, inverses, couplings, k, element):
+            return False, 0, 0
+        for i in range(BLOCK):
+            element[i, i] += here[i]
+        if CARRIED:
+            add_right_hand_side(gradient, k, steps, element)
+        if k == 0 or k == steps - 1:
+            close_element(unknowns, k, steps, h, parameters, weight, diagonal, element)
+        if k == 0:
+            begin_front(element, rest)
+            continue
+        move_front(element, rest)
+        found = eliminate_rows(element, INNER, COLUMNS, upper[first:behind], inverse[first:behind], order[first:behind])
+        if found < 0:
+            return False, 0, 0
+        negative += found
+        # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
+        if negative > k * MULTIPLIERS + ENDING + COMMON:
+            return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
+        subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
+    end_front(rest, last)
+    first = steps * BLOCK
+    found = eliminate_rows(last, order.size - first, last.shape[1], upper[first:], inverse[first:], order[first:])
+    if found < 0:
+        return False, 0, 0
+    # No multiplier of another body reaches into this one.
+    negative += found
+    return True, negative, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON)
+
+
+if CARRIED:
+
+    @njit(error_model="numpy", inline="always")
+    def add_right_hand_side(slopes, k, steps, element):
+        """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
+        for i in range(BLOCK):
+            element[i, RIGHT] -= slopes[k * STRIDE + i]
+        if k == steps - 1:
+            for i in range(NODE):
+                element[BLOCK + i, RIGHT] -= slopes[steps * STRIDE + i]
+
+
+@njit(error_model="numpy")
+def weigh(weight, hessian):
+    """Multiply the second derivatives by primal unknowns."""
+    for j in range(hessian.size):
+        if IS_CURVATURE[j]:
+            hessian[j] *= weight
+
+
+@njit(error_model="numpy")
+def begin_front(element, rest):
+    """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
+    for i in range(BORDER):
+        for j in range(ROWS + CARRIED):
+            element[SIZE + i, j] = element[FIRST[i], j]
+        for j in range(ROWS):
+            element[j, SIZE + i] = element[j, FIRST[i]]
+    for i in range(REST):
+        for j in range(REST + CARRIED):
+            rest[i, j] = element[BLOCK + i, BLOCK + j]
+
+
+@njit(error_model="numpy", inline="always")
+def move_front(element, rest):
+    """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
+
+    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k. Of `rest`, only
+    the upper triangle is in use.
+    """
+    for i in range(NODE):
+        element[i, i] += rest[i, i]
+        for j in range(i + 1, NODE):
+            element[i, j] += rest[i, j]
+            element[j, i] += rest[i, j]
+        for j in range(NODE, REST + CARRIED):
+            element[i, BLOCK + j] += rest[i, j]
+    for i in range(NODE):
+        for j in range(0, REST_WIDTH, 4):
+            one, two = element[BLOCK + i, BLOCK + j], element[BLOCK + i, BLOCK + j + 1]
+            three, four = element[BLOCK + i, BLOCK + j + 2], element[BLOCK + i, BLOCK + j + 3]
+            rest[i, j] = one
+            rest[i, j + 1] = two
+            rest[i, j + 2] = three
+            rest[i, j + 3] = four
+    for i in range(SHARED):
+        for j in range(SHARED + CARRIED):
+            rest[LAST + i, LAST + j] += element[TAIL + i, TAIL + j]
+
+
+@njit(error_model="numpy")
+def end_front(rest, last):
+    """The rows of the last node and of block 0, both triangles; behind them what is left for the shared unknowns."""
+    clear(last)
+    for i in range(REST):
+        last[i, i] = rest[i, i]
+        for j in range(i + 1, REST + CARRIED):
+            last[i, j] = rest[i, j]
+            if j < LAST:
+                last[j, i] = rest[i, j]

@@ -1,0 +1,1 @@
+"""Newton's method and the interior point method: barrier, filter, restoration, scaling, verdict."""

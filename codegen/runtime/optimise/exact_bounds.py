@@ -1,0 +1,66 @@
+"""The end of an interior point method: bounds, which were relaxed on the way, hold exactly.
+
+What lies beyond a bound, by its relaxation, is moved onto it. Where equations are steep or multipliers large, even a
+move of 1e-12 costs digits of the optimality conditions: Newton's steps of the barrier problem whose bounds are not
+relaxed then lead back to its optimum.
+"""
+
+import numpy as np
+
+from codegen.runtime.optimise.barrier import measure_optimality
+from codegen.runtime.stand_ins.example import TIED
+from codegen.runtime.optimise.interior_steps import moved, regularised_step, with_duals
+from codegen.runtime.unknowns.point import evaluate
+from codegen.runtime.unknowns.tied import with_tied_values
+
+LAST_STEPS = 3
+WORSE = 2.0  # by which errors may grow where that is beyond the tolerance
+
+
+def within_bounds(search, iterate, tolerance):
+    """The point of an iterate inside its bounds, with errors measured there, or as it is where that costs accuracy."""
+    point = iterate.point
+    if not point.error < np.inf:
+        return point
+    clipped = inside = on_bounds(search, iterate)
+    for _ in range(LAST_STEPS):
+        if inside.error <= max(tolerance, WORSE * point.error):
+            return inside
+        iterate = last_step(search, iterate)
+        if iterate is None:
+            break
+        inside = on_bounds(search, iterate)
+    best = min(inside, clipped, key=lambda found: found.error)
+    return best if best.residual <= max(tolerance, WORSE * point.residual) else point
+
+
+def on_bounds(search, iterate):
+    """The point with what lies beyond a bound on it, its stationarity measured with the duals of bounds."""
+    grid, bounds, (lower, upper) = search.grid, search.bounds, search.box
+    unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
+    if TIED:
+        unknowns = with_tied_values(grid, unknowns)
+    moves = (unknowns != iterate.point.unknowns).any()
+    point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
+    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.place, bounds.side, *barrier)
+    return point._replace(stationarity=measured[0], error=max(point.residual, measured[0]))
+
+
+def last_step(search, iterate):
+    """The iterate after a Newton step of the barrier problem whose bounds are not relaxed; None where there is none.
+
+    An unknown that is no farther from its bound than by the relaxation keeps its distance, and is moved instead, so
+    that complementarities stay as they are.
+    """
+    grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns.copy()
+    distance = bounds.side * (unknowns[bounds.place] - bounds.value)
+    relaxed = iterate.distance - distance
+    close = np.flatnonzero(distance < relaxed)
+    unknowns[bounds.place[close]] += (bounds.side * relaxed)[close]
+    distance[close] = iterate.distance[close]
+    if TIED:
+        unknowns = with_tied_values(grid, unknowns)
+    mu = iterate.duals @ distance / max(1, distance.size)
+    iterate = iterate._replace(point=evaluate(grid, unknowns), distance=distance)
+    step = regularised_step(search, iterate, mu, 0.0, 0.0)
+    return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), iterate, step, mu)

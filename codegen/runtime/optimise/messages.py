@@ -1,0 +1,265 @@
+"""One sentence on how a solution ended: what is wrong, in which row and where, and what to try."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.optimise.callbacks import hessian, jacobian
+from codegen.runtime.optimise.curvature import falling_direction
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    COUPLINGS,
+    ELEMENT,
+    INEQUALITIES,
+    NODE,
+    PHASES,
+    ROOT,
+    SCALED,
+    SHARED,
+    STRIDE,
+    duration_of,
+    interval_gradient,
+    metadata,
+)
+from codegen.runtime.unknowns.frame import plain_grid
+from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
+from codegen.runtime.optimise.limits import at_limits, prescribed_beyond
+from codegen.runtime.unknowns.point import evaluate
+from codegen.runtime.unknowns.phases import node_times
+from codegen.runtime.unknowns.shared import least_duration, read_shared
+from codegen.runtime.optimise.verdict import GROWTH, HOLDS, final_status
+
+REMEDIES = {
+    "iteration limit": "raise max_iterations, or start from a better guess",
+    "time limit": "raise time_limit, take fewer steps, or start from a better guess",
+    "non-finite": "change the guess or the parameters, or keep away from there by bounds",
+    "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
+    "saddle point": "this point is stationary, but no minimum; start from another guess",
+    "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
+    "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
+    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
+    " relax a condition or bound",
+}
+LONGEST = 80  # characters of a condition that a message quotes
+NAMED = 3  # how many equations a message names
+
+
+def describe(grid, guess, point, status):
+    """The status, judged once more, and the sentence."""
+    status, error = final_status(grid, guess, point, status), point.error
+    if SCALED and grid.sizes.size:
+        sizes, grid = grid.sizes, plain_grid(grid)
+        guess, point = guess * sizes, evaluate(grid, point.unknowns * sizes)
+    if INEQUALITIES:
+        beyond = prescribed_beyond(grid, point.unknowns)
+        if beyond:
+            return "infeasible", f"infeasible: {beyond}; change the value or the bound"
+    if status == "solved":
+        return status, f"all equations hold to {error:.1e}"
+    return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
+
+
+def finding(grid, guess, point, status):
+    """What was seen, by the names of the author."""
+    if status == "non-finite":
+        return not_finite(grid, point)
+    if status == "infeasible" or (status == "rank-deficient" and point.residual > HOLDS):
+        return violated(grid, point)
+    if status == "rank-deficient":
+        return dependent(grid, point)
+    if status == "saddle point":
+        return f"the cost falls along {falling_unknown(grid, point)}"
+    if status == "unbounded":
+        return run_away(grid, guess, point)
+    if status == "time limit":
+        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
+        return f"{reached}; {worst_row(grid, point)}"
+    return worst_row(grid, point)
+
+
+def worst_row(grid, point):
+    """The equation that is farthest from zero, or the derivative where the equations hold."""
+    size = np.where(grid.is_multiplier == (point.residual > HOLDS), np.abs(point.gradient), -1.0)
+    return row_text(grid, point, int(np.argmax(size)))
+
+
+def row_text(grid, point, place):
+    """Name and value of a row of the optimality conditions."""
+    value = point.gradient[place]
+    if grid.is_multiplier[place]:
+        return f"{equation_name(grid, point.unknowns, place)} is off by {value:.1e}"
+    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)} is {value:.1e}"
+
+
+def violated(grid, point):
+    """The equations that are off most, each at its worst place, and the bounds that stand against them."""
+    rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
+    text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
+    if INEQUALITIES:
+        names = {}
+        for place in columns[at_limits(grid, point.unknowns)[columns]]:
+            name = local_name(grid, place)
+            meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
+            names[shortened(meaning.removesuffix(" of an interval"))] = None
+        if names:
+            text += f", with bounds active on {', '.join(names)}"
+    if rows.size > columns.size:
+        text += f"; there are {rows.size} equations for {columns.size} unknowns"
+    return text
+
+
+def dependent(grid, point):
+    """The equations with the largest multipliers, or the count where no multiplier is large."""
+    rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
+    places = leading(grid, point.unknowns, rows)
+    if places and abs(point.unknowns[places[0]]) > 1e3:
+        names = " and ".join(equation_name(grid, point.unknowns, place) for place in places)
+        return f"equations depend on each other, or have no slope where they hold: {names}"
+    if rows.size > columns.size:
+        return f"there are {rows.size} equations for {columns.size} unknowns"
+    return f"the cost does not change along {falling_unknown(grid, point)}, so that its least value is not unique"
+
+
+def leading(grid, values, rows):
+    """Places of the largest values among some rows, one for each name, as long as they are comparable."""
+    order, places = rows[np.argsort(-np.abs(values[rows]), kind="stable")], {}
+    for place in order:
+        if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
+            break
+        places.setdefault(local_name(grid, place), int(place))
+    return list(places.values())
+
+
+def run_away(grid, guess, point):
+    """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
+    if SHARED and not least_duration(grid, point.unknowns) > 0.0:
+        return f"a duration has become {least_duration(grid, point.unknowns):.1e}, and needs a lower bound"
+    growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
+    shared = growth.size - ROOT
+    place = int(np.argmax(growth))
+    if growth[shared:].max(initial=0.0) > GROWTH:
+        place = shared + int(np.argmax(growth[shared:]))
+    if growth[place] > GROWTH:
+        return f"{unknown_name(grid, point.unknowns, place)} has grown to {point.unknowns[place]:.1e}"
+    return f"the cost falls for ever along {falling_unknown(grid, point)}"
+
+
+def falling_unknown(grid, point):
+    """The unknown that changes most along the direction in which the cost curves downwards most, or least upwards."""
+    direction = np.where(grid.is_multiplier, 0.0, falling_direction(grid, point.unknowns))
+    return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
+
+
+def not_finite(grid, point):
+    """The first derivative, share of the cost or second derivative that is infinite or NaN, and its kernel."""
+    bad = np.flatnonzero(~np.isfinite(point.gradient))
+    if bad.size:
+        place = int(bad[0])
+        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)}"
+        if grid.is_multiplier[place]:
+            text = equation_name(grid, point.unknowns, place)
+        return f"{text} is {point.gradient[place]} (kernel {kernel_name(grid, place)})"
+    if not np.isfinite(point.cost):
+        return cost_not_finite(grid, point)
+    for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
+        row, _, values = entries(grid, point.unknowns)
+        bad = row[~np.isfinite(values)]
+        if bad.size:
+            name = unknown_name(grid, point.unknowns, int(rows[bad[0]]))
+            return f"a second derivative by {name} is not finite (kernel interval_hessian)"
+    return worst_row(grid, point)
+
+
+def cost_not_finite(grid, point):
+    """Where the discrete cost is infinite or NaN."""
+    costs = np.empty((BODIES, grid.steps))
+    interval_costs(point.unknowns, grid.steps, grid.h, grid.parameters, costs)
+    bad = np.argwhere(~np.isfinite(costs))
+    if bad.size:
+        body, k = bad[0]
+        return f"the cost is {costs[body, k]} on interval {k}{of_body(body)} (kernel interval_gradient)"
+    return f"the cost is {point.cost} at the end (kernel end_gradient)"
+
+
+@njit(cache=True, error_model="numpy")
+def interval_costs(unknowns, steps, h, parameters, costs):
+    """Fill in the discrete cost of each interval of each body."""
+    part = np.empty(ELEMENT + SHARED)
+    for body in range(BODIES):
+        if SHARED:
+            read_shared(unknowns, body, parameters)
+        for k in range(steps):
+            here = body * (steps * STRIDE + NODE) + k * STRIDE
+            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+
+
+def kernel_name(grid, place):
+    """The kernels whose values add up to a row."""
+    chain = grid.steps * STRIDE + NODE
+    if place >= grid.is_multiplier.size - COUPLINGS:
+        return "coupling_term"
+    local = place % chain
+    if place >= BODIES * chain or NODE <= local < chain - NODE:
+        return "interval_gradient"
+    return f"interval_gradient or {'start' if local < NODE else 'end'}_gradient"
+
+
+def unknown_name(grid, unknowns, place):
+    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, "")
+    where = whereabouts(grid, unknowns, place)
+    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
+
+
+def equation_name(grid, unknowns, place):
+    """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
+    name = local_name(grid, place)
+    meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
+    return placed(meaning, whereabouts(grid, unknowns, place))
+
+
+def placed(meaning, where):
+    """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
+    for tail in (" at the start", " at the end", " of an interval", ""):
+        if meaning.endswith(tail):
+            condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
+            if tail != " of an interval":
+                condition, at, inside = meaning.removesuffix(tail), "", ""
+            meaning = f"{shortened(condition)}{at}{inside}{tail}"
+            break
+    if meaning.endswith(" of an interval"):
+        return meaning.removesuffix("an interval") + where.removeprefix(" on ")
+    if meaning.endswith((" at the start", " at the end")):
+        return meaning + where.partition(")")[2]
+    return meaning + where
+
+
+def shortened(text):
+    """The beginning of a long text."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
+
+
+def local_name(grid, place):
+    """The name of an unknown without its place, or of a shared one with its body."""
+    chain = grid.steps * STRIDE + NODE
+    if SHARED and place >= BODIES * chain:
+        return metadata["shared"][place - BODIES * chain]
+    return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+
+
+def whereabouts(grid, unknowns, place):
+    """Node or interval, time and body of an unknown."""
+    chain = grid.steps * STRIDE + NODE
+    if place >= BODIES * chain:
+        return ""
+    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
+    kind = "at node" if local < NODE else "on interval"
+    t = duration_of(grid, unknowns) * k / grid.steps
+    if PHASES:
+        t = node_times(grid, unknowns)[k]
+    return f" {kind} {k} (t = {t:.3g}){of_body(body)}"
+
+
+def of_body(body):
+    """Whose it is, where there are several bodies."""
+    return f" of body {body}" if BODIES > 1 else ""

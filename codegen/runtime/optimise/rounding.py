@@ -1,0 +1,82 @@
+"""How large the terms of the equations are: what a residual has to be compared with."""
+
+from numba import njit
+
+from codegen.runtime.arrays import zero_vector
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    ELEMENT,
+    HESSIAN_COLUMNS,
+    HESSIAN_ROWS,
+    NODE,
+    ROOT,
+    SCALED,
+    SHARED,
+    STRIDE,
+    interval_hessian,
+)
+from codegen.runtime.unknowns.shared import read_shared, root_place
+
+UNIT_ROUNDOFF = 2.2e-16
+WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
+
+
+@njit(cache=True, error_model="numpy")
+def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
+    """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
+
+    Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
+    Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    """
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    sums = zero_vector(unknowns.size)
+    if SCALED and sizes.size:
+        unknowns = unknowns * sizes
+    for body in range(BODIES):
+        if SHARED:
+            read_shared(unknowns, body, parameters)
+        for k in range(steps):
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            here = unknowns[first : first + ELEMENT]
+            interval_hessian(here, k * h, h, parameters[body], hessian)
+            for j in range(HESSIAN_ROWS.size):
+                row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
+                if SHARED and HESSIAN_ROWS[j] >= ELEMENT:
+                    row = unknowns.size - ROOT + root_place(body, HESSIAN_ROWS[j] - ELEMENT)
+                if SHARED and HESSIAN_COLUMNS[j] >= ELEMENT:
+                    column = unknowns.size - ROOT + root_place(body, HESSIAN_COLUMNS[j] - ELEMENT)
+                sums[row] += abs(hessian[j] * unknowns[column])
+                if row != column:
+                    sums[column] += abs(hessian[j] * unknowns[row])
+    equations, stationarity = 0.0, 0.0
+    for i in range(sums.size):
+        if SCALED and sizes.size:
+            sums[i] *= weight * sizes[i]
+        if is_multiplier[i]:
+            if sums[i] > equations:
+                equations = sums[i]
+        elif sums[i] > stationarity:
+            stationarity = sums[i]
+    return equations, stationarity
+
+
+def sizes_of_terms(grid, unknowns):
+    """The same of a grid, in parts of sizes where it has them."""
+    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+
+
+def is_solved(grid, point, tolerance):
+    """Whether residual and stationarity are within the tolerance, or as small as rounding errors allow.
+
+    The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
+    so that a problem in small units is not called solved too early.
+    """
+    if SCALED and point.error > max(tolerance, WORTH_MEASURING):
+        return False
+    equations, stationarity = sizes_of_terms(grid, point.unknowns)
+    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+
+
+def is_small(value, size, tolerance):
+    """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)

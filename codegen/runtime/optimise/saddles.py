@@ -1,0 +1,30 @@
+"""Saddle points of the cost on the set where the equations hold: which points may be one, and steps beside it."""
+
+import numpy as np
+
+from codegen.runtime.optimise.curvature import falling_direction
+
+NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
+ESCAPES = 3  # how often a saddle point is left
+LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
+
+
+def is_nearly_stationary(point):
+    """Whether a descent that cannot go on may have come to a saddle point, towards which shifted steps are slow."""
+    return max(point.residual, point.stationarity) <= NEARLY
+
+
+def is_below(point, saddle):
+    """Whether the cost is lower than at a saddle point, by more than rounding."""
+    return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
+
+
+def steps_aside(grid, unknowns, curvature, escapes):
+    """Steps along the falling direction to both sides; the more escapes there were, the longer.
+
+    The first are a tenth of the greatest unknown long, or of one where that is smaller.
+    """
+    direction = falling_direction(grid, unknowns, curvature)
+    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
+    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
+    return direction, -direction

@@ -1,0 +1,132 @@
+"""Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
+
+What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
+all sizes are between 1/ORDINARY and ORDINARY, none is used.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    COUPLINGS,
+    INEQUALITIES,
+    NODE,
+    OWN,
+    SHARED,
+    STRIDE,
+    variable_bounds,
+    with_pinned_values,
+)
+from codegen.runtime.unknowns.frame import NONE, plain_grid
+from codegen.runtime.optimise.messages import describe
+from codegen.runtime.optimise.newton_filter import minimise
+from codegen.runtime.optimise.limits import bounds_of
+from codegen.runtime.unknowns.point import evaluate, lagrangian
+from codegen.runtime.optimise.sizes import fill_sizes
+from codegen.runtime.optimise.verdict import VIOLATED
+
+ORDINARY = 1e3  # sizes between its inverse and it need no scaling
+COARSE = 1e3  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
+
+
+def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
+    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations)."""
+    if scaling not in ("auto", "none"):
+        raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
+    if scaling == "auto":
+        grid = scaled_grid(grid, unknowns)
+    start, log.weight = unknowns / grid.sizes if grid.sizes.size else unknowns, grid.weight
+    status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
+    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite"):
+        # Sizes come from the guess, and may be far from those of the solution.
+        grid, start, log.weight = plain_grid(grid), unknowns, 1.0
+        status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
+        iterations += further
+    if grid.sizes.size and status == "solved":
+        status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
+        iterations += further
+    status, message = describe(grid, start, point, status)
+    cost = corrected_cost(grid, point) if status == "solved" else point.cost / grid.weight
+    return status, message, in_units(grid, point)._replace(cost=cost), iterations
+
+
+def refined(grid, start, point, tolerance, max_iterations, log):
+    """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
+
+    Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
+    that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
+    """
+    total = 0
+    while grid.sizes.size:
+        begin = point.unknowns * grid.sizes
+        finer = scaled_grid(plain_grid(grid), begin)
+        forces = finer.forces if finer.sizes.size else 1.0
+        if not (forces > COARSE * grid.forces).any():
+            break
+        if finer.sizes.size:
+            begin /= finer.sizes
+        log.weight = finer.weight
+        status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
+        total += iterations
+        if status != "solved":
+            holds = evaluate(finer, begin).residual <= VIOLATED
+            return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
+        grid, start, point = finer, begin, better
+    return "solved", grid, start, point, total
+
+
+def scaled_grid(grid, unknowns):
+    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
+    sizes, bounds = np.empty(unknowns.size), (NONE, NONE)
+    if INEQUALITIES:
+        bounds = variable_bounds(grid)
+    weight, extreme = fill_sizes(unknowns, *bounds, kinds_of(grid.steps), grid.steps, grid.h, grid.parameters, sizes)
+    if not extreme > ORDINARY:
+        return grid._replace(bounds=bounds)
+    if INEQUALITIES:
+        bounds = bounds[0] / sizes, bounds[1] / sizes
+    return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
+
+
+def corrected_cost(grid, point):
+    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
+    if INEQUALITIES:
+        return float(lagrangian(grid, point) - remaining_gap(grid, point)) / grid.weight
+    else:
+        return float(lagrangian(grid, point)) / grid.weight
+
+
+if INEQUALITIES:
+
+    def remaining_gap(grid, point):
+        """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
+        total = 0.0
+        for side, bound in zip((1.0, -1.0), bounds_of(grid), strict=True):
+            (place,) = np.isfinite(bound).nonzero()
+            dual, distance = side * point.gradient[place], side * (point.unknowns[place] - bound[place])
+            active = np.maximum(dual, 0.0) / (np.abs(dual) + np.abs(distance) + 1e-300)
+            total += (dual * distance) @ active
+        return total
+
+
+@lru_cache(maxsize=4)
+def kinds_of(steps):
+    """The kind of every unknown: its place in a node with the interval after it, then the shared ones."""
+    chain = np.tile(np.arange(steps * STRIDE + NODE) % STRIDE, BODIES)
+    if SHARED:
+        own, common = np.tile(np.arange(OWN), BODIES), np.arange(OWN, SHARED + COUPLINGS)
+        return np.concatenate([chain, STRIDE + own, STRIDE + common])
+    else:
+        return chain
+
+
+def in_units(grid, point):
+    """A point in the problem's own units; its stationarity is the change of the cost with parts of sizes."""
+    if not grid.sizes.size:
+        return point
+    stationarity = point.stationarity / grid.weight
+    sizes, grid = grid.sizes, plain_grid(grid)
+    point = evaluate(grid, with_pinned_values(grid, point.unknowns * sizes))
+    return point._replace(stationarity=stationarity, error=max(point.residual, stationarity))

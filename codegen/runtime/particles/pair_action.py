@@ -1,0 +1,133 @@
+"""The discrete action as a minimisation: places q_1 ... q_N-1 and one momentum P_k on each interval.
+
+Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1 with c = PLACE.
+Unknowns are one vector: inner places, then momenta. At a minimum the multipliers are 2 P_k, and the conditions for
+the places are the scheme's equations for momenta.
+"""
+
+import numpy as np
+
+from codegen.runtime.stand_ins.example_pairs import (
+    PLACE,
+    hamiltonian,
+    hamiltonian_gradient,
+    hamiltonian_hessian,
+)
+from codegen.runtime.particles.pair_ladder import guessed_path
+
+
+def action_start(case):
+    """The unknowns of the guessed path."""
+    path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+    return np.concatenate([path[1:-1, 0].ravel(), path[:-1, 1].ravel()])
+
+
+def action_states(case, unknowns):
+    """Places at all nodes, shape (N + 1, n, d), and the states (N, 2, n, d) at which H is evaluated."""
+    inner = (case.steps - 1) * case.start.size
+    between = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
+    places = np.concatenate([case.start[None], between, case.target[None]])
+    momenta = unknowns[inner:].reshape(case.steps, *case.start.shape)
+    return places, np.stack([(1.0 - PLACE) * places[:-1] + PLACE * places[1:], momenta], axis=1)
+
+
+def action_cost(case, unknowns):
+    """The discrete cost."""
+    _, states = action_states(case, unknowns)
+    return 2.0 * case.duration / case.steps * sum(hamiltonian(z, case.own, case.parameters) for z in states)
+
+
+def action_gradients(case, states):
+    """H_q and H_p at every state, shape (N, 2, n, d)."""
+    gradients = np.empty_like(states)
+    for z, gradient in zip(states, gradients, strict=True):
+        hamiltonian_gradient(z, case.own, case.parameters, gradient)
+    return gradients
+
+
+def action_cost_gradient(case, unknowns):
+    """Its gradient by the unknowns."""
+    gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
+    at_nodes = np.zeros((case.steps + 1, *case.start.shape))
+    at_nodes[:-1] += (1.0 - PLACE) * gradients[:, 0]
+    at_nodes[1:] += PLACE * gradients[:, 0]
+    return np.concatenate([at_nodes[1:-1].ravel(), gradients[:, 1].ravel()])
+
+
+def action_constraints(case, unknowns):
+    """q_k+1 - q_k - h H_p on every interval, in one vector of length ndN."""
+    places, states = action_states(case, unknowns)
+    velocities = action_gradients(case, states)[:, 1]
+    return (places[1:] - places[:-1] - case.duration / case.steps * velocities).ravel()
+
+
+def action_blocks(case, states):
+    """The second derivatives of H at every state."""
+    hessians = np.empty((len(states), states[0].size, states[0].size))
+    for z, hessian in zip(states, hessians, strict=True):
+        hamiltonian_hessian(z, case.own, case.parameters, hessian)
+    return hessians
+
+
+def action_columns(case, k):
+    """Where the places at both ends of interval k (None for given ones) and its momenta are among the unknowns."""
+    size, inner = case.start.size, (case.steps - 1) * case.start.size
+    left = slice(size * (k - 1), size * k) if k > 0 else None
+    right = slice(size * k, size * (k + 1)) if k < case.steps - 1 else None
+    return left, right, slice(inner + size * k, inner + size * (k + 1))
+
+
+def action_jacobian(case, unknowns):
+    """The derivative of `action_constraints`, a dense matrix."""
+    _, states = action_states(case, unknowns)
+    size, h = case.start.size, case.duration / case.steps
+    matrix = np.zeros((case.steps * size, unknowns.size))
+    for k, hessian in enumerate(action_blocks(case, states)):
+        rows = matrix[size * k : size * (k + 1)]
+        left, right, momenta = action_columns(case, k)
+        if left is not None:
+            rows[:, left] -= np.eye(size) + h * (1.0 - PLACE) * hessian[size:, :size]
+        if right is not None:
+            rows[:, right] += np.eye(size) - h * PLACE * hessian[size:, :size]
+        rows[:, momenta] -= h * hessian[size:, size:]
+    return matrix
+
+
+def action_hessian(case, unknowns, multipliers):
+    """The second derivatives of cost + multipliers . constraints, a dense matrix.
+
+    H is quadratic in momenta, so that v . H_p(q, P) = H(q, P + v) - H(q, P) - H(q, v) and no third derivatives are
+    needed.
+    """
+    _, states = action_states(case, unknowns)
+    size, h = case.start.size, case.duration / case.steps
+    weights = np.reshape(multipliers, (case.steps, *case.start.shape))
+    both, alone = states.copy(), states.copy()
+    both[:, 1] += weights
+    alone[:, 1] = weights
+    cost, with_weights, of_weights = (action_blocks(case, s) for s in (states, both, alone))
+    matrix = np.zeros((unknowns.size, unknowns.size))
+    for k in range(case.steps):
+        block = 2.0 * h * cost[k]
+        block[:size, :size] -= h * (with_weights[k] - cost[k] - of_weights[k])[:size, :size]
+        block[:size, size:] -= h * (with_weights[k] - cost[k])[:size, size:]
+        block[size:, :size] = block[:size, size:].T
+        left, right, momenta = action_columns(case, k)
+        matrix[momenta, momenta] += block[size:, size:]
+        for columns, weight in ((left, 1.0 - PLACE), (right, PLACE)):
+            if columns is None or weight == 0.0:
+                continue
+            matrix[columns, momenta] += weight * block[:size, size:]
+            matrix[momenta, columns] += weight * block[size:, :size]
+            for others, other_weight in ((left, 1.0 - PLACE), (right, PLACE)):
+                if others is not None:
+                    matrix[columns, others] += weight * other_weight * block[:size, :size]
+    return matrix
+
+
+def action_path(case, unknowns):
+    """The states at the nodes, shape (N + 1, 2, n, d): p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
+    places, states = action_states(case, unknowns)
+    slopes = case.duration / case.steps * action_gradients(case, states)[:, 0]
+    momenta = np.concatenate([states[:1, 1] + (1.0 - PLACE) * slopes[:1], states[:, 1] - PLACE * slopes])
+    return np.stack([places, momenta], axis=1)

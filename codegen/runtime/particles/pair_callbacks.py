@@ -1,0 +1,102 @@
+"""What drivers need of a connect problem: residuals and Jacobians of shooting and of all states at once."""
+
+import numpy as np
+
+from codegen.runtime.stand_ins.example_pairs import POINTS
+from codegen.runtime.particles.pair_curvature import curvature_at
+from codegen.runtime.particles.pair_ladder import guessed_path, momenta_of
+from codegen.runtime.particles.pair_runge_kutta import advance_directions
+from codegen.runtime.particles.pair_shooting import Linearised, end_residual
+from codegen.runtime.particles.pair_trajectory import defects, discrete_cost, follow
+
+
+def first_momenta(case):
+    """The momenta of the straight way, shape (n, d)."""
+    return momenta_of(case.start, (case.target - case.start) / case.duration, case.own, case.parameters)
+
+
+def trajectory(case, momenta):
+    """The outcome of all steps, the states, shape (N + 1, 2, n, d), and the points at which H is evaluated."""
+    path = np.zeros((case.steps + 1, 2, *case.start.shape))
+    path[0, 0], path[0, 1] = case.start, np.reshape(momenta, case.start.shape)
+    points = np.zeros((case.steps * POINTS, *path.shape[1:]))
+    return follow(case.duration / case.steps, case.own, case.parameters, path, points), path, points
+
+
+def residual(case, momenta):
+    """q_N + sigma^2 p_N - target for given initial momenta, shape (nd,); NaN where a step fails."""
+    outcome, path, _ = trajectory(case, momenta)
+    return end_residual(path[-1], case.target, case.sigma) if outcome >= 0 else np.full(case.start.size, np.nan)
+
+
+def jacobian(case, momenta):
+    """The derivative of `residual` by the initial momenta, shape (nd, nd); NaN where a step fails."""
+    outcome, _, points = trajectory(case, momenta)
+    if outcome < 0:
+        return np.full((case.start.size, case.start.size), np.nan)
+    return Linearised(case, points, None).matrix()
+
+
+def path_cost(case, path):
+    """The discrete cost of states, shape (N + 1, 2, n, d), each of which is stepped from."""
+    points, errors = np.zeros((case.steps * POINTS, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
+    defects(case.duration / case.steps, case.own, case.parameters, path, points, errors)
+    return discrete_cost(case.duration / case.steps, case.own, case.parameters, points)
+
+
+def path_errors(case, path):
+    """Each step from a state minus the next state, shape (N, 2, n, d), and the residual of the end, shape (nd,)."""
+    points, errors = np.zeros((case.steps * POINTS, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
+    if defects(case.duration / case.steps, case.own, case.parameters, path, points, errors) < 0:
+        errors[:] = np.nan
+    return errors, end_residual(path[-1], case.target, case.sigma)
+
+
+def path_of(case, unknowns):
+    """The states that belong to inner places and all momenta, in one vector; see `all_equations`."""
+    path, size = np.empty((case.steps + 1, 2, *case.start.shape)), case.start.size
+    inner = (case.steps - 1) * size
+    path[1:-1, 0] = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
+    path[:, 1] = unknowns[inner:].reshape(case.steps + 1, *case.start.shape)
+    path[0, 0] = case.start
+    path[-1, 0] = case.target - case.sigma[:, None] ** 2 * path[-1, 1]
+    return path
+
+
+def first_unknowns(case):
+    """Inner places and all momenta on the guessed path."""
+    path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+    return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
+
+
+def all_equations(case, unknowns):
+    """Every step from a state minus the next state, in one vector of length 2ndN.
+
+    Unknowns are the places at inner nodes, then the momenta at all nodes; the last places are target - sigma^2 p_N.
+    """
+    return path_errors(case, path_of(case, unknowns))[0].ravel()
+
+
+def all_equations_jacobian(case, unknowns):
+    """The derivative of `all_equations`, a dense matrix of shape (2ndN, 2ndN)."""
+    path, size, steps = path_of(case, unknowns), case.start.size, case.steps
+    points, errors = np.zeros((steps * POINTS, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
+    h = case.duration / steps
+    defects(h, case.own, case.parameters, path, points, errors)
+    hessians = curvature_at(points, case.own, case.parameters)
+    matrix, inner = np.zeros((2 * size * steps, 2 * size * steps)), (steps - 1) * size
+    after, variance = np.empty((2 * size, 2 * size)), np.repeat(case.sigma**2, case.start.shape[1])
+    for k in range(steps):
+        rows = slice(2 * size * k, 2 * size * (k + 1))
+        advance_directions(hessians, points, k * POINTS, h, case.own, case.parameters, np.eye(2 * size), after)
+        momenta = slice(inner + size * k, inner + size * (k + 1))
+        later = slice(momenta.stop, momenta.stop + size)
+        matrix[rows, momenta] += after[:, size:]
+        matrix[rows, later][size:] -= np.eye(size)
+        if k > 0:
+            matrix[rows, size * (k - 1) : size * k] += after[:, :size]
+        if k < steps - 1:
+            matrix[rows, size * k : size * (k + 1)][:size] -= np.eye(size)
+        else:
+            matrix[rows, later][:size] += np.diag(variance)
+    return matrix

@@ -1,0 +1,73 @@
+"""What is to be connected, and whether it can be."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.stand_ins.example_pairs import DIMENSION, domain_margin
+
+
+class Case(NamedTuple):
+    """Points to connect: start and target, shape (n, d), sigma, shape (n,), own parameters, shape (n, k), and how."""
+
+    start: np.ndarray
+    target: np.ndarray
+    sigma: np.ndarray
+    own: np.ndarray
+    parameters: np.ndarray
+    steps: int
+    duration: float
+    tolerance: float
+    max_iterations: int
+
+
+def checked_case(start, target, sigma, own, own_names, parameters, steps, duration, tolerance, max_iterations):
+    """A Case; ValueError names the points, or the argument, that are unusable and why."""
+    start, target = np.array(start, dtype=float), np.array(target, dtype=float)
+    if start.ndim != 2 or start.shape[1] != DIMENSION or start.shape[0] < 1:
+        raise ValueError(f"start has shape {start.shape}, expected (n, {DIMENSION}) with at least one point")
+    if target.shape != start.shape:
+        raise ValueError(f"there are {len(start)} points at the start but {len(target)} at the target")
+    count = len(start)
+    sigma = np.array(np.broadcast_to(np.asarray(sigma, dtype=float), (count,)))
+    if not np.isfinite(sigma).all() or (sigma < 0.0).any():
+        raise ValueError("sigma must be finite and not negative")
+    own = np.array([np.broadcast_to(np.asarray(values, dtype=float), (count,)) for values in own]).reshape(-1, count).T
+    for name, column in zip(own_names, own.T, strict=True):
+        if not np.isfinite(column).all():
+            raise ValueError(f"{name} must be finite, got {column}")
+    for what, points in (("start", start), ("target", target)):
+        require_possible(what, points)
+    parameters = np.array(parameters, dtype=float)
+    if not np.isfinite(parameters).all():
+        raise ValueError(f"parameters must be finite, got {parameters}")
+    steps, max_iterations = checked_count("steps", steps), checked_count("max_iterations", max_iterations)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    if not 0.0 < tolerance <= 1e-6:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and 1e-6")
+    own = np.ascontiguousarray(own)
+    return Case(start, target, sigma, own, parameters, steps, float(duration), float(tolerance), max_iterations)
+
+
+def require_possible(what, points):
+    """Refuse points that are not finite, outside their domain, or given twice."""
+    if not np.isfinite(points).all():
+        row = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise ValueError(f"{what} of point {row + 1} is {points[row]}, expected finite numbers")
+    if not domain_margin(np.stack([points, np.zeros_like(points)])) > 0.0:
+        row = next(k for k in range(len(points)) if not domain_margin(np.stack([points[k : k + 1]] * 2)) > 0.0)
+        place = ", ".join(f"{x:.6g}" for x in points[row])
+        raise ValueError(f"{what} of point {row + 1}, ({place}), is on or outside the boundary of the domain")
+    order = np.lexsort(points.T)
+    same = np.flatnonzero((points[order[1:]] == points[order[:-1]]).all(axis=1))
+    if same.size:
+        first, second = sorted(order[same[0] : same[0] + 2] + 1)
+        raise ValueError(f"{what} of points {first} and {second} is the same place; no map separates or joins them")
+
+
+def checked_count(name, number):
+    """A positive integer; ValueError names what is not."""
+    if isinstance(number, bool) or int(number) != number or number < 1:
+        raise ValueError(f"{name} is {number!r}, expected a positive integer")
+    return int(number)

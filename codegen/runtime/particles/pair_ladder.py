@@ -1,0 +1,287 @@
+"""Which attempts are made to connect given points, in which order, and what is reported about them.
+
+Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
+path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
+once from a guessed path, and with more steps, of which then ever fewer are taken. Only an attempt whose residual is
+below the tolerance, or below what rounding makes of it, counts as a solution.
+"""
+
+import numpy as np
+
+from codegen.runtime.stand_ins.example_pairs import (
+    BLOCKS,
+    POINTS,
+    QUADRATIC,
+    domain_margin,
+    guide,
+    momentum_matrix,
+)
+from codegen.runtime.particles.pair_algebra import cholesky, solve_cholesky
+from codegen.runtime.particles.pair_least_action import momenta_of_least_action, path_intervals
+from codegen.runtime.particles.pair_shooting import all_states, preconditioner, shoot
+from codegen.runtime.particles.pair_trajectory import cost_and_energies
+
+OUTCOMES = {
+    1: "solved",
+    2: "solved as far as rounding errors allow",
+    0: "the iterations ran out",
+    -1: "a state became infinite or not a number",
+    -2: "the linear equations have no unique solution",
+    -3: "the equations of an implicit step were not solved",
+    -4: "a particle leaves its domain",
+    -5: "no step along Newton's direction reduces the residual",
+    -6: "no guessed path has a finite action, or there are too many particles to look for one",
+}
+MORE_STEPS = (2, 4)  # factors by which steps are made more where no attempt succeeds
+LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
+
+
+def momenta_of(start, velocity, own, parameters):
+    """The momenta, shape (n, d), that move particles at rest at given velocities: H_pp^-1 velocity."""
+    state = np.stack([start, np.zeros_like(start)])
+    size = start.shape[0] if BLOCKS == 1 else start.size
+    matrix = np.empty((size, size))
+    momentum_matrix(state, own, parameters, matrix)
+    right = velocity.reshape(size, -1).copy()
+    if cholesky(matrix):
+        solve_cholesky(matrix, right)
+    return right.reshape(start.shape)
+
+
+def straight_momenta(case, factor, target):
+    """`momenta_of` the velocity of the straight way to a target, from the factor of `preconditioner`."""
+    moved = target - case.start
+    if factor is None:
+        return moved / case.duration
+    solve_cholesky(factor, moved.reshape(factor.shape[0], -1))
+    return moved
+
+
+def guessed_path(start, target, steps, duration, own, parameters):
+    """States on the guessed way from start to target, momenta by the discrete Legendre transform H_pp^-1 dq/h."""
+    path = np.zeros((steps + 1, 2, *start.shape))
+    for k in range(steps + 1):
+        guide(start, target, k / steps, path[k, 0])
+    for k in range(steps):
+        path[k, 1] = momenta_of(path[k, 0], (path[k + 1, 0] - path[k, 0]) * steps / duration, own, parameters)
+    path[steps, 1] = path[steps - 1, 1]
+    return path
+
+
+def climb(case, method, guess):
+    """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
+    (path, points), factor = room(case), preconditioner(case)
+    log = np.zeros((case.max_iterations + 1, 3))
+    attempts, iterations, tangents = [], 0, 0
+    rungs = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
+    for name, attempt in rungs:
+        path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
+        log[:] = 0.0
+        outcome, made, residual, *note = attempt(case, factor, path, points, log)
+        iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
+        attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}{''.join(note)}")
+        if outcome > 0:
+            break
+    if QUADRATIC:
+        doubtful = outcome > 0 and guess is None and attempt is not from_least_action
+        if doubtful and misses_by_far(case, path[-1, 0]):
+            made, found, note = by_less_action(case, factor, path, points, log)
+            iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
+            residual = residual if found is None else found
+            attempts.insert(len(attempts) - (found is None), f"shooting from a path of least action: {note}")
+    return outcome, path, points, iterations, tangents, residual, tuple(attempts)
+
+
+if QUADRATIC:
+
+    def by_less_action(case, factor, path, points, log):
+        """Shoot from a path of least action as well as whatever led to `path`, and keep what costs less.
+
+        With a sigma, equations are solved by any stationary point of the cost, such as two points that ought to change
+        places and end together half way. Returns iterations, the residual if something cheaper was found, and a note.
+        """
+        other, other_points = room(case)
+        log[:] = 0.0
+        outcome, made, residual = from_least_action(case, factor, other, other_points, log)
+        if outcome <= 0:
+            return made, None, f"{OUTCOMES[outcome]}, {made} iterations"
+        energy, h = np.empty(case.steps + 1), case.duration / case.steps
+        costs = [
+            penalised(case, cost_and_energies(h, case.own, case.parameters, *found, energy), found[0][-1, 0])
+            for found in ((path, points), (other, other_points))
+        ]
+        if not costs[1] < costs[0]:
+            return made, None, f"solved, {made} iterations, but nothing that costs less"
+        path[:], points[:] = other, other_points
+        return made, residual, f"solved, {made} iterations, residual {residual:.1e}, and it costs less"
+
+
+if QUADRATIC:
+
+    def penalised(case, cost, end):
+        """Half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points that may miss their targets."""
+        free = case.sigma > 0.0
+        missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
+        return 0.5 * (cost + missed.sum())
+
+
+if QUADRATIC:
+
+    def misses_by_far(case, end):
+        """Whether some point that may miss its target does so by more than sigma."""
+        return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
+
+
+def shoot_at(case, target, factor, path, points, log):
+    """Newton's method on the initial momenta of `path` for some target."""
+    return shoot(case._replace(target=target), factor, path, points, log)
+
+
+def from_guess(case, factor, path, points, log):
+    """Shoot from the momenta that are in `path`."""
+    return shoot_at(case, case.target, factor, path, points, log)
+
+
+def from_velocity(case, factor, path, points, log):
+    """Shoot from the momenta of the straight way to the target."""
+    path[0, 1] = straight_momenta(case, factor, case.target)
+    return shoot_at(case, case.target, factor, path, points, log)
+
+
+def from_rest(case, factor, path, points, log):
+    """Shoot from vanishing momenta, whose first step is shortened where the momenta of the straight way fail."""
+    return shoot_at(case, case.target, factor, path, points, log)
+
+
+if QUADRATIC:
+
+    def from_least_action(case, factor, path, points, log):
+        """Shoot from the momenta at the start of a path of least action."""
+        path[0, 1] = momenta_of_least_action(case)
+        if not np.isfinite(path[0, 1]).all():
+            return -6, 0, np.inf
+        return shoot_at(case, case.target, factor, path, points, log)
+
+
+def by_continuation(case, factor, path, points, log):
+    """Move the target from the start to where it belongs, by parts that grow with success."""
+    done, part, total = 0.0, 0.25, 0
+    known = [(0.0, path[0, 1].copy())]
+    outcome, residual = 0, np.inf
+    while done < 1.0 and part >= LEAST_PART:
+        wanted = min(1.0, done + part)
+        target = np.empty_like(case.target)
+        guide(case.start, case.target, wanted, target)
+        if len(known) > 1:
+            (s0, p0), (s1, p1) = known[-2:]
+            path[0, 1] = p1 + (wanted - s1) / (s1 - s0) * (p1 - p0)
+        else:
+            path[0, 1] = straight_momenta(case, factor, target)
+        log[:, 0] = log[:, 2] = 0.0
+        before = log[:, 1].sum()
+        outcome, made, residual = shoot_at(case, target, factor, path, points, log)
+        log[-1, 1] = max(before, log[:, 1].sum())
+        total += made
+        if outcome > 0:
+            done, part = wanted, 1.6 * part
+            known.append((wanted, path[0, 1].copy()))
+        else:
+            part *= 0.4
+    return (outcome if done >= 1.0 or outcome <= 0 else 0), total, residual if done >= 1.0 else np.inf
+
+
+def room(case, start_momenta=None):
+    """States and points for the steps of a case, with its points at the start and given momenta."""
+    path = np.zeros((case.steps + 1, 2, *case.start.shape))
+    path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
+    return path, np.zeros((case.steps * POINTS, *path.shape[1:]))
+
+
+def by_steps(case, factor, path, points, log):
+    """Solve with two or four times as many steps, then with ever fewer of them.
+
+    Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
+    note says with how many steps there still is one.
+    """
+    total, outcome = 0, 0
+    for multiple in MORE_STEPS:
+        finer = case._replace(steps=multiple * case.steps)
+        fine_path, fine_points = room(finer)
+        if QUADRATIC:
+            attempt = from_least_action if path_intervals(finer) else by_continuation
+            outcome, made, residual = attempt(finer, factor, fine_path, fine_points, log)
+        else:
+            outcome, made, residual = by_continuation(finer, factor, fine_path, fine_points, log)
+        total += made
+        if outcome > 0:
+            break
+    if outcome <= 0:
+        return outcome, total, residual, f", with {finer.steps} steps"
+    known, ratio = [(1.0 / finer.steps, fine_path[0, 1].copy())], 0.7
+    while finer.steps > case.steps:
+        fewer = case._replace(steps=max(case.steps, min(finer.steps - 1, int(ratio * finer.steps))))
+        momenta = known[-1][1]
+        if len(known) > 1:
+            (s0, p0), (s1, p1) = known[-2:]
+            momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
+        fine_path, fine_points = room(fewer, momenta)
+        outcome, made, residual = shoot_at(fewer, fewer.target, factor, fine_path, fine_points, log)
+        total += made
+        if outcome > 0:
+            finer, ratio = fewer, max(0.5, 0.9 * ratio)
+            known.append((1.0 / finer.steps, fine_path[0, 1].copy()))
+        elif fewer.steps == finer.steps - 1:
+            return outcome, total, residual, f", with {fewer.steps} steps, but solved with {finer.steps}"
+        else:
+            ratio = ratio**0.4
+    path[:], points[:] = fine_path, fine_points
+    return outcome, total, residual, ""
+
+
+def on_all_states(case, factor, path, points, log):
+    """Newton's method on all states from the guessed path."""
+    path[:] = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+    return all_states(case, factor, path, points, log)
+
+
+if QUADRATIC:
+    SHOOTING = [
+        ("shooting from the momenta of the straight way", from_velocity),
+        ("shooting from the momenta of a path of least action", from_least_action),
+        ("shooting from rest", from_rest),
+        ("continuation in the target", by_continuation),
+    ]
+else:
+    SHOOTING = [
+        ("shooting from the momenta of the straight way", from_velocity),
+        ("shooting from rest", from_rest),
+        ("continuation in the target", by_continuation),
+    ]
+ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
+LAST = (("continuation in the number of steps", by_steps),)
+ATTEMPTS = {
+    "stepping": (*SHOOTING, *ALL_STATES, *LAST),
+    "full": (*ALL_STATES, *SHOOTING, *LAST),
+    "action": (*ALL_STATES, *SHOOTING, *LAST),
+}
+
+
+def described(case, method, guess=None):
+    """The fields of a Solution."""
+    outcome, path, points, iterations, tangents, residual, attempts = climb(case, method, guess)
+    status = "solved" if outcome > 0 else "not connected"
+    message = (
+        attempts[-1]
+        if outcome > 0
+        else f"no attempt connects the points ({'; '.join(attempts)}); take more steps, allow for a sigma, or leave "
+        "out points that are close together and move apart"
+    )
+    h = case.duration / case.steps
+    finite = bool(np.isfinite(path).all() and np.isfinite(points).all())
+    cost, energy = np.nan, np.full(case.steps + 1, np.nan)
+    if finite:
+        cost = cost_and_energies(h, case.own, case.parameters, path, points, energy)
+    margin = min(domain_margin(z) for z in path) if finite else np.nan
+    t = h * np.arange(case.steps + 1)
+    q, p = path[:, 0].copy(), path[:, 1].copy()
+    return status, message, cost, residual, iterations, tangents, attempts, t, q, p, energy, margin

@@ -1,0 +1,17 @@
+"""Places and momenta moved along the field (H_p, -H_q)."""
+
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy")
+def moved(before, step, gradient, after):
+    """Fill `after` with before + step (H_p, -H_q); return the largest change of its entries and their size."""
+    change, size = 0.0, 0.0
+    for i in range(before.shape[1]):
+        for k in range(before.shape[2]):
+            place = before[0, i, k] + step * gradient[1, i, k]
+            momentum = before[1, i, k] - step * gradient[0, i, k]
+            change = max(change, abs(place - after[0, i, k]), abs(momentum - after[1, i, k]))
+            size = max(size, abs(place), abs(momentum))
+            after[0, i, k], after[1, i, k] = place, momentum
+    return change, size

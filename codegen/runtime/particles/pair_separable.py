@@ -1,0 +1,60 @@
+"""One step of a composition method for a separable Hamiltonian: places and momenta take turns, nothing is solved.
+
+z1 = z0 + f h (H_p(p), -H_q(q)) at q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1, with a and b zero or one, not both one.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.stand_ins.example_pairs import POINTS, SUBSTEPS, slope, velocity
+
+NON_FINITE = -1  # what `advance` returns when a state is infinite or not a number
+
+
+@njit(cache=True, error_model="numpy")
+def advance(z, h, own, parameters, points, after):
+    """Fill the state `after` a step; return 0, or why it failed.
+
+    Neighbouring substeps share what has not changed between them: H_q as long as places rest, H_p as long as momenta
+    do. `points[0]` keeps H_q and the places to which it belongs, for the step that follows.
+    """
+    rates, slopes, places = np.empty(z[0].shape), points[0, 0], points[0, 1]
+    has_rates, has_slopes = False, True
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            after[0, i, k], after[1, i, k] = z[0, i, k], z[1, i, k]
+            has_slopes = has_slopes and places[i, k] == z[0, i, k]
+    for s in range(POINTS):
+        step, a, b = h * SUBSTEPS[s][0], SUBSTEPS[s][1], SUBSTEPS[s][2]
+        if not (a > 0.0 or has_slopes):
+            slope(after, own, parameters, slopes)
+            has_slopes = True
+        if b > 0.0:
+            moved(after, 1, -step, slopes)
+            has_rates = False
+        if not has_rates:
+            velocity(after, own, parameters, rates)
+            has_rates = True
+        if not (a > 0.0 or b > 0.0):
+            moved(after, 1, -step, slopes)
+            has_rates = False
+        moved(after, 0, step, rates)
+        has_slopes = False
+        if a > 0.0:
+            slope(after, own, parameters, slopes)
+            moved(after, 1, -step, slopes)
+            has_rates, has_slopes = False, True
+    total = 0.0
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            places[i, k] = after[0, i, k] if has_slopes else np.nan
+            total += abs(after[0, i, k]) + abs(after[1, i, k])
+    return 0 if total < np.inf else NON_FINITE
+
+
+@njit(cache=True, error_model="numpy")
+def moved(z, part, step, rates):
+    """Add step times rates to the places (part 0) or momenta (part 1) of a state."""
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            z[part, i, k] += step * rates[i, k]

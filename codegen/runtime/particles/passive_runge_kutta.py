@@ -1,0 +1,108 @@
+"""A step of passive points by an explicit Runge-Kutta method, among particles that make the same step, and its inverse.
+
+As for particles, V_i = V(x0 + h sum_j a_ij V_j) at the particles' stage i, and x1 = x0 + h sum_i b_i V_i. The inverse
+solves this equation for x0 by Newton's method, with the derivative of the step.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.stand_ins.example_pairs import DIMENSION, POINTS, ROWS, WEIGHTS
+from codegen.runtime.stand_ins.example_passive import BLOCK, passive_gradient, passive_velocity
+from codegen.runtime.particles.passive_newton import (
+    MOST,
+    eliminated,
+    extrapolated,
+    has_settled,
+    moved_places,
+    times,
+    without_unsettled,
+)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def passive_step(k, h, stages, own, parameters, places, tangents, velocities, known):
+    """Move a block of points along step k, or backwards if h is negative; its `tangents` as well if there are any.
+
+    `velocities`, shape (4, d*BLOCK), holds the means of as many `known` steps before, and gets that of this one.
+    """
+    size = DIMENSION * DIMENSION * BLOCK
+    derivative, products, after = np.empty(size), np.empty(size), np.empty(DIMENSION * BLOCK)
+    first, rates = k * POINTS, velocities[0]
+    if h < 0.0:
+        extrapolated(velocities, known, after)
+        for m in range(DIMENSION * BLOCK):
+            after[m] = places[m] + h * after[m]
+        inverse_places(places, -h, first, stages, own, parameters, after, rates, derivative)
+        for m in range(DIMENSION * BLOCK):
+            places[m] = after[m]
+        if tangents.size > 0:
+            explicit_step(places, -h, first, stages, own, parameters, rates, derivative)
+            eliminated(derivative, tangents, DIMENSION)
+        return
+    explicit_step(places, h, first, stages, own, parameters, rates, derivative if tangents.size > 0 else tangents)
+    for m in range(DIMENSION * BLOCK):
+        places[m] += h * rates[m]
+    if tangents.size > 0:
+        times(derivative, tangents, products)
+        for m in range(size):
+            tangents[m] = products[m]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def explicit_step(places, h, first, stages, own, parameters, rates, derivative):
+    """Fill `rates` with the mean velocity of a step, and `derivative` with that of the step unless it is empty."""
+    count, size = DIMENSION * BLOCK, DIMENSION * DIMENSION * BLOCK
+    velocities, middle = np.empty((POINTS, count)), np.empty(count)
+    slopes, gradients, along = np.empty((POINTS, size)), np.empty(size), np.empty(size)
+    for s in range(POINTS):
+        combined_places(places, h, velocities, ROWS[s], s, middle)
+        if derivative.size == 0:
+            passive_velocity(middle, stages[first + s], own, parameters, velocities[s])
+            continue
+        passive_gradient(middle, stages[first + s], own, parameters, velocities[s], gradients)
+        unit_and_combined(h, slopes, ROWS[s], s, along)
+        times(gradients, along, slopes[s])
+    for m in range(count):
+        rates[m] = 0.0
+        for s in range(POINTS):
+            rates[m] += WEIGHTS[s] * velocities[s, m]
+    if derivative.size > 0:
+        unit_and_combined(h, slopes, WEIGHTS, POINTS, derivative)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def combined_places(places, h, velocities, weights, count, result):
+    """Fill `result` with places + h sum_r weights[r] velocities[r] over the first `count` stages."""
+    for m in range(places.size):
+        result[m] = places[m]
+        for r in range(count):
+            result[m] += h * weights[r] * velocities[r, m]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def unit_and_combined(h, slopes, weights, count, result):
+    """Fill `result` with 1 + h sum_r weights[r] slopes[r] over the first `count` stages."""
+    for a in range(DIMENSION):
+        for b in range(DIMENSION):
+            row = (a * DIMENSION + b) * BLOCK
+            for m in range(row, row + BLOCK):
+                result[m] = 1.0 if a == b else 0.0
+                for r in range(count):
+                    result[m] += h * weights[r] * slopes[r, m]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def inverse_places(places, h, first, stages, own, parameters, before, rates, derivative):
+    """Solve before + h (mean velocity from there) = places by Newton's method from the guess in `before`."""
+    changes, previous = np.empty(DIMENSION * BLOCK), np.inf
+    for _ in range(MOST):
+        explicit_step(before, h, first, stages, own, parameters, rates, derivative)
+        for m in range(DIMENSION * BLOCK):
+            changes[m] = (places[m] - before[m]) - h * rates[m]
+        eliminated(derivative, changes, 1)
+        change = moved_places(before, changes)
+        if has_settled(change, previous, False):
+            return
+        previous = change
+    without_unsettled(before, changes)

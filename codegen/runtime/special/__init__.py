@@ -1,0 +1,1 @@
+"""Functions beyond those that Python has."""

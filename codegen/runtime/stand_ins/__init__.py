@@ -1,0 +1,1 @@
+"""Hand-written kernels, with which the numerics are tested without a generated module."""

@@ -1,0 +1,1 @@
+"""Initial value problems: one step of every kind, and step after step."""

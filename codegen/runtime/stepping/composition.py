@@ -1,0 +1,56 @@
+"""One step made up of steps of another scheme, whose lengths are rows of FRACTIONS in parts of the whole."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.stand_ins.example_step import FRACTIONS, PARTS, STAGES, STATE, step_equations
+from codegen.runtime.stepping.step_newton import advance, allocate_work
+
+
+@njit(cache=True, error_model="numpy")
+def allocate_parts(h, parameters):
+    """What the base scheme needs, the lengths of its steps, and the state before each of them."""
+    return allocate_work(h, parameters), h * FRACTIONS, np.empty(STATE)
+
+
+@njit(cache=True, error_model="numpy")
+def advance_parts(state, t, parameters, work, interval, tolerance, max_iterations):
+    """Make all steps of the base scheme from `state`; `interval` is that of the last. Return as `advance` does."""
+    inner_work, lengths, here = work
+    iterations = 0
+    for i in range(STATE):
+        here[i] = state[i]
+    for part in range(PARTS):
+        outcome = advance(here, t, lengths[part], parameters, inner_work, interval, tolerance, max_iterations)
+        if outcome < 0:
+            return outcome
+        iterations += outcome
+        for i in range(STATE):
+            here[i] = interval[STAGES + i]
+        for i in range(lengths.shape[1]):
+            t += lengths[part, i]
+    return iterations
+
+
+@njit(cache=True, error_model="numpy")
+def parts_residual(state, end, t, parameters, work, interval, residual, tolerance, max_iterations):
+    """Max-norm of the base scheme's equations over the steps from `state` to `end`, the others being made again."""
+    inner_work, lengths, here = work
+    largest = 0.0
+    for i in range(STATE):
+        here[i] = state[i]
+    for part in range(PARTS):
+        advance(here, t, lengths[part], parameters, inner_work, interval, tolerance, max_iterations)
+        if part == PARTS - 1:
+            for i in range(STATE):
+                interval[STAGES + i] = end[i]
+        step_equations(here, interval, t, lengths[part], parameters, residual)
+        for i in range(STAGES + STATE):
+            if not abs(residual[i]) < np.inf:
+                return np.inf
+            largest = max(largest, abs(residual[i]))
+        for i in range(STATE):
+            here[i] = interval[STAGES + i]
+        for i in range(lengths.shape[1]):
+            t += lengths[part, i]
+    return largest

@@ -1,0 +1,19 @@
+"""One step of an explicit scheme."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.stand_ins.example_step import explicit_step
+
+
+@njit(cache=True, error_model="numpy")
+def allocate_work(h, parameters):
+    """An explicit step needs no arrays of its own."""
+    return np.empty(0)
+
+
+@njit(cache=True, error_model="numpy")
+def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
+    """Fill `interval` with inner stages and the state at the right node; return 0, the number of iterations."""
+    explicit_step(state, t, h, parameters, interval)
+    return 0

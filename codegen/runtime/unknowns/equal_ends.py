@@ -1,0 +1,56 @@
+"""Unknowns of the first and last node that equal shared ones: what acts on them acts on those, and they follow."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    END_SHARED,
+    END_SHARED_PLACES,
+    NODE,
+    ROOT,
+    SHARED,
+    START_SHARED,
+    START_SHARED_PLACES,
+    STRIDE,
+)
+from codegen.runtime.unknowns.shared import root_place
+
+
+@njit(error_model="numpy", inline="always")
+def release_tied(values, first, last, body, root):
+    """Move values of what equals a shared unknown to that unknown's; `first` and `last` are where the nodes begin."""
+    for i in range(START_SHARED.size):
+        root[root_place(body, START_SHARED[i])] += values[first + START_SHARED_PLACES[i]]
+    for i in range(END_SHARED.size):
+        root[root_place(body, END_SHARED[i])] += values[last + END_SHARED_PLACES[i]]
+
+
+@njit(error_model="numpy", inline="always")
+def follow_shared(values, first, last, body, root):
+    """Give what equals a shared unknown the value of that unknown."""
+    for i in range(START_SHARED.size):
+        values[first + START_SHARED_PLACES[i]] = root[root_place(body, START_SHARED[i])]
+    for i in range(END_SHARED.size):
+        values[last + END_SHARED_PLACES[i]] = root[root_place(body, END_SHARED[i])]
+
+
+@njit(error_model="numpy", inline="always")
+def release_tied_rows(places, shared, first, size, element):
+    """Add the rows and columns of unknowns that equal a shared one to the shared one's, which begin at `size`."""
+    for i in range(places.size):
+        place, to = first + places[i], size + shared[i]
+        for j in range(element.shape[1]):
+            element[to, j] += element[place, j]
+        for j in range(element.shape[0]):
+            element[j, to] += element[j, place]
+
+
+def shared_representatives(grid, size):
+    """For every unknown its own place, or that of the shared unknown which it equals."""
+    places, chain = np.arange(size), grid.steps * STRIDE + NODE
+    for body in range(BODIES):
+        shared = np.array([size - ROOT + root_place(body, j) for j in range(SHARED)])
+        places[body * chain + START_SHARED_PLACES] = shared[START_SHARED]
+        places[(body + 1) * chain - NODE + END_SHARED_PLACES] = shared[END_SHARED]
+    return places

@@ -1,0 +1,73 @@
+"""Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
+
+Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
+owns. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other unknowns is
+the stationarity of the optimum.
+"""
+
+from numba import njit
+
+from codegen.runtime.arrays import zero_vector
+from codegen.runtime.unknowns.coupling import add_coupling_gradient
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    COUPLINGS,
+    ELEMENT,
+    END_PINNED,
+    NODE,
+    ROOT,
+    SHARED,
+    START_PINNED,
+    STRIDE,
+    TIED,
+    end_gradient,
+    interval_gradient,
+    start_gradient,
+)
+from codegen.runtime.unknowns.shared import add_shared, read_shared
+from codegen.runtime.unknowns.equal_ends import release_tied
+
+
+@njit(error_model="numpy")
+def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
+    """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
+    chain = steps * STRIDE + NODE
+    for i in range(gradient.size):
+        gradient[i] = 0.0
+    part = zero_vector(ELEMENT + SHARED)
+    at_end = zero_vector(NODE + SHARED)
+    cost = 0.0
+    for body in range(BODIES):
+        first, last = body * chain, (body + 1) * chain - NODE
+        if SHARED:
+            read_shared(unknowns, body, parameters)
+        for i in range(at_end.size):
+            at_end[i] = 0.0
+        cost += start_gradient(unknowns[first : first + NODE], 0.0, parameters[body], at_end)
+        add_end(at_end, first, NODE, body, gradient)
+        for i in range(at_end.size):
+            at_end[i] = 0.0
+        cost += end_gradient(unknowns[last : last + NODE], steps * h, parameters[body], at_end)
+        add_end(at_end, last, NODE, body, gradient)
+        for k in range(steps):
+            here = first + k * STRIDE
+            cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            add_end(part, here, ELEMENT, body, gradient)
+        if TIED:
+            release_tied(gradient, first, last, body, gradient[gradient.size - ROOT :])
+        for i in START_PINNED:
+            gradient[first + i] = 0.0
+        for i in END_PINNED:
+            gradient[last + i] = 0.0
+    if COUPLINGS:
+        add_coupling_gradient(unknowns, parameters[0], gradient)
+    return cost
+
+
+@njit(error_model="numpy", inline="always")
+def add_end(part, first, size, body, gradient):
+    """Add the gradient of one share: `size` unknowns from `first` on, then the shared unknowns of a body."""
+    for i in range(size):
+        gradient[first + i] += part[i]
+    if SHARED:
+        add_shared(part, size, body, gradient)

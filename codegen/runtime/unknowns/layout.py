@@ -1,0 +1,71 @@
+"""Which unknowns are multipliers, and which no boundary condition fixes: functions of the number of intervals alone."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    COUPLINGS,
+    END_PINNED,
+    IS_MULTIPLIER,
+    NODE,
+    ONLY_AT_ENDS,
+    PHASES,
+    ROOT,
+    SHARED_IS_MULTIPLIER,
+    START_PINNED,
+    STRIDE,
+)
+from codegen.runtime.unknowns.phases import lacking_unknowns
+
+
+class Layout(NamedTuple):
+    """Masks of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+
+    is_multiplier: np.ndarray
+    is_free: np.ndarray
+    primal: np.ndarray
+    multipliers: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def layout(steps):
+    """The layout of `steps` intervals, kept for the next solve; its arrays are read-only."""
+    chain = steps * STRIDE + NODE
+    is_multiplier, is_free = np.zeros(BODIES * chain + ROOT, dtype=bool), np.ones(BODIES * chain + ROOT, dtype=bool)
+    chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
+    chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
+    chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
+    if COUPLINGS:
+        is_multiplier[is_multiplier.size - COUPLINGS :] = True
+    if PHASES:
+        is_multiplier[BODIES * chain :] = SHARED_IS_MULTIPLIER
+    chains = is_free[: BODIES * chain].reshape(BODIES, chain)
+    for i in ONLY_AT_ENDS:
+        chains[:, i + STRIDE : -NODE : STRIDE] = False
+    chains[:, START_PINNED] = False
+    chains[:, chain - NODE + END_PINNED] = False
+    if PHASES:
+        intervals = chains[:, : steps * STRIDE].reshape(BODIES, steps, STRIDE)
+        intervals[:, :, NODE:] &= ~lacking_unknowns(steps)
+    primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
+    for array in (is_multiplier, is_free, primal, multipliers):
+        array.flags.writeable = False
+    return Layout(is_multiplier, is_free, primal, multipliers)
+
+
+def free_unknowns(grid):
+    """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
+    return layout(grid.steps).is_free
+
+
+def primal_unknowns(grid):
+    """Indices of the free primal unknowns."""
+    return layout(grid.steps).primal
+
+
+def multiplier_unknowns(grid):
+    """Indices of the multipliers whose equations are imposed."""
+    return layout(grid.steps).multipliers

@@ -1,0 +1,42 @@
+"""Momenta of a discrete motion by the forced discrete Legendre transforms."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.arrays import zero_vector
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    ELEMENT,
+    EQUATIONS,
+    NODE,
+    SHARED,
+    STRIDE,
+    interval_gradient,
+)
+from codegen.runtime.unknowns.shared import read_shared
+
+
+def discrete_momenta(grid, unknowns):
+    """Momenta (bodies, N + 1, n): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
+
+    Both are what the multipliers of the equations of motion multiply in an interval's l.
+    """
+    momenta = np.empty((BODIES, grid.steps + 1, EQUATIONS.size))
+    interval_momenta(unknowns, grid.steps, grid.h, grid.parameters, momenta)
+    return momenta
+
+
+@njit(cache=True, error_model="numpy")
+def interval_momenta(unknowns, steps, h, parameters, momenta):
+    """Fill `momenta` from the gradient of every interval's l."""
+    part = zero_vector(ELEMENT + SHARED)
+    for body in range(BODIES):
+        if SHARED:
+            read_shared(unknowns, body, parameters)
+        for k in range(steps):
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters[body], part)
+            for i in range(EQUATIONS.size):
+                momenta[body, k, i] = -part[EQUATIONS[i]]
+        for i in range(EQUATIONS.size):
+            momenta[body, steps, i] = part[STRIDE + EQUATIONS[i]]

@@ -1,0 +1,78 @@
+"""A time grid with its data, and a vector of unknowns together with everything that is measured there."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.stand_ins.example import SCALED
+from codegen.runtime.unknowns.lagrangian import lagrangian_gradient
+from codegen.runtime.norms import measure
+
+
+class Grid(NamedTuple):
+    """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
+
+    The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
+    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
+    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
+    """
+
+    steps: int
+    h: float
+    parameters: np.ndarray
+    is_multiplier: np.ndarray
+    sizes: np.ndarray
+    forces: np.ndarray
+    weight: float
+    bounds: tuple[np.ndarray, ...]
+
+
+class Point(NamedTuple):
+    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+
+    `violation` is the sum of all residuals; `error` is the max-norm of all equations of the optimum, and infinite where
+    the cost is not finite.
+    """
+
+    unknowns: np.ndarray
+    gradient: np.ndarray
+    cost: float
+    residual: float
+    violation: float
+    stationarity: float
+    error: float
+
+
+def evaluate(grid, unknowns):
+    """Evaluate cost, gradient and norms at a vector of unknowns."""
+    gradient = np.empty(unknowns.size)
+    return Point(
+        unknowns,
+        gradient,
+        *measured_gradient(
+            unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient
+        ),
+    )
+
+
+def lagrangian(grid, point):
+    """The cost where the equations hold exactly, to first order: what is left of them costs multipliers times residual.
+
+    The error of the Lagrangian's value is of second order.
+    """
+    return point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier]
+
+
+@njit(cache=True, error_model="numpy")
+def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
+    """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
+    if SCALED and sizes.size:
+        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
+        for i in range(gradient.size):
+            gradient[i] *= weight * sizes[i]
+    else:
+        cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+    residual, violation, stationarity = measure(gradient, is_multiplier)
+    error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
+    return cost, residual, violation, stationarity, error

@@ -1,0 +1,52 @@
+"""Unknowns that no node owns: each body's own ones, then those of the whole problem, at the end of all unknowns."""
+
+from numba import njit
+
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    COUPLINGS,
+    OWN,
+    PHASES,
+    ROOT,
+    SHARED,
+    duration_of,
+    phase_durations,
+)
+
+
+@njit(error_model="numpy", inline="always")
+def root_place(body, j):
+    """Place, among the unknowns that no node owns, of the shared unknown j of a body."""
+    return body * OWN + j if j < OWN else (BODIES - 1) * OWN + j
+
+
+@njit(error_model="numpy")
+def read_shared(unknowns, body, parameters):
+    """Copy the values of a body's shared unknowns behind its parameters, where kernels read them."""
+    first = unknowns.size - ROOT
+    behind = parameters.shape[1] - SHARED
+    for j in range(SHARED):
+        parameters[body, behind + j] = unknowns[first + root_place(body, j)]
+
+
+@njit(error_model="numpy", inline="always")
+def add_shared(part, place, body, gradient):
+    """Add the entries of a share from `place` on to the gradient by the shared unknowns of a body."""
+    first = gradient.size - ROOT
+    for j in range(SHARED):
+        gradient[first + root_place(body, j)] += part[place + j]
+
+
+def shared_views(unknowns):
+    """Views of the shared unknowns: those of each body (bodies, OWN), and those of the whole problem."""
+    first = unknowns.size - ROOT
+    own = unknowns[first : first + BODIES * OWN].reshape(BODIES, OWN)
+    return own, unknowns[first + BODIES * OWN : unknowns.size - COUPLINGS]
+
+
+def least_duration(grid, unknowns):
+    """The length of the time interval, or of the shortest phase."""
+    least = duration_of(grid, unknowns)
+    if PHASES:
+        least = phase_durations(grid, unknowns).min()
+    return least

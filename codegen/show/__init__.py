@@ -1,0 +1,1 @@
+"""The derived equations, laid out for people to read."""

@@ -1,0 +1,291 @@
+"""The derived equations, continuous and discrete, laid out in blocks for people to read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import sympy
+from sympy import Add, Expr, Symbol, expand_mul
+
+from codegen import schemes, transcribe
+from codegen.discretise import (
+    STEP,
+    OneStepInterval,
+    VariationalInterval,
+    at_nodes,
+    one_step_interval,
+    step_lengths,
+    variational_interval,
+)
+from codegen.model import Boundary, Model, legendre
+from codegen.model.pairwise import PairwiseModel
+from codegen.model.problem_file import load_problem, split_points
+from codegen.model.values import prescribed
+from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta
+from codegen.show.notation import Block, Notation, written
+from codegen.show.particles import pairwise_equations
+from codegen.transcribe.program import ControlProgram, StepProgram
+
+_SHORTEN_LIMIT = 120
+"""Operation count up to which simplification is worth its time."""
+_FLAT_BONUS = 1.6
+
+_EULER_LAGRANGE = (
+    "d/dt ∂L/∂v - ∂L/∂q - f = 0, written out",
+    r"$\frac{d}{dt} \partial L/\partial v - \partial L/\partial q - f = 0$, written out",
+)
+_LEGENDRE = (
+    "pₖ = -D₁ Ld(qₖ, qₖ₊₁) - f⁻,  pₖ₊₁ = D₂ Ld(qₖ, qₖ₊₁) + f⁺",
+    r"$p_k = -D_1 L_d(q_k, q_{k+1}) - f^-$, $p_{k+1} = D_2 L_d(q_k, q_{k+1}) + f^+$",
+)
+_BALANCE = (
+    "D₂ Ld(qₖ₋₁, qₖ) + D₁ Ld(qₖ, qₖ₊₁) + f⁺ₖ₋₁ + f⁻ₖ = 0 for k = 1, ..., N - 1, written out",
+    r"$D_2 L_d(q_{k-1}, q_k) + D_1 L_d(q_k, q_{k+1}) + f^+_{k-1} + f^-_k = 0$ for $k = 1, \dots, N - 1$, written out",
+)
+_MOMENTA = (
+    "the discrete momenta of the first and last node are those of the prescribed velocities",
+    "the discrete momenta of the first and last node are those of the prescribed velocities",
+)
+
+
+def equations(
+    path: Path | str,
+    arguments: Mapping[str, str] | None = None,
+    *,
+    scheme: str | None = None,
+    method: str | None = None,
+    controls: str = "interval",
+    latex: bool = False,
+) -> str:
+    """The equations of a problem file and of its discretisation, as text of about 100 columns or as LaTeX.
+
+    The LaTeX needs the package amsmath and no other. Raises a kind of CodegenError when the problem or a choice is
+    unusable.
+    """
+    model = load_problem(Path(path), split_points(path, arguments or {})[0])
+    if isinstance(model, PairwiseModel):
+        return pairwise_equations(model, scheme, method, latex)
+    program = transcribe.transcribe(model, scheme, method, controls)
+    notation = Notation.of(model, _side(model, program.method), latex=latex)
+    title = f"{model.title.rstrip('.')} ({program.method} method, scheme {program.scheme})"
+    own = (
+        _of_phases(model, program)
+        if model.phases
+        else (*_continuous(model, program.method), *_discrete(model, program))
+    )
+    return written(title, [*own, *_ends(program), _layout(program, notation)], notation)
+
+
+def _of_phases(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
+    """What each phase is by itself, in its own time, and what happens at the switches between them."""
+    assert isinstance(program, ControlProgram), "a simulation has a single phase"
+    for number, phase in enumerate(model.phases, start=1):
+        if number > 1:
+            yield _switch(model, number - 1)
+        for block in (*_continuous(phase, program.method), *_discrete(phase, program)):
+            yield replace(block, heading=f"Phase {number}: {block.heading}")
+
+
+def _switch(model: Model, number: int) -> Block:
+    """Values before a switch that are prescribed, conditions there, and values after it."""
+    before = model.phases[number - 1]
+    rows = [(_named(f"{symbol}@-"), value) for symbol, value in prescribed(before, "end").items()]
+    here = {symbol: _named(f"{symbol}@-") for symbol in (*before.coordinates, *before.rates)}
+    rows += [(_named(f"{symbol}@+"), value.xreplace(here)) for symbol, value in model.jumps[number - 1]]
+    rows += [(_named("cost"), before.terminal_cost.xreplace(here))] if before.terminal_cost != 0 else []
+    conditions = ", ".join(condition.name for condition in before.end_conditions)
+    told = f"before it {conditions}" if conditions else "" if rows else "everything is continuous"
+    remarks = ((told, told),) if told else ()
+    return Block(f"Switch from phase {number} to phase {number + 1}", tuple(rows), remarks)
+
+
+def _side(model: Model, method: str) -> Model:
+    """The model on the side of mechanics where the method works, without boundaries."""
+    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
+    model = replace(model, start=free, end=free)
+    if model.form == "first-order":
+        return model
+    return legendre.lagrangian_form(model) if method == "variational" else legendre.hamiltonian_form(model)
+
+
+def _named(name: str) -> Symbol:
+    return Symbol(name, real=True)
+
+
+def _continuous(given: Model, method: str) -> Iterator[Block]:
+    """What the author wrote, what follows on the other side, and the forced equations of motion."""
+    model = _side(given, method)
+    if model.form == "first-order":
+        pairs = zip(model.coordinates, model.dynamics, strict=True)
+        yield Block("Dynamics", tuple((_named(f"rate {x}"), f) for x, f in pairs))
+        yield from _cost(model)
+        return
+    if given.form != model.form:
+        yield Block(given.form.capitalize(), ((_named(given.form[0].upper()), given.function),))
+    letter = model.form[0].upper()
+    rows = [(_named(letter), model.function)]
+    rows += [(_named(f"f_{q}"), f) for q, f in zip(model.coordinates, model.force, strict=True) if f != 0]
+    yield Block(model.form.capitalize() + (" and forces" if len(rows) > 1 else ""), tuple(rows))
+    forced = "Forced " if any(model.force) else ""
+    if letter == "L":
+        yield Block(f"{forced}Euler-Lagrange equations", tuple(_euler_lagrange(model)), (_EULER_LAGRANGE,))
+    else:
+        slopes = [f - sympy.diff(model.function, q) for q, f in zip(model.coordinates, model.force, strict=True)]
+        field = [*(sympy.diff(model.function, p) for p in model.rates), *slopes]
+        states = (*model.coordinates, *model.rates)
+        rates = tuple((_named(f"rate {x}"), _shortest(e)) for x, e in zip(states, field, strict=True))
+        yield Block(f"{forced}Hamilton's equations", rates)
+    yield from _cost(model)
+
+
+def _cost(model: Model) -> Iterator[Block]:
+    if model.cost is not None:
+        yield Block("Rate of the cost, and duration", ((_named("C"), model.cost), (_named("T"), model.duration)))
+
+
+def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
+    q, v = model.coordinates, model.rates
+    accelerations = [_named(f"acceleration {x}") for x in q]
+    for x, w, f in zip(q, v, model.force, strict=True):
+        momentum = sympy.diff(model.function, w)
+        rate = sympy.diff(momentum, model.time)
+        rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *accelerations), strict=True))
+        yield _named("0"), _shortest(rate - sympy.diff(model.function, x) - f)
+
+
+def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
+    side, scheme = _side(model, program.method), schemes.find(program.scheme, program.method)
+    nodal = isinstance(program, ControlProgram) and program.nodal_controls
+    if isinstance(scheme, Composition):
+        yield _composition(scheme)
+        scheme = scheme.part(step_lengths(scheme), STEP) if isinstance(program, StepProgram) else scheme.written_out()
+    if isinstance(scheme, DiscreteLagrangian):
+        interval = variational_interval(side, scheme, nodal)
+        yield from _variational(side, interval)
+        cost = interval.cost
+    else:
+        assert isinstance(scheme, OneStep | RungeKutta)
+        step = one_step_interval(side, scheme, nodal)
+        yield _one_step(step)
+        cost = step.cost
+    if model.cost is not None:
+        yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))
+
+
+def _composition(scheme: Composition) -> Block:
+    """The lengths of the base's steps, as parts of h."""
+    rows = []
+    for i, row in enumerate(scheme.fractions, start=1):
+        names = (f"h_{i}",) if len(row) == 1 else (f"h_1({i})", f"h_2({i})")
+        rows += [(_named(name), STEP * sympy.N(fraction, 16)) for name, fraction in zip(names, row, strict=True)]
+    text = f"{len(scheme.fractions)} steps of {scheme.base.name}, one after the other"
+    return Block("Composition", tuple(rows), ((text, text + r"\\"),))
+
+
+def _variational(model: Model, interval: VariationalInterval) -> Iterator[Block]:
+    names = [q.name for q in model.coordinates]
+    rows = [(_named("L_d"), interval.lagrangian)]
+    for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
+        rows += [(_named(f"{mark} {name}"), f) for name, f in zip(names, forces, strict=True) if f != 0]
+    inner = list(zip(interval.inner, interval.inner_balance, strict=True))
+    rows += [(_named(f"f {q}"), f) for q, f in zip(interval.inner, interval.force_inner, strict=True) if f != 0]
+    yield Block("Discrete Lagrangian" + (" and discrete forces" if len(rows) > 1 else ""), tuple(rows))
+    if inner:
+        yield Block("Balances at inner points", tuple((_named("0"), _shortest(balance)) for _, balance in inner))
+    momenta = [(_named(f"p_{n}_k"), _shortest(p)) for n, p in zip(names, interval.left_momentum, strict=True)]
+    momenta += [(_named(f"p_{n}_k1"), _shortest(p)) for n, p in zip(names, interval.right_momentum, strict=True)]
+    yield Block("Discrete Legendre transforms", tuple(momenta), (_LEGENDRE,))
+    shift = _one_interval_earlier(model, interval)
+    halves = zip(interval.right_momentum, interval.left_momentum, strict=True)
+    balance = [
+        (_named("0"), _shortest(_shortest(before.xreplace(shift)) - _shortest(after))) for before, after in halves
+    ]
+    heading = ("Forced discrete" if any(model.force) else "Discrete") + " Euler-Lagrange equations"
+    yield Block(heading, tuple(balance), (_BALANCE,))
+
+
+def _one_interval_earlier(model: Model, interval: VariationalInterval) -> dict[Symbol, Expr]:
+    """Substitution that turns expressions of the interval after node k into those of the interval before it."""
+    places = interval.q
+    shift: dict[Symbol, Expr] = dict(zip(places.left, at_nodes(model.coordinates, "_k-1"), strict=True))
+    shift |= dict(zip(places.right, places.left, strict=True))
+    shift |= dict(zip(interval.inner, at_nodes(interval.inner, "_k-1"), strict=True))
+    shift |= dict(zip(places.left_controls, at_nodes(model.controls, "_k-1"), strict=True))
+    if places.nodal:
+        shift |= dict(zip(places.right_controls, places.left_controls, strict=True))
+    shift[model.time] = model.time - STEP
+    return shift
+
+
+def _one_step(step: OneStepInterval) -> Block:
+    """Each equation solved for the value that it updates."""
+    names = (*step.stages, *step.q.right, *step.p.right)
+    rows = tuple((y, _shortest(y - e)) for y, e in zip(names, step.equations, strict=True))
+    return Block("One step", rows)
+
+
+def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
+    if isinstance(program, StepProgram):
+        values = {value.symbol: value.value for value in program.start_values}
+        pairs = zip(program.state, program.start, strict=True)
+        yield Block("Initial state", tuple((_named(f"{u.name}@0"), e.xreplace(values)) for u, e in pairs))
+        return
+    values = {value.symbol: value.value for value in program.boundary_values}
+    rows: list[tuple[Expr, Expr]] = []
+    for end, mark, symbols in ((program.start, "@0", program.left_symbols), (program.end, "@T", program.right_symbols)):
+        pins = {symbols[i]: value.xreplace(values) for i, value in end.pins}
+        node = list(zip(program.node, symbols, strict=True))
+        rows += [(_named(u.name + mark), pins[s]) for u, s in node if s in pins and not u.multiplier]
+        named = {u.name for u, s in node if s in pins}
+        rows += [
+            (_named(name + mark), _shortest(condition.xreplace(pins).xreplace(values)))
+            for name, condition in end.conditions
+            if name not in named
+        ]
+    remarks = (_MOMENTA,) if program.method == "variational" else ()
+    yield Block("Boundary conditions", tuple(rows), remarks)
+
+
+def _layout(program: ControlProgram | StepProgram, notation: Notation) -> Block:
+    """What is unknown, and where it lives."""
+    if isinstance(program, StepProgram):
+        left = _listed(program.unknowns, notation)
+        return Block(
+            "Layout of the unknowns",
+            remarks=(
+                _both("state at a node: ", _listed(program.left_symbols, notation), notation),
+                _both("solved for numerically in each step: ", left or "nothing, the step is explicit", notation),
+            ),
+        )
+    interval = _listed((*program.interval_symbols, *program.control_symbols), notation)
+    return Block(
+        "Layout of the unknowns",
+        remarks=(
+            _both("at a node: ", _listed(program.left_symbols, notation), notation),
+            _both("on an interval: ", interval or "nothing", notation),
+            ("order: node 0, interval 0, node 1, ..., node N",) * 2,
+        ),
+    )
+
+
+def _listed(symbols: Sequence[Symbol], notation: Notation) -> str:
+    names: Iterable[str] = (notation.name(symbol) for symbol in symbols)
+    return ", ".join(f"${name}$" if notation.latex else name for name in names)
+
+
+def _both(words: str, listed: str, notation: Notation) -> tuple[str, str]:
+    """A remark as text and as LaTeX, only one of which is going to be read."""
+    return (words + listed, words + listed + r"\\") if notation.latex else (words + listed, "")
+
+
+def _shortest(expression: Expr) -> Expr:
+    """The shortest of a few equal sums; fractions are not put over one denominator, which only looks short."""
+    if expression.count_ops() > _SHORTEN_LIMIT:
+        return expression
+    termwise = Add(*(sympy.simplify(term) for term in Add.make_args(expand_mul(expression, deep=False))))
+    shorter = min(expression, termwise, key=lambda candidate: int(candidate.count_ops()))
+    # A flat sum is easier to read than nested fractions that are a little shorter.
+    expanded = sympy.expand(expression)
+    return expanded if expanded.count_ops() <= _FLAT_BONUS * shorter.count_ops() else shorter

@@ -1,0 +1,206 @@
+"""Modified equations of a problem file, laid out for people to read: the conclusion first, then power by power."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen import schemes
+from codegen.analysis.flow_series import without_ends
+from codegen.analysis.modified_equations import ModifiedEquations, modified_equations
+from codegen.errors import ArgumentError
+from codegen.model import Model, legendre
+from codegen.model.pairwise import PairwiseModel
+from codegen.model.problem_file import load_problem, split_points
+from codegen.schemes.one_step import alpha
+from codegen.show.notation import Block, Notation, written
+from codegen.transcribe import DEFAULT_SCHEME
+
+LARGEST_ORDER = 8
+_FAMILY = "alpha"
+_FACTOR_LIMIT = 400
+"""Operation count up to which factors are looked for."""
+_WRITING_LIMIT = 1200
+"""Operation count up to which an expression is written out."""
+_HIGH = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+_LOW = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
+
+def analysis(
+    path: Path | str,
+    arguments: Mapping[str, str] | None = None,
+    *,
+    scheme: str | None = None,
+    method: str | None = None,
+    order: int = 3,
+    latex: bool = False,
+) -> str:
+    """The modified equations of a scheme on a problem up to h^order, as text of about 100 columns or as LaTeX.
+
+    `scheme` is a name of the registries, or `alpha` for the whole family with a symbol in place of a number. Raises
+    ArgumentError for an order outside 1 to 8 and for problems that have no modified equations here (particles, several
+    phases, holonomic constraints), and what `modified_equations` raises.
+    """
+    if not 1 <= order <= LARGEST_ORDER:
+        raise ArgumentError(f"--order {order}", f"give a power of h from 1 to {LARGEST_ORDER}")
+    model = _analysable(load_problem(Path(path), split_points(path, arguments or {})[0]))
+    found = _scheme(model, scheme or DEFAULT_SCHEME, method)
+    result = modified_equations(model, found, order)
+    side = model if model.form == "first-order" else legendre.hamiltonian_form(without_ends(model))
+    notation = Notation.of(side, latex=latex)
+    blocks = [*_equations(result, model, notation), *_structure(result, notation)]
+    return written(f"{found.name} on {model.name}: {_conclusion(result, latex)}", blocks, notation)
+
+
+def _analysable(model: Model | PairwiseModel) -> Model:
+    reason = ""
+    if isinstance(model, PairwiseModel):
+        reason = "particles that interact in pairs"
+    elif model.phases:
+        reason = "several phases"
+    elif model.holonomic:
+        reason = "holonomic constraints"
+    if reason:
+        raise ArgumentError(
+            f"modified equations are not derived for {reason}",
+            "analyse one body, one phase, or independent coordinates by themselves",
+        )
+    assert isinstance(model, Model)
+    return model
+
+
+def _scheme(model: Model, name: str, method: str | None) -> schemes.Scheme:
+    """The scheme of that name; without a method, that of the side on which the problem is written if it has it."""
+    if model.form == "first-order":
+        usable = [schemes.FIRST_ORDER]
+    else:
+        on_lagrangian_side = model.task == "control" or model.form == "lagrangian"
+        usable = sorted(schemes.METHODS, reverse=on_lagrangian_side)
+    if method is not None and method not in usable:
+        raise ArgumentError(f"method {method!r} is not for a {model.form} problem", f"use {' or '.join(usable)}")
+    if name == _FAMILY and "hamiltonian" in usable and method in (None, "hamiltonian"):
+        return _family(model)
+    if method is None:
+        known = [m for m in usable if name in schemes.METHODS.get(m, {}) or (m, name) in schemes.ALIASES]
+        family = ["hamiltonian"] if name.startswith("alpha-") and "hamiltonian" in usable else []
+        method = [*known, *family, usable[0]][0]
+    return schemes.find(name, method)
+
+
+def _family(model: Model) -> schemes.Scheme:
+    """The alpha family with a symbol that the problem does not use."""
+    taken = {s.name for s in (*model.coordinates, *model.rates, *model.controls, *model.parameters)}
+    name = next(n for n in ("alpha", "beta", "gamma", "weight", "family_weight") if n not in taken)
+    return replace(alpha(Symbol(name, real=True)), name=f"{name} family")
+
+
+def _conclusion(result: ModifiedEquations, latex: bool) -> str:
+    power = _power(len(result.field) - 1, latex)
+    if result.defects is None:
+        return f"modified equations up to {power}, of a first-order system, which has no Hamiltonian"
+    if result.defects:
+        powers = sorted({defect.power for defect in result.defects})
+        names = [_power(k, latex) for k in powers]
+        terms = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+        return f"modified equations up to {power} are not Hamiltonian, because of the coefficients of {terms}"
+    found = "" if result.hamiltonian else ", but no modified Hamiltonian was found"
+    return f"modified equations up to {power} are Hamiltonian{found}"
+
+
+def _power(k: int, latex: bool) -> str:
+    if latex:
+        return "h" if k == 1 else f"h to the power {k}"
+    return "h" if k == 1 else "h" + str(k).translate(_HIGH)
+
+
+def _equations(result: ModifiedEquations, model: Model, notation: Notation) -> Iterator[Block]:
+    names = ", ".join(notation.name(x) for x in result.states)
+    last = len(result.field)
+    plain = " + ".join(["f₀", "h f₁", *(f"h{_high(k)} f{_low(k)}" for k in range(2, last))])
+    tex = " + ".join(["f_0", "h f_1", *(f"h^{{{k}}} f_{{{k}}}" for k in range(2, last))])
+    remarks = [
+        (
+            f"ż = {plain} + O(h{_high(last)}), z = ({names}); its flow over the time h is a step",
+            rf"$\dot{{z}} = {tex} + O(h^{{{last}}})$, $z = ({names})$; its flow over the time $h$ is a step.",
+        )
+    ]
+    for told, holds in (
+        ("controls are constants", bool(model.controls)),
+        (f"each of the {model.bodies} bodies by itself", model.bodies > 1),
+    ):
+        remarks += [(told, told)] if holds else []
+    yield Block("Modified equations", (), tuple(remarks))
+    for k, field in enumerate(result.field):
+        rates = [
+            (Symbol(f"rate {x.name}", real=True), _tidied(f, k)) for x, f in zip(result.states, field, strict=True)
+        ]
+        yield _block(f"Coefficient of {_power(k, notation.latex)}", rates, notation)
+
+
+def _block(heading: str, rows: list[tuple[Symbol, Expr]], notation: Notation) -> Block:
+    """Equations, and in words what vanishes or is too long to be read."""
+    remarks: list[tuple[str, str]] = []
+    vanishing = [notation.name(label) for label, value in rows if value == 0]
+    if len(vanishing) == len(rows):
+        return Block(heading, (), (("it vanishes",) * 2,))
+    if vanishing:
+        listed, marked = ", ".join(vanishing), ", ".join(f"${name}$" for name in vanishing)
+        remarks.append((f"no contribution to {listed}", f"No contribution to {marked}."))
+    shown = []
+    for label, value in rows:
+        operations = value.count_ops()
+        if operations > _WRITING_LIMIT:
+            name = notation.name(label)
+            told = "is not written out: it has"
+            remarks.append((f"{name} {told} {operations} operations", f"${name}$ {told} {operations} operations."))
+        elif value != 0:
+            shown.append((label, value))
+    return Block(heading, tuple(shown), tuple(remarks))
+
+
+def _structure(result: ModifiedEquations, notation: Notation) -> Iterator[Block]:
+    """The modified Hamiltonian, or what shows that there is none."""
+    if result.hamiltonian:
+        last = len(result.hamiltonian)
+        plain = " + ".join(["H₀", "h H₁", *(f"h{_high(k)} H{_low(k)}" for k in range(2, last))])
+        tex = " + ".join(["H_0", "h H_1", *(f"h^{{{k}}} H_{{{k}}}" for k in range(2, last))])
+        told = "checked by differentiation; constants, and functions of time alone, are left out"
+        rows = [(Symbol(f"H_{k}", real=True), _tidied(h, k)) for k, h in enumerate(result.hamiltonian)]
+        block = _block("Modified Hamiltonian", rows, notation)
+        remark = (
+            f"H̃ = {plain} + O(h{_high(last)}), {told}",
+            rf"$\tilde{{H}} = {tex} + O(h^{{{last}}})$, {told}.",
+        )
+        yield Block(block.heading, block.equations, (remark, *block.remarks))
+    for k in sorted({defect.power for defect in result.defects or ()}):
+        rows = [
+            (Symbol(f"omega_{a.name}_{b.name}", real=True), _tidied(defect.value, k))
+            for defect in result.defects or ()
+            for a, b in [defect.pair]
+            if defect.power == k
+        ]
+        block = _block(f"Why the coefficient of {_power(k, notation.latex)} is not Hamiltonian", rows, notation)
+        remark = (
+            "d(i_f ω) = Σ ω_ab da ∧ db does not vanish, where ω = Σ dq ∧ dp",
+            r"$d(i_f \omega) = \sum \omega_{ab}\, da \wedge db$ does not vanish, where $\omega = \sum dq \wedge dp$.",
+        )
+        yield Block(block.heading, block.equations, (remark, *block.remarks))
+
+
+def _high(k: int) -> str:
+    return "" if k == 1 else str(k).translate(_HIGH)
+
+
+def _low(k: int) -> str:
+    return str(k).translate(_LOW)
+
+
+def _tidied(expression: Expr, power: int) -> Expr:
+    """The shorter of a sum and its product of factors; what the author wrote stays as it is."""
+    if power == 0 or expression.count_ops() > _FACTOR_LIMIT:
+        return expression
+    return min(expression, sympy.factor(expression), key=lambda candidate: int(candidate.count_ops()))

@@ -1,0 +1,106 @@
+"""The result of a connect problem, with residuals that are evaluated outside the driver."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import PointsError
+from codegen.loading import ConnectModule
+from codegen.solutions.crossings import crossings
+from codegen.solutions.result import ConnectAttempt, Request, Result, max_norm, other_driver
+
+TOLERANCE = 1e-12
+
+
+def connect_result(module: ConnectModule, driver: str, request: Request, attempt: ConnectAttempt) -> Result:
+    """Re-evaluate every step and the arrival, and downgrade a false claim of success."""
+    metadata, case, path = module.metadata, case_of(module, request), attempt.path
+    finite = bool(np.isfinite(path).all())
+    errors, end = module.path_errors(case, path) if finite else (np.full(1, np.nan), np.full(1, np.nan))
+    arrival = np.abs(end).reshape(case.start.shape) if finite else np.full(case.start.shape, np.nan)
+    energy = np.array([module.hamiltonian(np.ascontiguousarray(z), case.own, case.parameters) for z in path])
+    if metadata["adaptive"]:
+        # The steps are the integrator's own; what remains to be checked is where it arrives.
+        residual = max_norm(end)
+        cost = float(2.0 * case.duration * energy[:-1].mean())
+    else:
+        residual = max(max_norm(errors.ravel()), max_norm(end))
+        cost = float(module.path_cost(case, path)) if finite else float("nan")
+    status, message = attempt.status, attempt.message
+    if status == "solved" and not residual <= 10.0 * attempt.tolerance:
+        status = "inaccurate"
+        message = f"{driver} reported success, but the equations have residual {residual:.1e}; {other_driver(driver)}"
+    crossed = crossings(case.start, case.target)
+    if status != "solved" and crossed:
+        one, other = crossed[0]
+        message += f"; the straight ways of {len(crossed)} pairs of points cross, first those of {one} and {other}"
+    margin = min(float(module.domain_margin(np.ascontiguousarray(z))) for z in path)
+    count = case.start.shape[0]
+    names = {
+        key: tuple(f"{name}_{i + 1}" for i in range(count) for name in metadata[group])
+        for key, group in (("q", "coordinates"), ("p", "rates"))
+    }
+    return Result(
+        problem=metadata["problem"],
+        title=metadata["title"],
+        task="connect",
+        method=metadata["method"],
+        scheme=metadata["scheme"],
+        driver=driver,
+        steps=case.steps,
+        status=status,
+        message=message,
+        cost=cost,
+        residual=float(residual),
+        stationarity=None,
+        iterations=attempt.iterations,
+        t=case.duration / case.steps * np.arange(case.steps + 1),
+        q=path[:, 0].reshape(case.steps + 1, -1),
+        p=path[:, 1].reshape(case.steps + 1, -1),
+        u=None,
+        multipliers=None,
+        energy=energy,
+        log=None,
+        unknowns=None,
+        names={**names, "u": ()},
+        summary={
+            "particles": float(count),
+            "largest_arrival_error": float(arrival.max()),
+            "mean_arrival_error": float(arrival.mean()),
+            "largest_miss": float(np.abs(path[-1, 0] - case.target).max()),
+            "condition_number": condition_number(module, case),
+            "crossings": float(len(crossed)),
+            "energy_drift": float(np.abs(energy - energy[0]).max()),
+            "domain_margin": margin,
+            "attempts": float(max(1, len(attempt.attempts))),
+            "tangents": float(attempt.tangents),
+        },
+        attempts=attempt.attempts,
+    )
+
+
+def case_of(module: ConnectModule, request: Request) -> Any:
+    """The points that a request carries, checked by the module; PointsError tells what is wrong with them."""
+    points = request.points
+    if points is None:
+        raise PointsError("there are no points to connect", "give a file of points")
+    tolerance = TOLERANCE if request.tolerance is None or module.metadata["adaptive"] else request.tolerance
+    try:
+        return module.make_case(
+            points.start, points.target, request.steps, sigma=points.sigma, tolerance=min(tolerance, 1e-6)
+        )
+    except ValueError as error:
+        raise PointsError(str(error), "correct the points, or the arguments") from error
+
+
+def condition_number(module: ConnectModule, case: Any, most: int = 1500) -> float:
+    """The condition number of H_pp at the start in the 2-norm; NaN beyond that many rows."""
+    size = case.start.shape[0] * int(module.BLOCKS)
+    if size > most:
+        return math.nan
+    matrix = np.empty((size, size))
+    module.momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
+    return float(np.linalg.cond(matrix)) if np.isfinite(matrix).all() else math.nan

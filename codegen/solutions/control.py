@@ -1,0 +1,196 @@
+"""The result of an optimal-control problem, with residuals that are evaluated outside the driver."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codegen.loading import ControlModule, Entries, Grid, Vector
+from codegen.solutions.result import ControlAttempt, Request, Result, component_names, max_norm, other_driver
+
+LARGE_MULTIPLIERS = 100.0
+"""Mean multipliers above it make the optimality conditions' tolerance relative."""
+
+
+def control_result(module: ControlModule, driver: str, request: Request, attempt: ControlAttempt) -> Result:
+    """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
+    metadata, unknowns, grid = module.metadata, attempt.unknowns, module.make_grid(request.steps)
+    residual, stationarity = _errors(module, grid, unknowns, np.ones(unknowns.size), 1.0)
+    status, message, scaled = attempt.status, attempt.message, _scaled_grid(module, grid, request)
+    if status == "solved" and not _is_accurate(module, scaled, attempt):
+        status = "inaccurate"
+        message = (
+            f"{driver} reported success, but the discrete equations have residual {residual:.1e} and the optimality "
+            f"conditions {stationarity:.1e}; {other_driver(driver)}"
+        )
+    elif metadata["inequalities"] and (beyond := module.prescribed_beyond(grid, unknowns)):
+        status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
+    elif status != "solved" and driver != "newton":
+        # Optimisers of others number the rows; the module has names for them.
+        message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
+    cost = _cost(module, scaled, unknowns) if status == "solved" else float(module.cost(grid, unknowns))
+    t, q, p, u, multipliers = module.unpack(grid, unknowns)
+    return Result(
+        problem=metadata["problem"],
+        title=metadata["title"],
+        task="control",
+        method=metadata["method"],
+        scheme=metadata["scheme"],
+        driver=driver,
+        steps=request.steps,
+        status=status,
+        message=message,
+        cost=cost,
+        residual=residual,
+        stationarity=stationarity,
+        iterations=attempt.iterations,
+        t=t,
+        q=q,
+        p=p,
+        u=u,
+        multipliers=multipliers,
+        energy=None,
+        log=attempt.log,
+        unknowns=unknowns,
+        names=component_names(metadata),
+        summary={
+            **({"maximum": -cost} if metadata.get("maximised") else {}),
+            "duration": float(t[-1] - t[0]),
+            "final_state_miss": _final_state_miss(module, grid, unknowns),
+            "largest_control": max_norm(u),
+            "stationarity": stationarity,
+            **_free_parameters(module, unknowns),
+            **{f"switch_{i}": float(t[i * request.steps]) for i in range(1, metadata.get("phases", 1))},
+        },
+    )
+
+
+def _scaled_grid(module: ControlModule, grid: Grid, request: Request) -> Grid:
+    """The grid with the sizes in whose parts the generated solver works from the guess that was asked for."""
+    if request.scaling == "none":
+        return grid
+    guess = module.initial_guess(grid) if request.guess is None else request.guess
+    return module.scaled_grid(grid, module.with_pinned_values(grid, guess))
+
+
+def _cost(module: ControlModule, scaled: Grid, unknowns: Vector) -> float:
+    """The discrete cost of a solution, corrected by what residuals and distances to bounds are worth."""
+    own = unknowns / scaled.sizes if scaled.sizes.size else unknowns
+    return module.corrected_cost(scaled, module.evaluate(scaled, own))
+
+
+def _is_accurate(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -> bool:
+    """Whether residual and stationarity, in the solver's scales, are as small as the driver promised, or rounding."""
+    unknowns, sizes, weight = attempt.unknowns, np.ones(attempt.unknowns.size), scaled.weight
+    grid = module.plain_grid(scaled)
+    if scaled.sizes.size:
+        sizes = scaled.sizes
+    residual, stationarity = _errors(module, grid, unknowns, sizes, weight)
+    if not np.isfinite(residual + stationarity):
+        return False
+    rounding = _rounding_level(module, grid, unknowns, weight * sizes)
+    steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
+    scale = max(1.0, steepest, _mean_multiplier(module, grid, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
+    return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= 10.0 * max(
+        attempt.tolerance * scale, rounding
+    )
+
+
+def _mean_multiplier(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector, weight: float) -> float:
+    """The mean modulus of all multipliers and of the duals of bounds, the slopes that are held by them.
+
+    Where it is large, optimality conditions are sums of large terms, and the tolerance is relative to it, as it is for
+    the generated solver and IPOPT. Source: Waechter and Biegler (2006), equation (6).
+    """
+    primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    below, above = bound_distances(module, grid, unknowns)
+    slopes = weight * sizes[primal] * np.abs(module.stationarity(grid, unknowns))
+    bounded = np.isfinite(below) | np.isfinite(above)
+    total = np.abs(unknowns[multipliers] / sizes[multipliers]).sum() + slopes[bounded].sum()
+    return float(total / max(1, multipliers.size + bounded.sum()))
+
+
+def _errors(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector, weight: float) -> tuple[float, float]:
+    """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes."""
+    primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    wrong = (
+        weight * sizes[dual] * module.constraints(grid, unknowns),
+        _pinned_error(module, grid, unknowns, sizes),
+        _beyond_bounds(module, grid, unknowns) / sizes[primal],
+    )
+    unbalanced = weight * sizes[primal] * _unbalanced(module, grid, unknowns, sizes[primal])
+    return max(max_norm(values) for values in wrong), max_norm(unbalanced)
+
+
+def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector]:
+    """Distances of the free primal unknowns from their lower and upper bounds, infinite where there are none."""
+    primal = module.primal_unknowns(grid)
+    if not module.metadata["inequalities"]:
+        none = np.full(primal.size, np.inf)
+        return none, none
+    lower, upper = module.variable_bounds(grid)
+    return unknowns[primal] - lower[primal], upper[primal] - unknowns[primal]
+
+
+def _beyond_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
+    """By how much unknowns violate their bounds."""
+    below, above = bound_distances(module, grid, unknowns)
+    return np.maximum(0.0, -np.minimum(below, above))
+
+
+def _unbalanced(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector) -> Vector:
+    """The gradient of the Lagrangian by free primal unknowns, as far as no bound holds against it.
+
+    A bound may hold against a slope that leads out of it, in proportion to its closeness: what remains is the slope
+    times the distance in parts of the unknown's size, as in complementarity.
+    """
+    gradient = module.stationarity(grid, unknowns)
+    below, above = (np.clip(d / sizes, 0.0, 1.0) for d in bound_distances(module, grid, unknowns))
+    return np.asarray(np.where(gradient > 0.0, gradient * below, gradient * above), dtype=float)
+
+
+def _pinned_error(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector) -> Vector:
+    """By how much, in parts of sizes, the unknowns that a boundary condition fixes differ from their values."""
+    pinned = np.ones(unknowns.size, dtype=bool)
+    pinned[module.primal_unknowns(grid)] = False
+    pinned[module.multiplier_unknowns(grid)] = False
+    return ((unknowns - module.with_pinned_values(grid, unknowns)) / sizes)[pinned]
+
+
+def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights: Vector) -> float:
+    """Error of a weighted residual when every unknown is off by half a unit in the last place: eps max_i |K| |x|.
+
+    Source: Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    """
+    columns, rows = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    primal, dual = np.abs(unknowns[columns]), np.abs(unknowns[rows])
+
+    def row_sums(entries: Entries, x: Vector, size: int, transposed: bool = False) -> Vector:
+        rows, columns, values = entries
+        rows, columns = (columns, rows) if transposed else (rows, columns)
+        return np.asarray(np.bincount(rows, np.abs(values) * x[columns], minlength=size), dtype=float)
+
+    jacobian, hessian = module.jacobian(grid, unknowns), module.hessian(grid, unknowns)
+    equations = row_sums(jacobian, primal, dual.size)
+    optimality = row_sums(hessian, primal, primal.size) + row_sums(jacobian, dual, primal.size, transposed=True)
+    return float(np.finfo(float).eps) * max(
+        max_norm(weights[rows] * equations), max_norm(weights[columns] * optimality)
+    )
+
+
+def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> float:
+    """Largest error of the conditions at the end: prescribed values, and equations of the last nodes."""
+    metadata = module.metadata
+    bodies, node = metadata["bodies"], len(metadata["node"])
+    chain = grid.steps * (node + len(metadata["interval"])) + node
+    places = np.arange(unknowns.size)
+    at_end = (places >= bodies * chain) | (places % chain >= chain - node)
+    equations = at_end[module.multiplier_unknowns(grid)]
+    pinned = _pinned_error(module, grid, unknowns, np.ones(unknowns.size))
+    return max(max_norm(pinned), max_norm(module.constraints(grid, unknowns)[equations]))
+
+
+def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
+    """Values of the static parameters that were optimised; they stand before the multipliers of couplings."""
+    names = module.metadata["free_parameters"]
+    last = unknowns.size - module.COUPLINGS
+    return dict(zip(names, map(float, unknowns[last - len(names) : last]), strict=True))

@@ -1,0 +1,192 @@
+"""What `codegen solve` leaves behind: one JSON object, a table, an archive of arrays."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from codegen.errors import ArgumentError
+from codegen.files import replacing
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from codegen.checks import Finding
+    from codegen.solutions.result import Level, Result
+
+ARCHIVES = (".npz",)
+
+
+def require_writable(path: Path, kinds: tuple[str, ...], option: str) -> None:
+    """Refuse, before anything is solved, a file that could not be written; ArgumentError names the option."""
+    if path.suffix.lower() not in kinds:
+        raise ArgumentError(f"{option} {path}: unknown kind of file", f"let it end in {' or '.join(kinds)}")
+    if path.is_dir():
+        raise ArgumentError(f"{option} {path}: is a directory", "give the name of a file")
+    require_folder(path.absolute().parent, option)
+
+
+def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None:
+    """Refuse a folder that does not exist (unless it can be made), is none, or is not writable."""
+    while may_be_made and not folder.exists() and folder != folder.parent:
+        folder = folder.absolute().parent
+    if not folder.exists():
+        raise ArgumentError(f"{option}: there is no folder {folder}", "make it, or choose another")
+    if not folder.is_dir():
+        raise ArgumentError(f"{option}: {folder} is not a folder", "choose a folder")
+    try:
+        # Permissions alone do not tell: the file system may be read-only.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        finding = f"{option}: nothing can be written to {folder} ({error.strerror})"
+        raise ArgumentError(finding, "choose another folder") from error
+
+
+def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
+    """The JSON object of `--json`: keys as documented, every number finite or null."""
+    return {
+        "problem": result.problem,
+        "task": result.task,
+        "method": result.method,
+        "scheme": result.scheme,
+        "driver": result.driver,
+        "steps": result.steps,
+        "status": result.status,
+        "message": result.message,
+        "cost": _finite(result.cost),
+        "residual": _finite(result.residual),
+        "iterations": result.iterations,
+        "seconds": {"build": _finite(build), "load": _finite(load), "solve": _finite(result.seconds_solve)},
+        "summary": {name: _finite(value) for name, value in result.summary.items()},
+        **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
+    }
+
+
+def _level(level: Level) -> dict[str, Any]:
+    numbers = {name: _finite(getattr(level, name)) for name in ("cost", "residual", "seconds")}
+    return {**asdict(level), **numbers}
+
+
+def as_json(record: Mapping[str, Any]) -> str:
+    """One line of strict JSON."""
+    return json.dumps(record, allow_nan=False)
+
+
+def _finite(number: float | None) -> float | None:
+    return float(number) if number is not None and math.isfinite(number) else None
+
+
+def as_table(record: Mapping[str, Any], intervals: str) -> Table:
+    """The same record for people to read, with the number of steps in words."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_header=False)
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    table.add_row("problem", f"{record['problem']} ({record['task']})")
+    table.add_row("discretisation", f"{record['method']}, {record['scheme']}, {intervals}")
+    style = "green" if record["status"] == "solved" else "bold red"
+    table.add_row("status", f"[{style}]{record['status']}[/]")
+    table.add_row("", _escaped(record["message"]))
+    if record["cost"] is not None:
+        table.add_row("cost", f"{record['cost']:.12g}")
+    table.add_row("residual", _number(record["residual"]))
+    table.add_row("iterations", f"{record['iterations']} ({record['driver']})")
+    for level in record.get("levels", ()):
+        cost = "" if level["cost"] is None else f", cost {level['cost']:.12g}"
+        table.add_row("grid", f"{level['steps']} steps: {level['status']}{cost}, {level['iterations']} iterations")
+    for name, value in record["summary"].items():
+        table.add_row(name.replace("_", " "), _number(value))
+    seconds = record["seconds"]
+    table.add_row("time", ", ".join(f"{name} {_duration(value)}" for name, value in seconds.items()))
+    return table
+
+
+def log_table(result: Result) -> Table:
+    """The iterates of the generated solver."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="Iterations", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    rows = result.log if result.log is not None else ()
+    headings = ["iteration", "cost", "residual", "stationarity", "shift", "step"]
+    if any(len(row) > len(headings) - 1 for row in rows):  # of the interior point method
+        headings.append("barrier")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for k, row in enumerate(rows):
+        cost, residual, stationarity, shift, length, *barrier = row
+        errors = f"{residual:.2e}", f"{stationarity:.2e}"
+        weight = (f"{mu:.1e}" for mu in barrier)
+        table.add_row(str(k), f"{cost:.12g}", *errors, f"{shift:.1e}" if shift else "", f"{length:g}", *weight)
+    return table
+
+
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """What was checked, of what, and with what outcome."""
+    from rich import box
+    from rich.table import Table
+
+    silent = [finding for finding in findings if not finding.applies]
+    unmeasured = sum(map(_is_unmeasured, silent))
+    failed = sum(not finding.passed for finding in findings)
+    passed = len(findings) - len(silent) - failed
+    caption = f"{passed} passed, {failed} failed, {len(silent) - unmeasured} do not apply"
+    caption += f", {unmeasured} not measured" if unmeasured else ""
+    table = Table(box=box.SIMPLE_HEAD, caption=caption, caption_justify="left")
+    for heading in ("check", "subject", "", "detail"):
+        table.add_column(heading)
+    for finding in findings:
+        detail = finding.detail
+        for words in () if finding.applies else ("does not apply: ", "not measured: "):
+            detail = detail.removeprefix(words)
+        table.add_row(_escaped(finding.check), _escaped(finding.subject), _verdict(finding), _escaped(detail))
+    return table
+
+
+def _is_unmeasured(finding: Finding) -> bool:
+    return not finding.applies and finding.detail.startswith("not measured")
+
+
+def _verdict(finding: Finding) -> str:
+    """A check that says nothing about a problem has not passed."""
+    if not finding.applies:
+        return "[dim]not measured[/]" if _is_unmeasured(finding) else "[dim]does not apply[/]"
+    return "[green]passed[/]" if finding.passed else "[bold red]FAILED[/]"
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _number(value: float | None) -> str:
+    return "not available" if value is None else f"{value:.6g}"
+
+
+def _duration(seconds: float | None) -> str:
+    if seconds is None:
+        return "not available"
+    for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")):
+        if seconds < limit:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
+    """Write all arrays to an .npz archive, with the record of the run as JSON text under `result`."""
+    import numpy as np
+
+    names = ("t", "q", "p", "u", "multipliers", "energy", "log", "unknowns")
+    arrays: dict[str, Any] = {name: getattr(result, name) for name in names if getattr(result, name) is not None}
+    labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays, **labels, result=np.array(as_json(record)))

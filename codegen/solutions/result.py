@@ -1,0 +1,188 @@
+"""What drivers are asked, what they claim, and the result that is returned to the user."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from codegen.author.points import PointSet
+from codegen.loading import Matrix, Vector
+
+STATUSES = {
+    "solved": "the equations hold to the driver's tolerance, or to rounding",
+    "iteration limit": "the iterations ran out first",
+    "time limit": "the time ran out first",
+    "stalled": "no step makes further progress, though the residual is small",
+    "infeasible": "the equations cannot be satisfied near the last iterate",
+    "rank-deficient": "boundary conditions or controls are redundant or insufficient",
+    "saddle point": "the guess is stationary but no minimum",
+    "unbounded": "the cost decreases without limit along the equations",
+    "non-finite": "an expression became infinite or NaN",
+    "singular": "the equations of one step have no unique solution",
+    "newton failed": "Newton's method did not converge within one step",
+    "not connected": "no attempt found a motion from the given points to their targets",
+    "inaccurate": "the driver claimed success, but the residuals evaluated afterwards are too large",
+}
+"""Every status word and its meaning; all but the first are failures."""
+
+
+Watch: TypeAlias = Callable[[int, tuple[float, ...]], None]
+"""What is called with the number of an iterate and its row of the log."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a driver.
+
+    The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
+    unknowns to start from, and whether that is `near` the solution; for a connect problem the points. None as a
+    tolerance, or as the most iterations of an optimiser, stands for the driver's own; `time_limit` is in seconds, and
+    `watch` is called with the number and the row of the log of every iterate.
+    With the `scaling` "none" an optimiser works in the problem's own units.
+    """
+
+    steps: int
+    every: int = 1
+    guess: Vector | None = None
+    points: PointSet | None = None
+    tolerance: float | None = None
+    near: bool = True
+    max_iterations: int | None = None
+    time_limit: float = math.inf
+    watch: Watch | None = None
+    scaling: str = "auto"
+
+
+@dataclass(frozen=True)
+class ConnectAttempt:
+    """What a driver claims about a connect problem: states at the nodes, shape (N + 1, 2, n, d)."""
+
+    status: str
+    message: str
+    iterations: int
+    path: Any
+    tolerance: float
+    attempts: tuple[str, ...] = ()
+    tangents: int = 0
+
+
+@dataclass(frozen=True)
+class ControlAttempt:
+    """What a driver claims about an optimal-control problem; `tolerance` is the accuracy that it promises."""
+
+    status: str
+    message: str
+    iterations: int
+    unknowns: Vector
+    tolerance: float
+    log: Matrix | None = None
+
+
+@dataclass(frozen=True)
+class SimulateAttempt:
+    """What a driver claims about a simulation, at the stored steps."""
+
+    status: str
+    message: str
+    iterations: int
+    t: Vector
+    q: Matrix
+    p: Matrix
+    energy: Vector
+    steps: int
+    residual: float
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Level:
+    """How the solution on one grid of a refinement ended."""
+
+    steps: int
+    status: str
+    message: str
+    cost: float | None
+    residual: float
+    iterations: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """A solution with its residuals; arrays run over the nodes, `u` over the intervals unless controls are nodal.
+
+    `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
+    evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
+    first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made. `levels`
+    tells how the grids of a refinement ended.
+    """
+
+    problem: str
+    title: str
+    task: str
+    method: str
+    scheme: str
+    driver: str
+    steps: int
+    status: str
+    message: str
+    cost: float | None
+    residual: float
+    stationarity: float | None
+    iterations: int
+    t: Vector = field(repr=False)
+    q: Matrix = field(repr=False)
+    p: Matrix = field(repr=False)
+    u: Matrix | None = field(repr=False)
+    multipliers: Matrix | None = field(repr=False)
+    energy: Vector | None = field(repr=False)
+    log: Matrix | None = field(repr=False)
+    unknowns: Vector | None = field(repr=False)
+    names: dict[str, tuple[str, ...]]
+    summary: dict[str, float]
+    seconds_solve: float = float("nan")
+    seconds_first: float = float("nan")
+    compiled: bool = False
+    attempts: tuple[str, ...] = ()
+    levels: tuple[Level, ...] = ()
+
+    @property
+    def solved(self) -> bool:
+        """Whether the numerics succeeded."""
+        return self.status == "solved"
+
+    @property
+    def intervals(self) -> str:
+        """How many steps were made, for people: `20 steps`, or `2 x 20 steps` in two phases."""
+        phases = (self.t.size - 1) // self.steps if self.task == "control" else 1
+        return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
+
+
+def other_driver(driver: str) -> str:
+    """What to try where a driver claims what is not so: another one, or other numbers."""
+    return "try more steps, or another guess" if driver == "newton" else "try more steps, or driver newton"
+
+
+def max_norm(values: Vector) -> float:
+    """Max-norm; infinite when an entry is not finite."""
+    if values.size == 0:
+        return 0.0
+    norm = float(np.max(np.abs(values)))
+    return norm if np.isfinite(norm) else float("inf")
+
+
+def component_names(metadata: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """What the columns of q, p and u are called; those of several bodies carry the body's number."""
+    coordinates = tuple(metadata["coordinates"])
+    momenta = tuple(metadata["rates"]) if metadata.get("form") == "hamiltonian" else None
+    if momenta is None:
+        momenta = () if metadata.get("form") == "first-order" else tuple(f"p_{name}" for name in coordinates)
+    names = {"q": coordinates, "p": momenta, "u": tuple(metadata.get("control_names", ()))}
+    bodies = metadata.get("bodies", 1)
+    if bodies == 1:
+        return names
+    return {key: tuple(f"{name}_{body}" for body in range(bodies) for name in row) for key, row in names.items()}

@@ -1,0 +1,82 @@
+"""Saved results to start from: reading a file of `--save`, and refusing one that belongs to another problem."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from codegen.errors import ArgumentError, NumericsError
+from codegen.loading import ControlModule, GeneratedModule, Vector
+from codegen.solutions.result import component_names
+from codegen.solving.refinement import source_steps
+
+_REMEDY = "give a file that --save wrote when this problem was solved"
+
+
+@dataclass(frozen=True)
+class SavedStart:
+    """The unknowns of a saved optimisation, and what the file says of their meaning, if it does.
+
+    `names` are those of the columns of q and u; `nodes` is how many times there are.
+    """
+
+    path: Path
+    unknowns: Vector
+    names: dict[str, tuple[str, ...]]
+    nodes: int | None
+
+
+def read_start(path: Path) -> SavedStart:
+    """Read a saved optimisation; ArgumentError when there is no such file, or no solution in it."""
+    if not path.is_file():
+        raise ArgumentError(f"--warm {path}: {'is a directory' if path.is_dir() else 'no such file'}", _REMEDY)
+    try:
+        if not zipfile.is_zipfile(path):
+            raise ArgumentError(f"--warm {path} is no .npz file", _REMEDY)
+        with np.load(path, allow_pickle=False) as archive:
+            if "unknowns" not in archive:
+                raise ArgumentError(f"--warm {path} holds no unknowns of an optimisation", _REMEDY)
+            unknowns = np.asarray(archive["unknowns"], dtype=float)
+            named = [name for name in ("q", "u") if f"{name}_names" in archive]
+            names = {name: tuple(map(str, archive[f"{name}_names"])) for name in named}
+            nodes = archive["t"].size if "t" in archive else None
+    except (OSError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        reason = " ".join(f"{error}".split())
+        raise ArgumentError(f"--warm {path} cannot be read ({reason})", _REMEDY) from None
+    if unknowns.ndim != 1 or not np.isfinite(unknowns).all():
+        raise ArgumentError(f"--warm {path}: its unknowns are no vector of finite numbers", _REMEDY)
+    return SavedStart(path, unknowns, names, nodes)
+
+
+def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
+    """The saved unknowns, if they may be those of a module; ArgumentError tells by what they are not.
+
+    A file without names is judged by its size alone. Tasks that take no start refuse it themselves.
+    """
+    if module.metadata["task"] != "control":
+        return saved.unknowns
+    own = component_names(module.metadata)
+    for kind, what in (("q", "coordinates"), ("u", "controls")):
+        given = saved.names.get(kind, ())
+        if saved.names and given != own[kind]:
+            differ = f"its {what} are {_listed(given)}, those of the problem {_listed(own[kind])}"
+            raise ArgumentError(f"--warm {saved.path}: {differ}", _REMEDY)
+    remedy = f"{_REMEDY}, by the same method and scheme"
+    try:
+        steps = source_steps(cast(ControlModule, module), saved.unknowns)
+    except NumericsError:
+        finding = f"--warm {saved.path}: its {saved.unknowns.size} unknowns fit no number of steps of this problem"
+        raise ArgumentError(finding, remedy) from None
+    if saved.nodes is not None and saved.nodes != steps * module.metadata.get("phases", 1) + 1:
+        finding = f"--warm {saved.path}: its {saved.unknowns.size} unknowns on {saved.nodes} nodes are others than here"
+        raise ArgumentError(finding, remedy)
+    return saved.unknowns
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ", ".join(names) or "none"
