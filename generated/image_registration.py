@@ -875,6 +875,23 @@ def linearised_field(hessians, points, k, own, parameters, directions, products)
             products[half + row, c] = -by_place
 
 
+# Places and momenta moved along the field (H_p, -H_q).
+
+
+@njit(cache=True, error_model="numpy")
+def moved(before, step, gradient, after):
+    """Fill `after` with before + step (H_p, -H_q); return the largest change of its entries and their size."""
+    change, size = 0.0, 0.0
+    for i in range(before.shape[1]):
+        for k in range(before.shape[2]):
+            place = before[0, i, k] + step * gradient[1, i, k]
+            momentum = before[1, i, k] - step * gradient[0, i, k]
+            change = max(change, abs(place - after[0, i, k]), abs(momentum - after[1, i, k]))
+            size = max(size, abs(place), abs(momentum))
+            after[0, i, k], after[1, i, k] = place, momentum
+    return change, size
+
+
 # One step of a composition method: in each substep the field is taken at one point between its ends.
 #
 # z1 = z0 + f h F(q, p) at q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1, with F = (H_p, -H_q).
@@ -905,20 +922,6 @@ def advance(z, h, own, parameters, points, after, near=0.0):
         if not copy_state(after, before):
             return NON_FINITE
     return iterations
-
-
-@njit(cache=True, error_model="numpy")
-def moved(before, step, gradient, after):
-    """Fill `after` with before + step (H_p, -H_q); return the largest change of its entries and their size."""
-    change, size = 0.0, 0.0
-    for i in range(before.shape[1]):
-        for k in range(before.shape[2]):
-            place = before[0, i, k] + step * gradient[1, i, k]
-            momentum = before[1, i, k] - step * gradient[0, i, k]
-            change = max(change, abs(place - after[0, i, k]), abs(momentum - after[1, i, k]))
-            size = max(size, abs(place), abs(momentum))
-            after[0, i, k], after[1, i, k] = place, momentum
-    return change, size
 
 
 @njit(cache=True, error_model="numpy")
@@ -2306,7 +2309,7 @@ def is_whole(data, pickles):
 # numba files and links machine code under the name of the module that a function says it belongs to, and imports that
 # module when it reads the code back. This name is the same wherever this file lies and however it is imported, so that
 # the cache survives, and no other module has it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_efaa1380a6ce3d3e"
+_IDENTITY = "codegen_image_registration_4fe3570b839d7240"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -8,7 +8,7 @@ J* = 4.530760981081599.
 from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinate
-from codegen.author.drawing import Mass, Rod, Trail
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:

@@ -9,7 +9,7 @@ quantities are nondimensional.
 from sympy import cos, pi, sin, sqrt
 
 from codegen import Control, control, coordinates, parameters
-from codegen.author.drawing import Arrow, Circle, Mass, Trail
+from codegen.drawing import Arrow, Circle, Mass, Trail
 
 
 def problem(revolutions: float = 1) -> Control:

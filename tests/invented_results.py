@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from codegen.author.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
+from codegen.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
 from codegen.solutions.result import Result, component_names
 
 BOUNDED = '''"""Push a cart between walls."""

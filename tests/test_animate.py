@@ -12,15 +12,15 @@ from invented_results import picture
 from PIL import Image
 from typer.testing import CliRunner
 
-from codegen.author.drawing import Mass, Scene, Trail
 from codegen.cli import main, pictures
+from codegen.drawing import Mass, Scene, Trail
 from codegen.errors import ArgumentError
 from codegen.plots import animation as animate
 
 SWING = '''"""Let a pendulum swing. All quantities are nondimensional."""
 from sympy import cos, sin
 from codegen import Simulate, canonical_pair
-from codegen.author.drawing import Mass, Rod
+from codegen.drawing import Mass, Rod
 def problem():
     q, p = canonical_pair("q", "p")
     bob = sin(q), -cos(q)

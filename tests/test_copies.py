@@ -23,7 +23,7 @@ from codegen import (
     together,
 )
 from codegen.author.copies import meet_on_the_way
-from codegen.author.drawing import Circle
+from codegen.drawing import Circle
 from codegen.errors import CodegenError
 from codegen.model import normalise
 

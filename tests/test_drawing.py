@@ -26,10 +26,10 @@ from codegen import (
     parameter,
     time,
 )
-from codegen.author.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
 from codegen.author.symbols import recorded_declarations
 from codegen.cli.scene import fine_times, scene
 from codegen.compiler import generate_from_model
+from codegen.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
 from codegen.errors import ExpressionError, SymbolError
 from codegen.lower.module import Origin
 from codegen.model import Model, normalise

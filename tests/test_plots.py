@@ -11,7 +11,7 @@ from invented_results import BOUNDED, PAIR, column, invented, overlaps, picture,
 from matplotlib.figure import Figure
 
 from codegen import plots, solving
-from codegen.author.drawing import Arrow, Mass, Scene, Trail
+from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.plots import panels, style
 from codegen.plots.quantities import Inequality, Quantity
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import sympy
 
-from codegen.author.drawing import Item
 from codegen.author.problem import Control, Expression, Relations, form_of
 from codegen.author.symbols import Coordinate, EndValue, Momentum, Quantity, Velocity
+from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
 

@@ -14,7 +14,6 @@ from typing import Any
 import sympy
 
 from codegen.author.bodies import require_body, require_single_bodies, together
-from codegen.author.drawing import Item
 from codegen.author.problem import Control
 from codegen.author.symbols import (
     BodyNumber,
@@ -30,6 +29,7 @@ from codegen.author.symbols import (
     coordinate,
     states,
 )
+from codegen.drawing import Item
 
 
 def meet_on_the_way(problem: Any) -> bool:

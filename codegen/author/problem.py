@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar
 
-from codegen.author.drawing import Item
+from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
@@ -40,7 +40,7 @@ class Problem:
     state of a first-order system to its derivative, x' = f(x, u, t). `force` maps a coordinate to the generalised
     force on it (the covector component of f in the Lagrange-d'Alembert principle). `duration` is T; `steps` is the
     default number N of intervals. `start` maps coordinates and velocities (or momenta, or states) to their values at
-    t = 0. `drawing` lists what a picture of the system shows (see `codegen.author.drawing`); nothing else depends
+    t = 0. `drawing` lists what a picture of the system shows (see `codegen.drawing`); nothing else depends
     on it.
     """
 

@@ -88,7 +88,7 @@ def requested(problem: Path, settings: Sequence[str], plot: Path | None, animati
     model = load_problem(problem, parse_arguments(settings, problem))
     if animation is not None and not model.drawing:
         finding = f"--animate {animation}: {problem} says nothing about how to draw it"
-        raise ArgumentError(finding, "add drawing=[...] with items of codegen.author.drawing to the problem")
+        raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
     return Pictures(plot, animation, model, _unit(problem))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from codegen.author.drawing import Item, Scene
+from codegen.drawing import Item, Scene
 from codegen.expressions.special_functions import NUMPY
 from codegen.model import Model
 from codegen.solutions.result import Result

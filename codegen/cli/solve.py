@@ -67,9 +67,8 @@ def solve(
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
     from codegen import solving
-    from codegen.cli import machine_code, pictures
+    from codegen.cli import machine_code, pictures, solve_options
     from codegen.solutions import notes, output
-    from codegen.solving import options as solve_options
 
     solve_options.require_sensible(driver, log, save, out)
     wanted = pictures.requested(problem, set_, plot, animate)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import sympy
 
-from codegen.author.drawing import Item
+from codegen.drawing import Item
 from codegen.model.relations import short
 
 

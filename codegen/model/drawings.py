@@ -12,9 +12,9 @@ from typing import Any
 
 import sympy
 
-from codegen.author.drawing import Item
 from codegen.author.problem import Problem
 from codegen.author.symbols import BodyNumber, Coordinate, EndValue, Momentum, Quantity, State, Time, Velocity
+from codegen.drawing import Item
 from codegen.errors import ExpressionError, SymbolError
 from codegen.expressions import checks as expressions
 from codegen.model.definitions import Model
@@ -30,7 +30,7 @@ def checked_drawing(problem: Problem) -> tuple[Item, ...]:
     """
     if not isinstance(problem.drawing, (list, tuple)):
         raise ExpressionError(
-            f"drawing is a {type(problem.drawing).__name__}", "write drawing=[...] with items of codegen.author.drawing"
+            f"drawing is a {type(problem.drawing).__name__}", "write drawing=[...] with items of codegen.drawing"
         )
     return tuple(_checked(item, f"drawing[{place}]") for place, item in enumerate(problem.drawing))
 
@@ -70,7 +70,7 @@ def with_drawing(model: Model, items: Sequence[Item], plain: Mapping[Quantity, s
 
 def _checked(item: Any, where: str) -> Item:
     if not isinstance(item, Item) or type(item) is Item:
-        raise ExpressionError(f"{where} is a {type(item).__name__}", "use items of codegen.author.drawing, such as Rod")
+        raise ExpressionError(f"{where} is a {type(item).__name__}", "use items of codegen.drawing, such as Rod")
     where = f"{where}, a {type(item).__name__},"
     if not isinstance(item.label, str):
         raise ExpressionError(f"{where} has the label {item.label!r}", "give text")

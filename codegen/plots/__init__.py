@@ -6,7 +6,7 @@ from pathlib import Path
 
 import matplotlib
 
-from codegen.author.drawing import Scene
+from codegen.drawing import Scene
 from codegen.loading import GeneratedModule, is_connect, is_control
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from codegen.author.drawing import Scene
+from codegen.drawing import Scene
 from codegen.errors import ArgumentError
 from codegen.plots import shapes
 from codegen.plots.style import STYLE

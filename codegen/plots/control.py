@@ -12,7 +12,7 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from codegen.author.drawing import Scene
+from codegen.drawing import Scene
 from codegen.loading import ControlModule
 from codegen.plots import panels, shapes
 from codegen.plots.quantities import Inequality, Quantity, inequalities, quantities

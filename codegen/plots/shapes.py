@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib import patches
 from matplotlib.lines import Line2D
 
-from codegen.author.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
+from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
 from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
 
 SHOTS, MANY_SHOTS = 9, 7

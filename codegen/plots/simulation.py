@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from codegen.author.drawing import Scene
+from codegen.drawing import Scene
 from codegen.plots import shapes
 from codegen.plots.style import AMBER, BLUE, RED, label, title
 from codegen.solutions.result import Result

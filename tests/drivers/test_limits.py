@@ -9,11 +9,10 @@ from failing_problems import INFEASIBLE
 from typer.testing import CliRunner
 
 from codegen import drivers, solving, terminal
-from codegen.cli import main
+from codegen.cli import main, solve_options
 from codegen.errors import ArgumentError
 from codegen.runtime.optimise.iterates import Log
 from codegen.solutions import output
-from codegen.solving import options as solve_options
 
 
 class Clock:
