@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from codegen import emit
-from codegen.model.problem_file import input_digest
+from codegen.author.problem_file import input_digest
 from codegen.naming import Choices, choice_texts, module_name, versions
 
 

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen import cache, emit
+from codegen.author.problem_file import split_points
 from codegen.deadline import BUILD, Stages, described, extent
 from codegen.errors import ArgumentError, FileError
-from codegen.model.problem_file import load_problem, split_points
 from codegen.naming import Choices, chosen, origin_of
 from codegen.runtime.kept_code import remove_partial_bytecode
 
@@ -101,6 +101,8 @@ def generate(path: Path, arguments: Mapping[str, str], choices: Choices, time_li
     """The text of the module of a problem file, derived anew within so many seconds of processor time."""
     stages = Stages(time_limit)
     with _rare_collections(), stages.limited():
+        from codegen.model.from_file import load_problem
+
         model = load_problem(path, arguments)
         return generate_from_model(model, choices, origin_of(path, arguments, choices), stages)
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen import __version__
+from codegen.author.problem_file import input_digest
 from codegen.errors import ArgumentError
-from codegen.model.problem_file import input_digest
 
 if TYPE_CHECKING:
     from codegen.lower.module import Origin

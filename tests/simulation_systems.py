@@ -29,7 +29,7 @@ from codegen.author.symbols import (
 )
 from codegen.lower.module import Origin
 from codegen.model import Model, normalise
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 
 ROOT = Path(__file__).parents[1]
 

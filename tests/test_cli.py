@@ -14,7 +14,7 @@ from conftest import PROBLEMS
 from malformed import MALFORMED
 from typer.testing import CliRunner
 
-from codegen import checks, cli, drivers, schemes, solving
+from codegen import checks, drivers, schemes, solving
 from codegen.checks.base import does_not_apply
 from codegen.cli import main
 from codegen.solutions import output
@@ -430,7 +430,7 @@ class TestDefects:
         def fail(*arguments):
             raise RuntimeError("two\nlines")
 
-        monkeypatch.setattr(cli, "_build", fail)
+        monkeypatch.setattr("codegen.cli.solve.build_module", fail)
 
     def test_one_line(self, folder, broken, monkeypatch):
         monkeypatch.delenv("CODEGEN_TRACEBACK", raising=False)

@@ -20,7 +20,7 @@ from sympy import lambdify
 from codegen.analysis.exact_optimum import exact_optimum
 from codegen.analysis.reference_optimum import reference_optimum
 from codegen.compiler import build
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.schemes import METHODS, Composition
 from codegen.transcribe import MOST_PARTS
 

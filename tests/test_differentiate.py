@@ -17,7 +17,7 @@ from codegen.derive import control_derivatives
 from codegen.expressions import StraightLine, second_derivatives
 from codegen.expressions.graph import Graph
 from codegen.expressions.zeros import vanishing
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 
 ROOT = Path(__file__).parents[1]
 X, Y, Z, P = symbols("x y z p", real=True)

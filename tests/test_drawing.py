@@ -33,7 +33,7 @@ from codegen.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, 
 from codegen.errors import ExpressionError, SymbolError
 from codegen.lower.module import Origin
 from codegen.model import Model, normalise
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.naming import Choices
 
 DRAWN = (

@@ -164,7 +164,7 @@ def test_gallery_covers_every_problem_file():
 
 
 def test_templates_ask_only_for_what_modules_supply():
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("codegen"))
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("codegen.emit"))
     for name in environment.list_templates(extensions=["j2"]):
         source = environment.loader.get_source(environment, name)[0]
         tree = environment.parse(source)
@@ -181,7 +181,7 @@ def test_templates_ask_only_for_what_modules_supply():
     ],
 )  # fmt: skip
 def test_templates_name_nothing_that_is_not_supplied(template, kind):
-    environment, wanted, left = jinja2.Environment(loader=jinja2.PackageLoader("codegen")), set(), [template]
+    environment, wanted, left = jinja2.Environment(loader=jinja2.PackageLoader("codegen.emit")), set(), [template]
     while left:
         tree = environment.parse(environment.loader.get_source(environment, left.pop())[0])
         wanted |= meta.find_undeclared_variables(tree)

@@ -15,8 +15,8 @@ from codegen.discretise import STEP
 from codegen.errors import SizeError
 from codegen.expressions.samples import hessian_samples
 from codegen.model import Model
+from codegen.model.from_file import load_problem
 from codegen.model.legendre import conjugate_symbols, hamiltonian_form, in_phase_space
-from codegen.model.problem_file import load_problem
 from codegen.transcribe import transcribe
 from codegen.transcribe.elimination import linear_in
 from codegen.transcribe.phase_functions import phase_functions

@@ -12,8 +12,8 @@ from codegen import Connect, Pairwise, Simulate, parameters, particles
 from codegen.author.symbols import recorded_declarations
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
 from codegen.expressions.invariants import Invariants
+from codegen.model.from_file import load_problem
 from codegen.model.pairwise import normalise_pairwise
-from codegen.model.problem_file import load_problem
 
 NONE = np.zeros(0)
 

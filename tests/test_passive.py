@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from codegen.checks.particles import passive
 from codegen.compiler import build
 from codegen.errors import ExpressionError, ModuleError, NumericsError
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.registration import flow
 from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from malformed import MALFORMED
 from malformed_templates import PRELUDE, Malformed, file_text, first_order, group, optimal, simulation
 
+from codegen.author.problem_file import input_digest, parse_arguments
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError
-from codegen.model.problem_file import input_digest, load_problem, parse_arguments
+from codegen.model.from_file import load_problem
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 
@@ -361,7 +362,7 @@ def test_input_digest_sees_every_input_and_no_order(tmp_path: Path) -> None:
 
 def test_import_and_digest_need_neither_sympy_nor_numba() -> None:
     program = (
-        "import sys, pathlib, codegen.model.problem_file as p\n"
+        "import sys, pathlib, codegen.author.problem_file as p\n"
         "p.parse_arguments(['a=1']), p.input_digest(pathlib.Path(sys.argv[1]), {})\n"
         "print(sorted({'sympy', 'numba', 'numpy', 'scipy'} & set(sys.modules)))"
     )

@@ -9,7 +9,7 @@ from golden import CONTROL as PROBLEMS
 from golden import committed, names
 
 from codegen.lower.statement import description
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.transcribe import transcribe
 
 FOLDER = Path(__file__).parents[1] / "problems"

@@ -33,7 +33,7 @@ from codegen.expressions.straight_line import written_out
 from codegen.lower.module import Origin
 from codegen.lower.printer import scalar_code
 from codegen.model import normalise
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.naming import Choices
 from codegen.verify import judgement, shares, steps
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from codegen import compiler, emit, naming, schemes
+from codegen.author.problem_file import split_points
 from codegen.checks.base import Check, Context, Finding, not_measured
 from codegen.checks.derivation import (
     area_preservation,
@@ -38,7 +39,7 @@ from codegen.checks.solution import holonomic_drift, optimum, second_order
 from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.loading import load
 from codegen.model import Model
-from codegen.model.problem_file import load_problem, split_points
+from codegen.model.from_file import load_problem
 from codegen.naming import Choices
 
 __all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]

@@ -19,7 +19,7 @@ def analyse(
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
 ) -> None:
     """Print the modified equations of a scheme, and the modified Hamiltonian if there is one."""
-    from codegen.model.problem_file import parse_arguments
+    from codegen.author.problem_file import parse_arguments
     from codegen.show.modified_equations import analysis
 
     arguments = parse_arguments(set_, problem)

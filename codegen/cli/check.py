@@ -24,7 +24,7 @@ def check(
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of all checks.")] = CHECK,
 ) -> None:
     """Check the derivation and the generated code; exit status 1 if a check fails."""
-    from codegen.model.problem_file import parse_arguments
+    from codegen.author.problem_file import parse_arguments
     from codegen.solutions import output
 
     if out is not None:

@@ -23,7 +23,7 @@ def build_module(
 ) -> Build:
     """Derive a module with the options of a command, or take it from the cache; raises a kind of CodegenError."""
     from codegen import compiler
-    from codegen.model.problem_file import parse_arguments
+    from codegen.author.problem_file import parse_arguments
 
     arguments = parse_arguments(set_, problem)
     return compiler.build(

@@ -83,7 +83,8 @@ def requested(problem: Path, settings: Sequence[str], plot: Path | None, animati
             raise ArgumentError(finding, "install ffmpeg, or let the file end in .gif")
     if plot is None and animation is None:
         return Pictures()
-    from codegen.model.problem_file import load_problem, parse_arguments
+    from codegen.author.problem_file import parse_arguments
+    from codegen.model.from_file import load_problem
 
     model = load_problem(problem, parse_arguments(settings, problem))
     if animation is not None and not model.drawing:

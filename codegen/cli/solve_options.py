@@ -32,7 +32,7 @@ def require_sensible(driver: str, log: bool, save: Path | None, out: Path | None
 
 def points_of(problem: Path, set_: list[str]) -> Callable[[Mapping[str, Any]], PointSet | None]:
     """What reads the points of a problem about particles, once its module says how many coordinates they have."""
-    from codegen.model.problem_file import parse_arguments, split_points
+    from codegen.author.problem_file import parse_arguments, split_points
 
     given = split_points(problem, parse_arguments(set_, problem))[1]
 

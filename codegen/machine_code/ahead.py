@@ -78,7 +78,7 @@ def take_over(functions: list[Any]) -> None:
 
 def _functions() -> Iterator[tuple[Any, Any, dict[str, Any]]]:
     for file, name, types, inherited in FUNCTIONS:
-        runtime = import_module(f"codegen.runtime.{file}")
+        runtime = import_module(f"codegen.runtime.kkt.{file}")
         if name not in _READY:
             _prepare(runtime)
         yield _READY[name], types, inherited

@@ -9,7 +9,7 @@ from typing import Any
 from codegen import schemes
 from codegen.errors import CodegenError
 from codegen.model import Model
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
 
 

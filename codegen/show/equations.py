@@ -10,6 +10,7 @@ import sympy
 from sympy import Add, Expr, Symbol, expand_mul
 
 from codegen import schemes, transcribe
+from codegen.author.problem_file import split_points
 from codegen.discretise import (
     STEP,
     OneStepInterval,
@@ -20,8 +21,8 @@ from codegen.discretise import (
     variational_interval,
 )
 from codegen.model import Boundary, Model, legendre
+from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
-from codegen.model.problem_file import load_problem, split_points
 from codegen.model.values import prescribed
 from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta
 from codegen.show.notation import Block, Notation, written

@@ -12,10 +12,11 @@ from sympy import Expr, Symbol
 from codegen import schemes
 from codegen.analysis.flow_series import without_ends
 from codegen.analysis.modified_equations import ModifiedEquations, modified_equations
+from codegen.author.problem_file import split_points
 from codegen.errors import ArgumentError
 from codegen.model import Model, legendre
+from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
-from codegen.model.problem_file import load_problem, split_points
 from codegen.schemes.one_step import alpha
 from codegen.show.notation import Block, Notation, written
 from codegen.transcribe import DEFAULT_SCHEME

@@ -60,7 +60,7 @@ def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[t
     if module.metadata["task"] != "connect":
         return ()
     from codegen.author.points import read_points
-    from codegen.model.problem_file import split_points
+    from codegen.author.problem_file import split_points
 
     given = split_points(problem, dict(arguments))[1]
     file = Path(given) if given is not None else problem.parent / module.metadata["points"]

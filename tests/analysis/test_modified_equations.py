@@ -34,7 +34,7 @@ from codegen.checks.derivation.symplecticity import generic_model_without_forces
 from codegen.cli import main
 from codegen.errors import ArgumentError, ExpressionError, SchemeError
 from codegen.model import Boundary, normalise
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.schemes.one_step import alpha
 from codegen.show.modified_equations import analysis
 

@@ -11,7 +11,7 @@ from interpreted import Interpreted
 
 from codegen import checks, schemes, transcribe
 from codegen.checks import Context
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.naming import Choices
 
 

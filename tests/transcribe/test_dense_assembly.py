@@ -5,7 +5,7 @@ import pytest
 from conftest import PROBLEMS
 from dense_assembly import DenseProblem
 
-from codegen.model.problem_file import load_problem
+from codegen.model.from_file import load_problem
 from codegen.transcribe import transcribe
 
 

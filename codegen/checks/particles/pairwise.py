@@ -15,8 +15,8 @@ from codegen.checks.base import Finding
 from codegen.checks.module import provenance
 from codegen.checks.particles import passive
 from codegen.loading import load
+from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
-from codegen.model.problem_file import load_problem
 from codegen.naming import Choices
 from codegen.schemes.particles import PARTICLE_SCHEMES
 

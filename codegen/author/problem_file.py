@@ -1,4 +1,4 @@
-"""Reading a problem file: from a path and `--set` arguments to a checked model, or to one line that says what is wrong.
+"""Reading a problem file: its text, `--set` arguments, and what its `problem(...)` returns, or what is wrong with it.
 
 Importing this module, `parse_arguments` and `input_digest` need no sympy, so that a build which is up to date can be
 recognised before anything slow is imported.
@@ -19,14 +19,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from codegen.author.set_values import converted
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError, clause
-
-if TYPE_CHECKING:
-    from codegen.model import Model
-    from codegen.model.pairwise import PairwiseModel
 
 
 def parse_arguments(items: Sequence[str], path: Path | None = None) -> dict[str, str]:
@@ -109,21 +105,16 @@ def _arguments(path: Path) -> list[tuple[ast.arg, ast.expr | None]]:
     return []
 
 
-def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
-    """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise what it returns.
+def written_problem(path: Path, arguments: Mapping[str, str]) -> tuple[str, Any, Any]:
+    """What a problem file's `problem(...)` returns: its title, the problem, and the symbols that were declared for it.
 
-    The model is named after the file and titled by the first line of its docstring. The file is run anew each time;
-    neither it nor modules beside it stay imported, and what it prints goes to stderr.
-
-    Raises ProblemFileError when the file cannot be read, imported or called; ArgumentError when an argument does not
-    fit `problem`; another CodegenError when the problem is not well posed. All name the file, in one line.
+    The title is the first line of the docstring. The file is run anew each time; neither it nor modules beside it stay
+    imported, and what it prints goes to stderr. Raises ProblemFileError when the file cannot be read, imported or
+    called, and ArgumentError when an argument does not fit `problem`.
     """
-    path = Path(path)
     title, code = _compiled(path)
 
     from codegen.author.symbols import recorded_declarations
-    from codegen.model import normalise
-    from codegen.model.pairwise import is_pairwise, normalise_pairwise
 
     with _fresh_module(path) as module, redirect_stdout(sys.stderr):
         with _blaming(path):
@@ -131,13 +122,7 @@ def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model |
         function = _problem_function(path, module)
         keywords = _keywords(path, function, arguments)
         with _blaming(path), recorded_declarations() as declared:
-            problem = function(**keywords)
-    try:
-        if is_pairwise(problem):
-            return normalise_pairwise(problem, declared, name=path.stem, title=title)
-        return normalise(problem, declared, name=path.stem, title=title)
-    except CodegenError as error:
-        raise _with_place(error, str(path)) from error
+            return title, function(**keywords), declared
 
 
 # Messages
@@ -147,7 +132,8 @@ def _unusable(place: Path | str, finding: str, remedy: str) -> ProblemFileError:
     return ProblemFileError(clause(f"{place}: {finding}"), remedy)
 
 
-def _with_place(error: CodegenError, place: str) -> CodegenError:
+def with_place(error: CodegenError, place: str) -> CodegenError:
+    """The same error, which says where the mistake is."""
     return type(error)(clause(f"{place}: {error.finding}"), clause(error.remedy))
 
 
@@ -169,7 +155,7 @@ def _blaming(path: Path) -> Iterator[None]:
     try:
         yield
     except CodegenError as error:
-        raise _with_place(error, _place(path, error)) from error
+        raise with_place(error, _place(path, error)) from error
     except (Exception, SystemExit) as error:  # the author's code may raise anything; only Ctrl-C is not its fault
         finding = f"{type(error).__name__}: {error}".rstrip(": ")
         raise _unusable(_place(path, error), finding, _remedy(error)) from error
