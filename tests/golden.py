@@ -1,14 +1,17 @@
-"""The committed generated modules: which there are, whether they are what the generator makes today, and --update.
+"""The generated modules of the gallery: those that are committed, digests of the others, comparison and --update.
 
-`python tests/golden.py` compares the folder `generated/` as a set of files, byte by byte, with a fresh generation and
-prints a unified diff of what differs; `--update` rewrites it.
+Committed are the thesis's problems and a module for every kind of feature, since a change of emission should be read;
+of the others, whose numerics are the same text, `generated/digests.txt` holds a digest each. `python tests/golden.py`
+compares all of them with a fresh generation and prints what differs; `--update` rewrites the folder.
 """
 
 from __future__ import annotations
 
 import difflib
+import hashlib
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from functools import cache
 from pathlib import Path
 
 from codegen.compiler import generate
@@ -17,6 +20,17 @@ from codegen.naming import Choices, module_name
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "generated"
+DIGESTS = FOLDER / "digests.txt"
+
+KEPT = (
+    "bouncing_ball cart_pole hovercraft hypersensitive image_registration lennard_jones_stormer_verlet linear_pendulum"
+    " orbital_transfer pendulum pendulum_form_lagrangian pendulum_stormer_verlet spherical_pendulum"
+).split()
+"""Modules that are committed.
+
+Their features: phases; a free duration; several bodies; first-order dynamics; particles that are connected, and that are
+simulated; a linear-quadratic problem; steps that are explicit, implicit, or those of a Lagrangian; holonomic constraints.
+"""
 
 CONTROL = (
     "acrobot betts_10_7 bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole convoy crane "
@@ -37,7 +51,7 @@ GALLERY = (
     ("lennard_jones", {}, Choices(scheme="stormer-verlet")),
     ("outer_solar_system", {}, Choices(scheme="stormer-verlet")),
 )
-"""Problem, arguments and choices of every committed module."""
+"""Problem, arguments and choices of every module."""
 
 
 def names(problems: Collection[str] | None = None) -> set[str]:
@@ -60,9 +74,13 @@ def fresh(problems: Collection[str] | None = None) -> dict[str, str]:
     return texts
 
 
-def of_problems(problems: Collection[str]) -> dict[str, str]:
-    """File name -> text of the committed modules of some problems."""
-    return {name: text for name, text in committed().items() if name in names(problems)}
+@cache
+def text_of(name: str) -> str:
+    """The text of a module of the gallery by its file name, generated anew where it is not committed."""
+    path = FOLDER / name
+    if path.is_file():
+        return path.read_text(encoding="utf-8")
+    return next(fresh([problem])[name] for problem, _, _ in GALLERY if name in names([problem]))
 
 
 def committed() -> dict[str, str]:
@@ -70,27 +88,48 @@ def committed() -> dict[str, str]:
     return {path.name: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.py"))}
 
 
-def differences(old: dict[str, str], new: dict[str, str]) -> list[str]:
-    """Lines that tell how two sets of files differ; empty when they are the same."""
-    lines = [f"missing: {name}" for name in sorted(new.keys() - old.keys())]
-    lines += [f"not made by the generator: {name}" for name in sorted(old.keys() - new.keys())]
+def digests() -> dict[str, str]:
+    """File name -> digest of every module that is not committed."""
+    return {name: digest for digest, name in (line.split() for line in DIGESTS.read_text().splitlines())}
+
+
+def digest_of(text: str) -> str:
+    """The SHA-256 of a text, in hexadecimal."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def differences(new: Mapping[str, str], problems: Collection[str] | None = None) -> list[str]:
+    """Lines that tell how modules differ from what is on record, of some problems or of all; empty where they agree."""
+    wanted = names(problems)
+    old = {name: text for name, text in committed().items() if name in wanted or problems is None}
+    known = {name: digest for name, digest in digests().items() if name in wanted or problems is None}
+    lines = [f"missing: {name}" for name in sorted(new.keys() - old.keys() - known.keys())]
+    lines += [f"not made by the generator: {name}" for name in sorted((old.keys() | known.keys()) - new.keys())]
     for name in sorted(old.keys() & new.keys()):
         lines += difflib.unified_diff(
             old[name].splitlines(), new[name].splitlines(), f"generated/{name}", f"generated anew/{name}", lineterm=""
         )
+    lines += [f"differs: {name}" for name in sorted(known.keys() & new.keys()) if known[name] != digest_of(new[name])]
     return lines
+
+
+def update(texts: Mapping[str, str]) -> None:
+    """Write the modules that are kept, and the digests of the others."""
+    kept = {f"{name}.py" for name in KEPT}
+    for name in committed().keys() - kept:
+        (FOLDER / name).unlink()
+    for name in kept:
+        write(FOLDER / name, texts[name])
+    write(DIGESTS, "".join(f"{digest_of(texts[name])}  {name}\n" for name in sorted(texts.keys() - kept)))
 
 
 def main() -> int:
     """Compare, or rewrite with --update; exit status 1 when the folder is not what the generator makes."""
     texts = fresh()
     if "--update" in sys.argv[1:]:
-        for name in committed().keys() - texts.keys():
-            (FOLDER / name).unlink()
-        for name, text in texts.items():
-            write(FOLDER / name, text)
+        update(texts)
         return 0
-    lines = differences(committed(), texts)
+    lines = differences(texts)
     print("\n".join(lines) if lines else f"{len(texts)} generated modules are up to date")
     return bool(lines)
 

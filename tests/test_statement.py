@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from golden import CONTROL as PROBLEMS
-from golden import committed, names
+from golden import names, text_of
 
 from codegen.lower.statement import description
 from codegen.model.from_file import load_problem
@@ -131,7 +131,7 @@ def test_periodic_motions_name_what_returns(tmp_path):
 @pytest.mark.parametrize("problem", PROBLEMS)
 def test_no_unknown_bound_or_given_value_of_the_gallery_is_left_out(problem):
     (name,) = [name for name in names([problem]) if "_hamiltonian" not in name]
-    text = committed()[name]
+    text = text_of(name)
     tree = ast.parse(text)
     statement = ast.get_docstring(tree)
     metadata = ast.literal_eval(next(node.value for node in tree.body if isinstance(node, ast.Assign)))

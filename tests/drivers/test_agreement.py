@@ -10,16 +10,15 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import PROBLEMS
+from golden import text_of
 from interpreted import as_machine_code
 
 from codegen import solving
 
-GENERATED = PROBLEMS.parent / "generated"
 STEPS = {"pendulum_swing_up": 12, "two_stage_rocket": 4}
 """Intervals, where six are too few for a solution to exist; of each phase, where there are several."""
 
@@ -72,7 +71,7 @@ CASES = [
 @cache
 def solved(problem: str):
     """The uncompiled module and what `newton` finds."""
-    module = as_machine_code((GENERATED / f"{problem}.py").read_text(), problem)
+    module = as_machine_code(text_of(f"{problem}.py"), problem)
     with np.errstate(all="ignore"):
         return module, solving.solve(module, steps=STEPS.get(problem, 6))
 
@@ -104,4 +103,3 @@ def test_every_control_problem_is_compared():
     names = {path.stem for path in PROBLEMS.glob("*.py") if "Control(" in path.read_text()}
     compared = {case.problem for case in CASES}
     assert names <= compared
-    assert compared <= {path.stem for path in Path(GENERATED).glob("*.py")}

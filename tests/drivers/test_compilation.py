@@ -1,18 +1,16 @@
 """What `codegen build` compiles: every function that `solve` calls, for the very types that it calls it with."""
 
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from golden import text_of
 from numba import typeof
 from sympy import exp, log
 
 from codegen.lower.printer import stabilised
 from codegen.machine_code.compilation import SELDOM, compile_all
-
-GENERATED = Path(__file__).parents[2] / "generated"
 
 
 def recorded(name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...]]]]:
@@ -38,7 +36,7 @@ def recorded(name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...
         return decorated
 
     module = types.ModuleType(name)
-    text = (GENERATED / f"{name}.py").read_text(encoding="utf-8").replace("from numba import njit", "")
+    text = text_of(f"{name}.py").replace("from numba import njit", "")
     module.__dict__["njit"] = njit
     exec(compile(text, f"<{name}>", "exec"), module.__dict__)
     return module, calls

@@ -1,0 +1,87 @@
+"""The two nodes of an interval: symbols and values there, controls between them, path conditions at points inside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.discretise.polynomials import between
+from codegen.model import Condition, Model
+from codegen.schemes import Composition
+
+STEP = Symbol("h", positive=True)
+"""The length h of an interval."""
+LENGTHS = tuple(Symbol(f"h_{i}", positive=True) for i in (1, 2))
+"""The lengths of the two substeps of a composition's base, where they differ."""
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Symbols for the values of quantities at the two ends of an interval, and of controls on it.
+
+    With nodal controls `left_controls` and `right_controls` differ, else both are the interval's own.
+    """
+
+    left: tuple[Symbol, ...]
+    right: tuple[Symbol, ...]
+    left_controls: tuple[Symbol, ...]
+    right_controls: tuple[Symbol, ...]
+
+    @property
+    def nodal(self) -> bool:
+        """Whether controls live on nodes."""
+        return self.left_controls != self.right_controls
+
+
+@dataclass(frozen=True)
+class PathValue:
+    """A path condition at one point of an interval, whose place `c` lies in [0, 1]."""
+
+    condition: Condition
+    place: Expr
+    value: Expr
+
+
+def step_lengths(scheme: Composition) -> tuple[Symbol, ...]:
+    """The symbols for the lengths of one step of a composition's base."""
+    count = len(scheme.fractions[0])
+    return (STEP,) if count == 1 else LENGTHS[:count]
+
+
+def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:
+    """The symbols that hold the values of quantities at a node (`r` -> `r_k`)."""
+    return tuple(Symbol(f"{symbol.name}{suffix}", real=True) for symbol in symbols)
+
+
+def sites(model: Model, quantities: Sequence[Symbol], nodal_controls: bool) -> Sites:
+    """Symbols for quantities at both nodes and for the controls of an interval."""
+    left_u = at_nodes(model.controls, "_k")
+    right_u = at_nodes(model.controls, "_k1") if nodal_controls else left_u
+    return Sites(at_nodes(quantities, "_k"), at_nodes(quantities, "_k1"), left_u, right_u)
+
+
+def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
+    """Each condition once, where it has the same value at several points, as a bound on an interval's control has."""
+    first: dict[tuple[str, Expr], PathValue] = {}
+    for value in values:
+        first.setdefault((value.condition.name, value.value), value)
+    return tuple(first.values())
+
+
+def mean_controls(places: Sites, c: Expr) -> list[Expr]:
+    """The controls at a fraction of the step: the interval's own, or the line between those of both nodes."""
+    return [between(a, b, c) for a, b in zip(places.left_controls, places.right_controls, strict=True)]
+
+
+def substitute(
+    model: Model, function: Expr, position: Sequence[Expr], rate: Sequence[Expr], controls: Sequence[Expr], c: Expr
+) -> Expr:
+    """The value of a function of (q, rates, u, t) at a point of the interval, c being its place in [0, 1]."""
+    values = dict(zip(model.coordinates, position, strict=True))
+    values |= dict(zip(model.rates, rate, strict=True))
+    values |= dict(zip(model.controls, controls, strict=True))
+    values[model.time] = model.time + sympy.expand(c * STEP)
+    return sympy.sympify(function).xreplace(values)

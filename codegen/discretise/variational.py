@@ -1,0 +1,156 @@
+"""The Lagrangian side: discrete Lagrangian, discrete forces and discrete cost of an interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, mean_controls, sites, substitute
+from codegen.discretise.polynomials import PolynomialMotion
+from codegen.expressions.tangents import gradient, variation
+from codegen.model import Model
+from codegen.schemes import DiscreteLagrangian
+
+_LONG = 80
+"""Operations from which on the variation of a discrete Lagrangian is taken as a whole."""
+
+
+@dataclass(frozen=True)
+class VariationalInterval:
+    """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
+
+    Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
+    point after the other, at the fractions `inner_places` of the step, and is stationary there up to `force_inner`.
+    Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
+    made from those of L: to differentiate Ld itself would take long. And `impulse` is what an interval adds to the
+    momenta, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
+    """
+
+    q: Sites
+    lagrangian: Expr
+    force_minus: tuple[Expr, ...]
+    force_plus: tuple[Expr, ...]
+    cost: Expr
+    path: tuple[PathValue, ...] = ()
+    inner: tuple[Symbol, ...] = ()
+    inner_places: tuple[Expr, ...] = ()
+    force_inner: tuple[Expr, ...] = ()
+    slopes: tuple[Expr, ...] = ()
+    impulse: tuple[Expr, ...] = ()
+
+    @property
+    def left_momentum(self) -> tuple[Expr, ...]:
+        """The forced discrete Legendre transform p_k = -D1 Ld - f-."""
+        pairs = zip(self._derivatives(self.q.left), self.force_minus, strict=True)
+        return tuple(-slope - f for slope, f in pairs)
+
+    @property
+    def right_momentum(self) -> tuple[Expr, ...]:
+        """The forced discrete Legendre transform p_k1 = D2 Ld + f+."""
+        pairs = zip(self._derivatives(self.q.right), self.force_plus, strict=True)
+        return tuple(slope + f for slope, f in pairs)
+
+    def _derivatives(self, coordinates: Sequence[Symbol]) -> list[Expr]:
+        """The derivatives of Ld by coordinates at nodes or inner points."""
+        if not self.slopes:
+            return list(gradient(self.lagrangian, coordinates))
+        known = dict(zip((*self.q.left, *self.inner, *self.q.right), self.slopes, strict=True))
+        return [known[q] for q in coordinates]
+
+    @property
+    def inner_balance(self) -> tuple[Expr, ...]:
+        """What vanishes at the inner points, the forced discrete Euler-Lagrange equations D_i Ld + f_i there."""
+        pairs = zip(self._derivatives(self.inner), self.force_inner, strict=True)
+        return tuple(slope + f for slope, f in pairs)
+
+    def virtual_work(self, displacements: Sequence[Symbol], impulses: Sequence[Expr]) -> Expr:
+        """The work of -p_k, p_k1, the inner balances and impulses along displacements of left, right, inner places.
+
+        A long Ld is differentiated in the direction of the displacements instead of by each coordinate: this keeps
+        its structure, such as the speed of a body that many coordinates move.
+        """
+        if self.inner or self.lagrangian.count_ops() < _LONG:
+            halves = (*(-p for p in self.left_momentum), *self.right_momentum, *self.inner_balance)
+            work = (d * (half + impulse) for d, half, impulse in zip(displacements, halves, impulses, strict=True))
+            return sum(work, sympy.S.Zero)
+        along = variation(self.lagrangian, dict(zip((*self.q.left, *self.q.right), displacements, strict=True)))
+        forces = zip(displacements, (*self.force_minus, *self.force_plus), impulses, strict=True)
+        return along + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
+
+
+def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool = False) -> VariationalInterval:
+    """Integrate L, the work of the forces and the cost over one interval by the scheme's quadrature rule.
+
+    The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
+    is shared out between the ends and the inner points. With controls on nodes the thesis's averages are taken: of the
+    controls in the cost, and along straight lines of the forces of both nodes.
+    """
+    places = sites(model, model.coordinates, nodal_controls)
+    inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(scheme.nodes) - 1)]
+    motion = PolynomialMotion(STEP, scheme.nodes, (places.left, *inner, places.right))
+
+    def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
+        return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
+
+    def force_at(f: Expr, c: Expr) -> Expr:
+        if places.nodal and not inner:
+            return (1 - c) * at(f, sympy.S.Zero, places.left_controls) + c * at(f, sympy.S.One, places.right_controls)
+        return at(f, c, mean_controls(places, c))
+
+    lagrangian, cost = sympy.S.Zero, sympy.S.Zero
+    path: list[PathValue] = []
+    forces = [[sympy.S.Zero] * len(model.force) for _ in scheme.nodes]
+    for point in scheme.points:
+        weight, c = STEP * point.weight, point.place
+        controls = mean_controls(places, c)
+        lagrangian += weight * at(model.function, c, controls)
+        cost += weight * at(model.cost or sympy.S.Zero, c, controls)
+        path += [PathValue(g, c, at(g.expression, c, controls)) for g in model.path]
+        for share, node in zip(motion.shares(c), forces, strict=True):
+            for i, f in enumerate(model.force):
+                node[i] += weight * share * force_at(f, c)
+    minus, *between, plus = (tuple(node) for node in forces)
+    slopes, impulse = (), ()
+    if inner:
+        slopes, impulse = _slopes_and_impulse(model, scheme, motion, lambda f, c: at(f, c, mean_controls(places, c)))
+    return VariationalInterval(
+        q=places,
+        lagrangian=lagrangian,
+        force_minus=minus,
+        force_plus=plus,
+        cost=cost,
+        path=distinct(path),
+        inner=tuple(q for point in inner for q in point),
+        inner_places=tuple(c for c in scheme.nodes[1:-1] for _ in model.coordinates),
+        force_inner=tuple(f for node in between for f in node),
+        slopes=slopes,
+        impulse=impulse,
+    )
+
+
+def _slopes_and_impulse(
+    model: Model,
+    scheme: DiscreteLagrangian,
+    motion: PolynomialMotion,
+    at: Callable[[Expr, Expr], Expr],
+) -> tuple[tuple[Expr, ...], tuple[Expr, ...]]:
+    """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i.
+
+    Second, sum_i w_i h (L_q + f).
+    """
+    slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
+    impulse = [sympy.S.Zero] * len(model.coordinates)
+    of_position, of_velocity = gradient(model.function, model.coordinates), gradient(model.function, model.rates)
+    for point in scheme.points:
+        weight, c = point.weight, point.place
+        by_position = [at(slope, c) for slope in of_position]
+        by_velocity = [at(slope, c) for slope in of_velocity]
+        for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
+            for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
+                node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
+        for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
+            impulse[i] += weight * STEP * (force + at(f, c))
+    return tuple(slope for node in slopes for slope in node), tuple(impulse)
