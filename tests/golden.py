@@ -28,8 +28,8 @@ KEPT = (
 ).split()
 """Modules that are committed.
 
-Their features: phases; a free duration; several bodies; first-order dynamics; particles that are connected, and that are
-simulated; a linear-quadratic problem; steps that are explicit, implicit, or those of a Lagrangian; holonomic constraints.
+Their features: phases; a free duration; several bodies; first-order dynamics; particles that are connected, and that
+are simulated; a linear-quadratic problem; steps that are explicit, implicit, or of a Lagrangian; holonomic constraints.
 """
 
 CONTROL = (
