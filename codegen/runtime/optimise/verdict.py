@@ -12,6 +12,8 @@ from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.shared import least_duration
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
+FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
+HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
 VIOLATED = 1e-6  # residuals above it are no rounding
 HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
@@ -80,7 +82,9 @@ def runaways(grid, guess, point, is_stationary):
     if is_stationary:
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
-    return grown & falls & (point.cost < evaluate(grid, guess).cost)
+    first = evaluate(grid, guess).cost
+    has_fallen = first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns).max()
+    return grown & falls & has_fallen
 
 
 def newton_step(grid, point):
