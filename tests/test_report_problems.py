@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from interpreted import without_compilation
 
-from codegen import drivers
+from codegen import solving
 from codegen.cli import main
 from codegen.errors import ArgumentError
 from codegen.report import building, gallery, records
@@ -275,7 +275,7 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
         raise AssertionError("measured twice")
 
     before = (out / "quick.jsonl").read_bytes()
-    monkeypatch.setattr(drivers, "solve", refuse)
+    monkeypatch.setattr(solving, "solve", refuse)
     again = gallery.run(problems, out, TINY, earlier=out)
     assert again.regressions == ()
     assert "nothing is worse" in again.page.read_text()
