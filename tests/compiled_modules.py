@@ -11,6 +11,5 @@ from codegen.loading import GeneratedModule, load
 def compiled(path: Path) -> GeneratedModule:
     """A module with machine code of all that `solve` calls, made as `codegen build` makes it, which is quicker."""
     command = [sys.executable, "-m", "codegen.machine_code.compilation", "all"]
-    environment = {**os.environ, "NUMBA_SLP_VECTORIZE": "1"}
-    subprocess.run(command, input=os.fsencode(path.absolute()), env=environment, check=True, capture_output=True)
+    subprocess.run(command, input=os.fsencode(path.absolute()), check=True, capture_output=True)
     return load(path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from registered_images import SHAPE
 from codegen.author.points import read_points
 from codegen.compiler import build
 from codegen.loading import GeneratedModule, load
-from codegen.machine_code.shortcuts import quick_numba
 from codegen.registration import LandmarkPairs, Registration, register
 from codegen.registration.flow import FlowModule
 from codegen.registration.solver import registration_module
@@ -39,13 +37,6 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = Path(os.environ.get("CODEGEN_TEST_CACHE") or own)
     os.environ["CODEGEN_CACHE_DIR"] = str(folder)
     return folder
-
-
-@pytest.fixture(scope="session", autouse=True)
-def quick_compilation() -> Iterator[None]:
-    """What `codegen build` and `codegen solve` do to compile faster, for all that tests compile."""
-    with quick_numba():
-        yield
 
 
 @pytest.fixture(scope="session")

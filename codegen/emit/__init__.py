@@ -45,7 +45,7 @@ def render(module: Module, origin: Origin) -> str:
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
     # Functions that kernels call and Python does not have: a file for each.
     special = tuple(name for name in _SPECIAL if f"{name}(" in repr(module) or f"{name})(" in repr(module))
-    runtime = (*special, *module.runtime)
+    runtime = ("packing", *special, *module.runtime)
     names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
     values |= {
         "description": (*module.description, *told_arguments(names)),
@@ -95,7 +95,8 @@ def numba_names(names: tuple[str, ...]) -> list[str]:
 
 def standard_imports(names: tuple[str, ...]) -> list[str]:
     """What runtime files import from the standard library, beside what every module does."""
-    found = {ast.unparse(n) for n in _imports(names) if n.module in sys.stdlib_module_names and n.module != "typing"}
+    every = ("contextlib", "typing")
+    found = {ast.unparse(n) for n in _imports(names) if n.module in sys.stdlib_module_names and n.module not in every}
     return sorted(found)
 
 

@@ -6,10 +6,8 @@ on disk brings their work together. `python -m codegen.machine_code.compilation 
 numba while the module is still being derived, and reads the path of the module from its standard input. Where a process
 can fork, it becomes the two only then, so that numba is loaded once; elsewhere two are started.
 
-They let LLVM pack neighbouring operations into one instruction, which numba leaves out by default. Without it the
-factorisation takes 1.25 (orbital transfer), 1.4 (quadrotor) and 1.5 times (hovercraft) as long. What they leave out are
-the entries by which Python and C would call functions that only compiled functions call, and machine code of those
-functions beside that of their callers (see `linking`).
+What they leave out are the entries by which Python and C would call functions that only compiled functions call, and
+machine code of those functions beside that of their callers (see `linking`).
 """
 
 from __future__ import annotations
@@ -17,10 +15,9 @@ from __future__ import annotations
 import gc
 import io
 import os
-import select
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Callable
+from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
@@ -28,20 +25,6 @@ import numpy as np
 
 from codegen.loading import GeneratedModule, load
 from codegen.machine_code.processes import UNFINISHED
-
-
-@contextmanager
-def packed_operations() -> Iterator[None]:
-    """Let LLVM pack operations while the block runs."""
-    from numba import config
-
-    name = "SLP_VECTORIZE"
-    before = getattr(config, name)
-    setattr(config, name, 1)
-    try:
-        yield
-    finally:
-        setattr(config, name, before)
 
 
 def parts(module: Any) -> list[Callable[[], Any]]:
@@ -130,84 +113,49 @@ def solve_small(module: Any) -> None:
 
 def compile_all(module: Any) -> None:
     """Call all that a solution calls."""
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), module.packed_operations():
         for call in parts(module):
             call()
 
 
-SELDOM = ("term_sizes", "interval_momenta")
-"""Functions that a solution calls once or twice."""
 LONG = 3000
 """Bytes of bytecode from which on a function is worth keeping by itself."""
 
 
 def compile_for_callers(module: GeneratedModule) -> None:
-    """Have functions that only compiled functions call compiled as parts of these, in this process from now on."""
-    from codegen.machine_code.linking import (
-        forget_constants,
-        leave_unpacked,
-        link_inner_functions,
-        optimise_by_themselves,
-    )
-    from codegen.machine_code.straight_lines import write_directly
+    """Have functions that only compiled functions call compiled as parts of these, in this process from now on.
 
-    link_inner_functions()
-    write_directly(_compiled_functions(module), Path(vars(module)["__file__"]))
-    leave_out_entries(module)
-    optimise_by_themselves(share_long_functions(module))
-    leave_unpacked(SELDOM)
-    for function in _compiled_functions(module):
-        forget_constants(function)
-
-
-def leave_out_entries(module: GeneratedModule) -> None:
-    """Have functions compiled without the entries by which Python and C call them, where only compiled functions do.
-
-    In this process, Python must not call them any more.
+    Long ones are kept by themselves as well, so that the process that needs one later finds it.
     """
-    for function in _compiled_functions(module):
-        function.targetoptions["no_cfunc_wrapper"] = True
-        if function.stats.cache_path is None:  # not kept by itself, but as part of what calls it
-            function.targetoptions["no_cpython_wrapper"] = True
+    from codegen.machine_code import linking
 
-
-def share_long_functions(module: GeneratedModule) -> list[str]:
-    """Keep long functions by themselves as well, so that the process that needs one later finds it; their names."""
-    functions = [f for f in _compiled_functions(module) if f.stats.cache_path is None]
-    long = [function for function in functions if len(function.py_func.__code__.co_code) > LONG]
+    functions = _compiled_functions(module)
+    inner = [function for function in functions if function.stats.cache_path is None]
+    long = [function for function in inner if len(function.py_func.__code__.co_code) > LONG]
+    if linking.applies():
+        linking.link_inner_functions(functions, [function.py_func.__name__ for function in long])
     for function in long:
         function.enable_caching()
-    return [function.py_func.__name__ for function in long]
 
 
 def _compiled_functions(module: GeneratedModule) -> list[Any]:
-    return [value for value in vars(module).values() if hasattr(value, "targetoptions")]
+    return [value for value in vars(module).values() if hasattr(value, "py_func")]
 
 
 def main(share: str) -> int:
     """Get numba ready, wait for the path of a module, compile a share of it; the exit status."""
     from numba import njit
 
-    from codegen.machine_code.ahead import compile_ahead, take_over
-    from codegen.machine_code.linking import link_inner_functions
-    from codegen.machine_code.shortcuts import blas_presumed
-
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
-    with blas_presumed():
-        njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
-    undo = link_inner_functions()
-    if share == "both":
-        compile_ahead(lambda: bool(select.select([sys.stdin], [], [], 0.0)[0]))
+    njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
     path = os.fsdecode(sys.stdin.buffer.read())
     if not path:
         return 0
     with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
         module = load(Path(path))
     os.write(sys.stdout.fileno(), said.getvalue().encode())
-    undo()
     if module.metadata["task"] != "connect" and not is_simulation_of_particles(module):
         compile_for_callers(module)
-        take_over(_compiled_functions(module))
     if share == "both":
         return compile_in_two(module)
     return compile_share(module, share)
@@ -215,8 +163,6 @@ def main(share: str) -> int:
 
 def compile_in_two(module: Any) -> int:
     """Compile a module in this process and in a copy of it, each taking the next part that is left; the exit status."""
-    from codegen.machine_code.shortcuts import quick_numba
-
     calls = parts(module)
     left, numbers = os.pipe()
     os.write(numbers, bytes(range(len(calls))))
@@ -224,7 +170,7 @@ def compile_in_two(module: Any) -> int:
     other = os.fork()
     status = 1
     try:
-        with quick_numba(), np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), module.packed_operations():
             while number := os.read(left, 1):
                 calls[number[0]]()
         status = 0
@@ -240,10 +186,8 @@ def compile_in_two(module: Any) -> int:
 
 def compile_share(module: Any, share: str) -> int:
     """Compile a share of a module; the exit status."""
-    from codegen.machine_code.shortcuts import quick_numba
-
     shares = {"the_longest": slice(1), "all_but_the_longest": slice(1, None)}
-    with quick_numba(), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), module.packed_operations():
         for call in parts(module)[shares.get(share, slice(None))]:
             call()
     return status_of(module)

@@ -1,34 +1,40 @@
-"""Have numba optimise what is called from outside only, and compile no function twice: for processes that compile.
+"""Have numba make machine code only of what Python calls: for processes that compile a module and run it no further.
 
 numba runs LLVM's whole optimiser over every function and makes machine code of it, although a function that only
-compiled functions call is then optimised once more as part of each of its callers, into which its intermediate code is
-linked. A solver is made of many short functions, so that this takes a quarter of all time. And numba compiles a
-function anew when an argument is a constant of the module and not a variable, which makes no difference to the code.
+compiled functions call is optimised once more as part of each of its callers, into which its intermediate code is
+linked. A solver is made of many short functions, so that this takes a third of all time. And numba compiles a function
+anew when an argument is a constant of the module and not a variable, which makes no difference to the code.
 
-What is here belongs to a process that compiles a module for the disk and runs it no further: functions that are called
-from compiled functions only have no machine code in it. Nothing of this changes what a solver computes.
+This is the only file that knows how numba works inside. Where a numba is not as it expects, or of another version than
+those that were tried, nothing is done: a build then takes longer, and what it makes is the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from numba.core import config, types
-from numba.core.codegen import JITCodeLibrary
-from numba.core.registry import cpu_target
+import numba
+from numba import types
 
+Base: Any = Any if TYPE_CHECKING else object
+
+TRIED = (0, 61), (0, 68)
+"""The oldest and the newest version that was tried; those that pyproject.toml allows."""
 ENTRY = "_ZN7cpython"
 """How numba begins the name of the entry by which Python calls a function."""
+OF_LIBRARIES = (
+    "_ensure_finalized", "_finalize_dynamic_globals", "_finalize_final_module", "_optimize_final_module",
+    "_verify_declare_only_symbols", "get_pointer_to_function", "serialize_using_bitcode", "serialize_using_object_code",
+)  # fmt: skip
+"""What numba's class of the code of one function must have."""
 
 
-class LinkedLibrary(JITCodeLibrary):
+class InnerLibrary(Base):  # type: ignore[misc]
     """The code of one function; if Python cannot call it, it stays intermediate code, to be linked into its callers."""
 
     optimised: frozenset[str] = frozenset()
     """Names of functions so long that it pays to shorten them once, before their callers take them in."""
-    unpacked: frozenset[str] = frozenset()
-    """Names of functions that are called so seldom that looking for operations to pack does not pay."""
 
     @property
     def is_inner(self) -> bool:
@@ -38,15 +44,8 @@ class LinkedLibrary(JITCodeLibrary):
         return code is None or not any(f.name.startswith(ENTRY) and not f.is_declaration for f in code.functions)
 
     def _optimize_final_module(self) -> None:
-        if self.is_inner and self.name not in self.optimised:
-            return
-        settings: Any = config
-        before = settings.SLP_VECTORIZE
-        settings.SLP_VECTORIZE = before and self.name not in self.unpacked
-        try:
+        if not self.is_inner or self.name in self.optimised:
             super()._optimize_final_module()
-        finally:
-            settings.SLP_VECTORIZE = before
 
     def _finalize_final_module(self) -> None:
         if not self.is_inner:
@@ -63,46 +62,55 @@ class LinkedLibrary(JITCodeLibrary):
 
     def serialize_using_object_code(self) -> tuple[str, str, Any]:
         """What goes to the disk: beside machine code, if there is any, the intermediate code."""
-        if self.is_inner:
-            return self.serialize_using_bitcode()  # type: ignore[no-any-return]
-        return super().serialize_using_object_code()  # type: ignore[no-any-return]
+        kept = super().serialize_using_bitcode if self.is_inner else super().serialize_using_object_code
+        return kept()  # type: ignore[no-any-return]
 
 
-def link_inner_functions() -> Callable[[], None]:
-    """From now on, let this process make machine code of those functions only that Python can call; what undoes that.
+def applies(version: str = numba.__version__) -> bool:
+    """Whether numba is of a version that was tried, and has all that is replaced or called here."""
+    try:
+        generator = _generator()
+        found = [*(getattr(generator._library_class, name) for name in OF_LIBRARIES), generator.set_env]
+        is_tried = TRIED[0] <= tuple(map(int, version.split(".")[:2])) <= TRIED[1]
+        return is_tried and all(map(callable, [*found, generator._engine.is_symbol_defined]))
+    except (AttributeError, ImportError, ValueError):
+        return False
 
-    numba must have compiled something before, so that its own run-time library is there.
+
+def link_inner_functions(functions: Iterable[Any], long: Iterable[str] = ()) -> None:
+    """From now on, make machine code in this process only of those of a module's functions that it keeps on the disk.
+
+    Python must not call the others any more. Those of the names `long` are optimised by themselves all the same. numba
+    must have compiled something before, so that its own run-time library is there.
     """
-    generator = cpu_target.target_context.codegen()
-    before, set_environment = generator._library_class, generator.set_env
+    generator = _generator()
+    set_environment = generator.set_env
 
     def set_environment_if_any(name: str, environment: Any) -> None:
         if generator._engine.is_symbol_defined(name):
             set_environment(name, environment)
 
-    def undo() -> None:
-        generator._library_class, generator.set_env = before, set_environment
-
-    generator._library_class, generator.set_env = LinkedLibrary, set_environment_if_any
-    return undo
-
-
-def optimise_by_themselves(long: Iterable[str]) -> None:
-    """Optimise functions of these names even if Python cannot call them."""
-    LinkedLibrary.optimised = frozenset(long)
+    members = {"optimised": frozenset(long)}
+    generator._library_class = type("LinkedLibrary", (InnerLibrary, generator._library_class), members)
+    generator.set_env = set_environment_if_any
+    for function in functions:
+        function.targetoptions["no_cfunc_wrapper"] = True  # the entry by which C would call it
+        function.targetoptions["no_cpython_wrapper"] = function.stats.cache_path is None
+        function.get_call_template = _for_any_number(function.get_call_template)
 
 
-def leave_unpacked(seldom: Iterable[str]) -> None:
-    """Have functions of these names optimised without looking for operations to pack."""
-    LinkedLibrary.unpacked = frozenset(seldom)
-
-
-def forget_constants(function: Any) -> None:
+def _for_any_number(template_for: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function for the types of its arguments, whether or not a caller knows their values."""
-    template_for = function.get_call_template
 
     def template(arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
         plain = tuple(types.unliteral(a) if isinstance(a, types.IntegerLiteral) else a for a in arguments)
         return template_for(plain, keywords)
 
-    function.get_call_template = template
+    return template
+
+
+def _generator() -> Any:
+    """What makes machine code for this processor."""
+    from numba.core.registry import cpu_target
+
+    return cpu_target.target_context.codegen()

@@ -32,7 +32,7 @@ class Compilers:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env={**os.environ, "NUMBA_SLP_VECTORIZE": "1", "OPENBLAS_NUM_THREADS": "1"},
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
                 process_group=0 if CAN_FORK else None,
             )
             for share in shares()

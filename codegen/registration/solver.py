@@ -68,11 +68,10 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
 
 def _touch(module: Any) -> None:
     """Call what a registration calls, so that its machine code is read, or compiled, before anything is timed."""
-    from codegen.machine_code.compilation import packed_operations, small_case
-    from codegen.machine_code.shortcuts import quick_numba
+    from codegen.machine_code.compilation import small_case
 
     case = small_case(module)
-    with packed_operations(), quick_numba():
+    with module.packed_operations():
         solution = module.solve_case(case)
         path = np.stack([solution.q, solution.p], axis=1)
         module.carry(case, module.stages_of(case, path), case.start, derivative=True)

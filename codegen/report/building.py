@@ -141,8 +141,7 @@ def survey_of(problem: Path) -> dict[str, Any]:
 def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     """Derive, write and compile; times of each, size of the text, and what was left out. Runs in a worker."""
     from codegen import solving
-    from codegen.machine_code.compilation import compile_all, packed_operations
-    from codegen.machine_code.shortcuts import quick_numba
+    from codegen.machine_code.compilation import compile_all
 
     begin = time.perf_counter()
     try:
@@ -152,11 +151,10 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     derived, busy_derived = time.perf_counter(), time.process_time()
     module = load(path)
     loaded = time.perf_counter()
-    with packed_operations(), quick_numba():
-        if module.metadata["task"] == "simulate":
-            solving.solve(module, steps=2)
-        else:
-            compile_all(module)
+    if module.metadata["task"] == "simulate":
+        solving.solve(module, steps=2)
+    else:
+        compile_all(module)
     compiled, busy_compiled = time.perf_counter(), time.process_time()
     if module.metadata["task"] == "control":
         solving.solve(module, steps=min(10, module.metadata["steps"]))  # compiles what scipy's optimisers call

@@ -22,8 +22,7 @@ from codegen.loading import (
     load,
     machine_code_counts,
 )
-from codegen.machine_code.compilation import packed_operations, solve_small
-from codegen.machine_code.shortcuts import quick_numba
+from codegen.machine_code.compilation import solve_small
 from codegen.solutions.connect import connect_result
 from codegen.solutions.control import control_result
 from codegen.solutions.result import Request, Result
@@ -39,9 +38,8 @@ def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) 
     function = driver.function(module.metadata["task"])
     begin, compiled_before = time.perf_counter(), machine_code_counts(module)[0]
     try:
-        with packed_operations(), quick_numba():  # for what is compiled only now
-            _touch(module, request, driver.name)
-            attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
+        _touch(module, request, driver.name)
+        attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
     except ValueError as error:
         # Generated modules know nothing of codegen's errors.
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
@@ -86,14 +84,13 @@ def _require_memory(module: GeneratedModule, request: Request) -> None:
 def compile_here(path: Path) -> None:
     """Have all that `newton` needs of a module compiled in this process."""
     module = load(path)
-    with packed_operations(), quick_numba():
-        try:
-            if is_connect(module):
-                solve_small(module)
-            else:
-                module.solve()  # which tells what is wrong, or compiles what is missing
-        except OSError as error:
-            raise unkept(module, error) from error
+    try:
+        if is_connect(module):
+            solve_small(module)
+        else:
+            module.solve()  # which tells what is wrong, or compiles what is missing
+    except OSError as error:
+        raise unkept(module, error) from error
 
 
 def unkept(module: GeneratedModule, error: OSError) -> FileError:

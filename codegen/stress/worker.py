@@ -45,13 +45,12 @@ def _made(setup: Setup) -> tuple[Any, str, str]:
     """The compiled module, or what it was refused for, or the exception."""
     from codegen import compiler
     from codegen.loading import load
-    from codegen.machine_code.compilation import compile_all, packed_operations
+    from codegen.machine_code.compilation import compile_all
 
     try:
         arguments = {name: str(value) for name, value in setup.arguments}
         module = load(compiler.build(setup.file, arguments, scheme=setup.scheme, method=setup.method).path)
-        with packed_operations():
-            compile_all(module)
+        compile_all(module)
     except CodegenError as error:
         return None, str(error), ""
     except Exception as error:

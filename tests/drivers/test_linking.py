@@ -1,16 +1,14 @@
-"""How processes that compile modules make numba quicker, and that what they compile is the same."""
+"""How processes that compile modules have numba leave machine code out, and that what they compile is the same."""
 
 import os
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
-import numpy as np
 import pytest
-from numba import njit
-from numba.core import types
-from numba.core.errors import TypingError
 
-from codegen.machine_code.operators import remembered_operators
+from codegen.machine_code import linking
 
 MODULE = """
 import numpy as np
@@ -49,6 +47,18 @@ import numpy as np
 print(linked.outer(np.array([1.0, 2.0, 3.0, 4.0])))
 print(*[len(f.signatures) for f in (linked.power_sum, linked.ratio, linked.outer)])
 print(*[f.overloads[f.signatures[0]].library.is_inner for f in (linked.power_sum, linked.ratio, linked.outer)])
+"""
+
+COMPILE_PLAINLY = """
+import sys
+from codegen.machine_code import compilation, linking
+sys.path.insert(0, sys.argv[1])
+linking.TRIED = (0, 1), (0, 2)
+import linked
+compilation.compile_for_callers(linked)
+import numpy as np
+print(linked.outer(np.array([1.0, 2.0, 3.0, 4.0])))
+print(any("Linked" in type(f.overloads[f.signatures[0]].library).__name__ for f in (linked.power_sum, linked.outer)))
 """
 
 AGAIN = """
@@ -95,29 +105,50 @@ def test_functions_that_only_compiled_ones_call_have_code_in_their_callers_alone
     assert float(inner) == pytest.approx(30.0, rel=1e-15)
 
 
-def test_meanings_of_operators_are_looked_up_once(monkeypatch):
-    looked_up = []
-    original = types.Function.get_call_type
-
-    def counted(self, context, arguments, keywords):
-        looked_up.append((self.typing_key, tuple(arguments)))
-        return original(self, context, arguments, keywords)
-
-    def polynomial(x, coefficients):
-        return coefficients[0] + x * (coefficients[1] + x * (coefficients[2] + x * (coefficients[3] + x / 3)))
-
-    monkeypatch.setattr(types.Function, "get_call_type", counted)
-    with remembered_operators():
-        compiled = njit(polynomial)
-        assert compiled(2.0, np.arange(4.0)) == pytest.approx(0 + 2 * (1 + 2 * (2 + 2 * (3 + 2 / 3))), rel=1e-15)
-    assert types.Function.get_call_type is counted
-    scalars = [call for call in looked_up if all(isinstance(a, types.Number) for a in call[1])]
-    assert scalars
-    assert len(scalars) == len(set(scalars))
+def test_functions_are_linked_with_the_numba_that_is_installed():
+    """Fails where numba has changed: builds then take twice as long, and the versions allowed are to be looked at."""
+    assert linking.applies()
 
 
-def test_what_has_no_meaning_stays_an_error():
-    with remembered_operators():
-        for _ in range(2):
-            with pytest.raises(TypingError, match="No implementation of function"):
-                njit(lambda x: x @ x)(2.0)
+def test_the_versions_that_were_tried_are_those_that_are_allowed():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    oldest, (major, minor) = linking.TRIED
+    wanted = f"numba>={oldest[0]}.{oldest[1]},<{major}.{minor + 1}"
+    assert wanted in project["dependencies"]
+
+
+@pytest.mark.parametrize("version", ["0.60.0", "0.69.0", "0.69.0dev0+12.gabc", "1.0.0", "unknown"])
+def test_functions_of_a_numba_that_was_not_tried_are_not_linked(version):
+    assert not linking.applies(version)
+
+
+@pytest.mark.parametrize("name", [*linking.OF_LIBRARIES, "set_env", "_engine"])
+def test_functions_are_not_linked_where_numba_lacks_what_that_needs(name, monkeypatch):
+    generator = linking._generator()
+
+    class Lacking:
+        _library_class, set_env, _engine = generator._library_class, generator.set_env, generator._engine
+
+        def __getattribute__(self, asked):
+            if asked == name:
+                raise AttributeError(asked)
+            return object.__getattribute__(self, asked)
+
+    if name in linking.OF_LIBRARIES:
+        methods = {method: len for method in linking.OF_LIBRARIES if method != name}
+        monkeypatch.setattr(Lacking, "_library_class", type("Library", (), methods))
+    monkeypatch.setattr(linking, "_generator", Lacking)
+    assert not linking.applies()
+
+
+def test_without_linking_the_result_is_the_same(tmp_path):
+    values = []
+    for program in (COMPILE, COMPILE_PLAINLY):
+        folder = tmp_path / str(len(values))
+        folder.mkdir()
+        (folder / "linked.py").write_text(MODULE)
+        value, *rest = output(program, folder, 100_000)
+        values.append(value)
+        assert output(USE, folder)[:2] == [value, "0"]
+    assert rest == ["False"]
+    assert values[0] == values[1]

@@ -41,19 +41,3 @@ print(machine_code.require(made, module) > 0.0, machine_code.require(replace(mad
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment)
     assert done.stdout.split() == ["True", "0.0"]
     assert not list((tmp_path / "modules").rglob("*.nbi"))
-
-
-def test_numba_starts_without_linear_algebra_and_finds_it_when_asked():
-    script = """
-import sys
-import numpy as np
-from numba import njit
-from codegen.machine_code.shortcuts import blas_presumed
-
-with blas_presumed():
-    njit(lambda x: x)(0.0)
-print("scipy.linalg" in sys.modules)
-print(njit(lambda a, b: a @ b)(2.0 * np.eye(2), np.ones((2, 2)))[0], "scipy.linalg" in sys.modules)
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.split("\n")[:2] == ["False", "[2. 2.] True"]

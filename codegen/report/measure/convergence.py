@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from codegen.loading import SimulateModule, Vector
-from codegen.machine_code.compilation import packed_operations
 from codegen.report.measure.orders import Order, is_exhausted, measured_order
 from codegen.report.measure.reference_motion import (
     Motion,
@@ -118,8 +117,7 @@ def _ladder(module: SimulateModule, span: Span, limit: float) -> tuple[list[int]
 
 def _error(module: SimulateModule, span: Span, count: int) -> float | None:
     """Root mean square over checkpoints and components of the state's error, by component's size."""
-    with packed_operations():
-        solution: Any = module.solve(count, duration=span.duration, every=count // CHECKPOINTS)
+    solution: Any = module.solve(count, duration=span.duration, every=count // CHECKPOINTS)
     if solution.status != "solved":
         return None
     shape = (CHECKPOINTS + 1, -1)

@@ -3,11 +3,10 @@
 Rows are eliminated one or two at a time, in an order that is chosen on the way and stays a list: no row is moved. What
 is kept are the rows of the unit factor U, strictly triangular when sorted by that order, and the inverse of the pivots
 D: K = U' D U. Rows are as wide as a multiple of four, and what they do not need is zero: entries are taken four at a
-time, which a compiler turns into one instruction each (numba does where NUMBA_SLP_VECTORIZE is set, as `codegen build`
-sets it). All is inlined where it is used, so that numbers of rows and columns are constants to the compiler: that takes
-a quarter to a third of a factorisation's time away. Source: Bunch and Kaufman (1977), Some stable methods for
-calculating inertia and solving symmetric linear systems; Higham (2002), Accuracy and stability of numerical algorithms,
-section 11.1.
+time, which a compiler turns into one instruction each (see `packed_operations`). All is inlined where it is used, so
+that numbers of rows and columns are constants to the compiler: that takes a quarter to a third of a factorisation's
+time away. Source: Bunch and Kaufman (1977), Some stable methods for calculating inertia and solving symmetric linear
+systems; Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
 """
 
 import numpy as np

@@ -229,7 +229,7 @@ def forget_dust(size, effect):
 def spread(size, rest, effect):
     """Give unknowns without a size the least one with which they balance an equation, until nothing is new."""
     for _ in range(KINDS):
-        found = zero_vector(KINDS)
+        found, is_new = zero_vector(KINDS), False
         for i in range(KINDS):
             known = rest[i]
             for j in range(KINDS):
@@ -238,7 +238,8 @@ def spread(size, rest, effect):
                 if size[j] == 0.0 and effect[i, j] > 0.0 and known > 0.0:
                     balancing = known / effect[i, j]
                     found[j] = balancing if found[j] == 0.0 else min(found[j], balancing)
-        if not found.max() > 0.0:
+                    is_new = True
+        if not is_new:
             return
         for j in range(KINDS):
             if size[j] == 0.0:

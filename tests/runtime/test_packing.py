@@ -1,0 +1,68 @@
+"""Operations are packed in what a module has compiled, wherever that is done, and in nothing else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from interpreted import config as interpreted_config
+from interpreted import without_compilation
+from numba import config, njit
+
+from codegen.runtime.packing import packed_operations
+
+GENERATED = Path(__file__).parents[2] / "generated"
+
+
+def products(x, y):
+    """Four neighbours that one instruction can multiply."""
+    a, b, c, d = x[0] * y[0], x[1] * y[1], x[2] * y[2], x[3] * y[3]
+    y[0] = a
+    y[1] = b
+    y[2] = c
+    y[3] = d
+
+
+def vectors(function) -> int:
+    """How often vectors of numbers stand in the intermediate code of a function that was compiled now."""
+    function(np.ones(4), np.ones(4))
+    (code,) = function.inspect_llvm().values()
+    return code.count(" x double>")
+
+
+def test_operations_are_packed_inside_the_block_only(monkeypatch):
+    monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
+    assert vectors(njit(products)) == 0
+    with packed_operations():
+        assert vectors(njit(products)) > 0
+    assert vectors(njit(products)) == 0
+
+
+def test_what_numba_was_told_holds_again_after_an_error(monkeypatch):
+    for before in (0, 1):
+        monkeypatch.setattr(config, "SLP_VECTORIZE", before)
+        with pytest.raises(ValueError, match="inside"), packed_operations():
+            raise ValueError("inside")
+        assert before == config.SLP_VECTORIZE
+
+
+@pytest.mark.parametrize(
+    ("name", "inside"),
+    [
+        ("hovercraft", "optimise"), ("bryson_denham", "optimise"), ("pendulum", "integrate"),
+        ("lennard_jones_stormer_verlet", "integrate"),
+    ],
+)  # fmt: skip
+def test_a_module_packs_what_its_solve_compiles(name, inside, monkeypatch):
+    """Whatever environment it is solved in."""
+    module = without_compilation((GENERATED / f"{name}.py").read_text(encoding="utf-8"))
+    monkeypatch.setattr(interpreted_config, "SLP_VECTORIZE", 0, raising=False)
+    found, own = [], getattr(module, inside)
+
+    def noted(*arguments):
+        found.append(interpreted_config.SLP_VECTORIZE)
+        return own(*arguments)
+
+    setattr(module, inside, noted)
+    module.solve(steps=4)
+    assert found == [1]
+    assert interpreted_config.SLP_VECTORIZE == 0
