@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import sympy
 from sympy import Dummy, Symbol, expand
 
 from codegen.derive import ControlDerivatives, ElementDerivatives
@@ -17,6 +18,7 @@ from codegen.lower.kernels import INNER, PLAIN, Kernel, Line, Output, kernel
 from codegen.lower.module import Argument, ControlModule
 from codegen.lower.printer import array_code, scalar_code
 from codegen.lower.statement import description
+from codegen.model.kinks import kinks
 from codegen.transcribe.program import ControlProgram, EndElement
 
 
@@ -70,6 +72,8 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     entries = [("unseen_controls", repr(unseen))] if unseen else []
     entries += [("unused", repr(model.unused))] if model.unused else []
     entries += [("maximised", "True")] if model.maximised else []
+    if bends := _kinks(program):
+        entries.append(("kinks", repr(bends)))
     if redundant:
         entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
         entries.append(("redundant_conditions", repr(redundant)))
@@ -79,6 +83,17 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     if decided := tuple((name, where) for where, end in ends for _, name in end.decided if name):
         entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
     return entries
+
+
+def _kinks(program: ControlProgram) -> tuple[str, ...]:
+    """Terms of the cost, of any phase, whose slope jumps where a motion may be."""
+    models = program.model.phases or (program.model,)
+    found: dict[str, None] = {}
+    for model in models:
+        moving = (*model.coordinates, *model.rates, *model.controls)
+        for cost in (model.cost or sympy.S.Zero, model.terminal_cost):
+            found |= dict.fromkeys(kinks(cost, moving))
+    return tuple(found)
 
 
 def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:

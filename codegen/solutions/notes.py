@@ -30,6 +30,12 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
         found.append(
             f"{shortened(condition)} holds with equality at the {where}, by what is prescribed there, and was left out"
         )
+    if kinks := metadata.get("kinks", ()):
+        named = ", ".join(map(shortened, kinks))
+        found.append(
+            f"the cost has a kink in {named}, at which Newton's method stalls: write a + b for Abs(u), with controls "
+            "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
+        )
     if unseen := metadata.get("unseen_controls", ()):
         found.append(
             f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "
