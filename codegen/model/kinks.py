@@ -14,7 +14,7 @@ def kinks(expression: Expr, unknowns: Iterable[Symbol]) -> tuple[str, ...]:
     Only what depends on the `unknowns` counts. u |u| has none, nor has max(x, 0)^2: their slopes are zero there.
     """
     moving = set(unknowns)
-    found = {}
+    found: dict[str, None] = {}
     for bend in sorted(expression.atoms(sympy.Abs, sympy.Max, sympy.Min), key=sympy.default_sort_key):
         if not bend.free_symbols & moving:
             continue
