@@ -103,7 +103,7 @@ def test_a_check_that_does_not_end_was_not_measured(file, monkeypatch):
         yield Finding("consistency", "a first part", True, "it holds")
         for_ever()
 
-    monkeypatch.setitem(checks.CHECKS, "consistency", endless)
+    monkeypatch.setitem(checks.CHECKS, "consistency", checks.Check("consistency", endless))
     first, rest = checks.apply("consistency", context, 0.3)
     assert first.subject == "a first part"
     assert rest.passed

@@ -44,50 +44,30 @@ from codegen.naming import Choices
 
 __all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]
 
-CHECKS: dict[str, Check] = {
-    "layout": layout.check,
-    "derivatives": derivatives.check,
-    "sparsity": sparsity.check,
-    "given values": given_values.check,
-    "assembly": assembly.check,
-    "discrete equations": discrete_equations.check,
-    "momentum matching": momentum_matching.check,
-    "discrete Noether": noether.check,
-    "consistency": consistency.check,
-    "symplecticity": symplecticity.check,
-    "area preservation": area_preservation.check,
-    "midpoint equivalence": midpoint_equivalence.check,
-    "boundary rank": boundary_rank.check,
-    "null controls": null_controls.check,
-    "path between nodes": path_modes.check,
-    "holonomic drift": holonomic_drift.check,
-    "switches": switches.check,
-    "second-order condition": second_order.check,
-    "optimum": optimum.check,
-}
+_ROWS = (
+    Check("layout", layout.check, runs_the_module=False),
+    Check("derivatives", derivatives.check),
+    Check("sparsity", sparsity.check),
+    Check("given values", given_values.check),
+    Check("assembly", assembly.check),
+    Check("discrete equations", discrete_equations.check, runs_the_module=False, of_each_phase=True),
+    Check("momentum matching", momentum_matching.check),
+    Check("discrete Noether", noether.check, runs_the_module=False, of_each_phase=True),
+    Check("consistency", consistency.check, runs_the_module=False),
+    Check("symplecticity", symplecticity.check, runs_the_module=False, of_each_phase=True),
+    Check("area preservation", area_preservation.check, runs_the_module=False, of_each_phase=True),
+    Check("midpoint equivalence", midpoint_equivalence.check, runs_the_module=False, of_each_phase=True),
+    Check("boundary rank", boundary_rank.check),
+    Check("null controls", null_controls.check, of_each_phase=True),
+    Check("path between nodes", path_modes.check),
+    Check("holonomic drift", holonomic_drift.check),
+    Check("switches", switches.check),
+    Check("second-order condition", second_order.check),
+    Check("optimum", optimum.check),
+)
+
+CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
 """Every check by name, in the order of a report; tests run over this table."""
-
-_RUN_THE_MODULE = frozenset(CHECKS) - {
-    "layout",
-    "discrete equations",
-    "discrete Noether",
-    "consistency",
-    "symplecticity",
-    "area preservation",
-    "midpoint equivalence",
-}
-"""Checks that call compiled code or trust its tables: all but those that look at expressions alone."""
-
-
-_OF_EACH_PHASE = frozenset(CHECKS) & {
-    "discrete equations",
-    "discrete Noether",
-    "symplecticity",
-    "area preservation",
-    "midpoint equivalence",
-    "null controls",
-}
-"""Checks of the equations of one phase, which are made for each where there are several."""
 
 
 def run(
@@ -146,14 +126,15 @@ def apply(name: str, context: Context, seconds: float = math.inf) -> list[Findin
 
 
 def _found(name: str, context: Context) -> Iterator[Finding]:
-    if name in _RUN_THE_MODULE and not all(finding.passed for finding in layout.check(context)):
+    check = CHECKS[name]
+    if check.runs_the_module and not all(finding.passed for finding in layout.check(context)):
         yield Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")
         return
-    phases = phase_contexts(context) if name in _OF_EACH_PHASE else []
+    phases = phase_contexts(context) if check.of_each_phase else []
     if len(phases) < 2:
-        yield from CHECKS[name](context)
+        yield from check.findings(context)
         return
-    found = [(phase, finding) for phase, own in phases for finding in CHECKS[name](own)]
+    found = [(phase, finding) for phase, own in phases for finding in check.findings(own)]
     if not any(finding.applies for _, finding in found):
         yield found[0][1]
         return

@@ -1,4 +1,4 @@
-"""What a check is: a function from a context (what was derived, and the module on disk) to findings."""
+"""What a check is: findings from a context, which is what was derived, and the module on disk."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from codegen.mangling import plain
 from codegen.model import Model
@@ -64,8 +64,18 @@ class Context:
             return None
 
 
-Check: TypeAlias = Callable[[Context], Iterable[Finding]]
-"""A check yields at least one finding, also where it does not apply."""
+@dataclass(frozen=True)
+class Check:
+    """A kind of evidence: its name, and what finds it, which yields at least one finding also where it does not apply.
+
+    A check that `runs_the_module` calls compiled code, or trusts tables of the module; else it looks at expressions
+    alone. One of equations may be made `of_each_phase`, as if that were a problem of its own.
+    """
+
+    name: str
+    findings: Callable[[Context], Iterable[Finding]]
+    runs_the_module: bool = True
+    of_each_phase: bool = False
 
 
 def does_not_apply(check: str, reason: str) -> Finding:
