@@ -1674,32 +1674,64 @@ def slope_of(unknowns, gradient, step, is_multiplier):
 # Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
 # equation numbers are quoted. Here `cost` is whatever the line search lowers: the cost, or a barrier function.
 
+MISLED = 5  # steps in turn that the filter alone has shortened, after which it is emptied
+EMPTIED = 5  # how often that may happen, so that a search cannot go round in circles
 
-def acceptable(violation, cost, filtered):
-    """Whether no pair of the filter is better both in violation and in cost (18)."""
-    for other, least in filtered:  # a loop takes a third of the time of all(...)
-        if not (violation < other or cost < least):
+
+class Filter:
+    """Pairs that a trial point must improve on, the first of which limits the violation for good.
+
+    Points of long ago, nearly feasible and cheap, may bar the way for many iterations. Where the last trial that an
+    iterate refused was refused by the filter alone, five times in turn, all pairs but the first are forgotten, as IPOPT
+    does (its option filter_reset_trigger).
+    """
+
+    def __init__(self, greatest_violation):
+        self.pairs = [(greatest_violation, -np.inf)]
+        self.refused, self.in_turn, self.emptied = False, 0, 0
+
+    def empty(self):
+        """Forget all pairs but the first."""
+        del self.pairs[1:]
+        self.refused, self.in_turn = False, 0
+
+    def lets_pass(self, violation, cost):
+        """Whether no pair is better both in violation and in cost (18)."""
+        for other, least in self.pairs:  # a loop takes a third of the time of all(...)
+            if not (violation < other or cost < least):
+                return False
+        return True
+
+    def add(self, violation, cost):
+        """Note a point that is left: nothing comes back to it, nor as close as a small part of its violation."""
+        self.pairs.append(envelope(violation, cost))
+
+    def accept(self, violation, cost, trial_violation, trial_cost, slope, length, small_violation):
+        """Whether a trial point may be taken (19, 20); the filter grows unless the cost fell as the slope promised."""
+        rounding = 2e-15 * abs(cost)
+        promising = slope < 0.0 and length * (-slope) ** 2.3 > violation**1.1
+        fell = promising and trial_cost <= cost + 1e-8 * length * slope + rounding
+        if promising and violation <= small_violation:
+            better = fell
+        else:
+            least_violation, least_cost = envelope(violation, cost)
+            better = trial_violation <= least_violation or trial_cost <= least_cost + rounding
+        if not better or not self.lets_pass(trial_violation, trial_cost):
+            self.refused = better
             return False
-    return True
+        self.in_turn = self.in_turn + 1 if self.refused else 0
+        self.refused = False
+        if self.in_turn == MISLED and self.emptied < EMPTIED:
+            self.empty()
+            self.emptied += 1
+        if not fell:
+            self.add(violation, cost)
+        return True
 
 
 def envelope(violation, cost):
-    """What a point adds to the filter: a little less than its violation and cost."""
+    """A little less than the violation and cost of a point."""
     return (1.0 - 1e-5) * violation, cost - 1e-8 * violation
-
-
-def accept(violation, cost, trial_violation, trial_cost, slope, length, small_violation, filtered):
-    """Whether a trial point may be taken (19, 20); the filter grows unless the cost decreased as the slope promised."""
-    if not acceptable(trial_violation, trial_cost, filtered):
-        return False
-    rounding = 2e-15 * abs(cost)
-    if violation <= small_violation and slope < 0.0 and length * (-slope) ** 2.3 > violation**1.1:
-        return trial_cost <= cost + 1e-8 * length * slope + rounding
-    least_violation, least_cost = envelope(violation, cost)
-    if trial_violation > least_violation and trial_cost > least_cost + rounding:
-        return False
-    filtered.append((least_violation, least_cost))
-    return True
 
 
 # Newton's method on the KKT system, made dependable by a filter line search and by shifts of the Hessian.
@@ -1739,7 +1771,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     system, total = allocate_system(grid), 0
     guess = without_multipliers(grid, unknowns)
     if guess.error < np.inf and is_gross(grid, guess):
-        near = restore(grid, guess, NEARBY, [], system, log)
+        near = restore(grid, guess, NEARBY, Filter(np.inf), system, log)
         if near is not None:
             limit = min(max_iterations // 2, NEARBY_ITERATIONS)
             status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
@@ -1781,7 +1813,7 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
     """Follow Newton's steps from a point whose multipliers are zero; return (status, point, iterations)."""
     point = with_multipliers(grid, guess, system)
     small_violation = 1e-4 * max(1.0, point.violation)
-    filtered = [(1e8 * small_violation, -np.inf)]
+    filtered = Filter(1e8 * small_violation)
     shift, length, step = Shift(), 0.0, np.empty_like(guess.unknowns)
     for iteration in range(max_iterations + 1):
         log.append((point.cost, point.residual, point.stationarity, shift.value, length))
@@ -1804,7 +1836,7 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
                 return "saddle point", point, iteration
             if is_rounding(grid, point):
                 return "stalled", point, iteration
-            filtered.append(envelope(point.violation, point.cost))
+            filtered.add(point.violation, point.cost)
             trial = restore(grid, point, 0.9, filtered, system, log)
             if trial is None:
                 return "time limit" if log.is_late() else "infeasible", point, iteration
@@ -1880,20 +1912,27 @@ def primal_ones(steps):
 
 def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
-    length, violation, cost, limits = 1.0, point.violation, point.cost, (small_violation, filtered)
+    length, limits = 1.0, (slope, small_violation, filtered)
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + step)
-        if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *limits):
+        if is_better(trial, point, length, *limits):
             return trial, length
-        if length == 1.0 and trial.violation >= violation:
+        if length == 1.0 and trial.violation >= point.violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
             correction = np.empty_like(step)
             solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
             trial = evaluate(grid, point.unknowns + correction)
-            if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *limits):
+            if is_better(trial, point, length, *limits):
                 return trial, length
         length, step = 0.5 * length, 0.5 * step
     return None, length
+
+
+def is_better(trial, point, length, slope, small_violation, filtered):
+    """Whether a trial may follow a point, from which a step of some length was to lead to it."""
+    return trial.error < np.inf and filtered.accept(
+        point.violation, point.cost, trial.violation, trial.cost, slope, length, small_violation
+    )
 
 
 def restore(grid, point, reduction, filtered, system, log):
@@ -1916,7 +1955,7 @@ def restore(grid, point, reduction, filtered, system, log):
                 trial = trial if lowered and trial.error < np.inf else None
             damping = damping * 8.0 if trial is None else max(damping / 5.0, 1e-12)
         point = trial
-        if point.violation <= reduction * first and acceptable(point.violation, point.cost, filtered):
+        if point.violation <= reduction * first and filtered.lets_pass(point.violation, point.cost):
             return point
     return None
 
@@ -3159,7 +3198,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_9d0b413ec7136e41"
+_IDENTITY = "codegen_bouncing_ball_85adc500c670344a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -1333,32 +1333,64 @@ def slope_of(unknowns, gradient, step, is_multiplier):
 # Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
 # equation numbers are quoted. Here `cost` is whatever the line search lowers: the cost, or a barrier function.
 
+MISLED = 5  # steps in turn that the filter alone has shortened, after which it is emptied
+EMPTIED = 5  # how often that may happen, so that a search cannot go round in circles
 
-def acceptable(violation, cost, filtered):
-    """Whether no pair of the filter is better both in violation and in cost (18)."""
-    for other, least in filtered:  # a loop takes a third of the time of all(...)
-        if not (violation < other or cost < least):
+
+class Filter:
+    """Pairs that a trial point must improve on, the first of which limits the violation for good.
+
+    Points of long ago, nearly feasible and cheap, may bar the way for many iterations. Where the last trial that an
+    iterate refused was refused by the filter alone, five times in turn, all pairs but the first are forgotten, as IPOPT
+    does (its option filter_reset_trigger).
+    """
+
+    def __init__(self, greatest_violation):
+        self.pairs = [(greatest_violation, -np.inf)]
+        self.refused, self.in_turn, self.emptied = False, 0, 0
+
+    def empty(self):
+        """Forget all pairs but the first."""
+        del self.pairs[1:]
+        self.refused, self.in_turn = False, 0
+
+    def lets_pass(self, violation, cost):
+        """Whether no pair is better both in violation and in cost (18)."""
+        for other, least in self.pairs:  # a loop takes a third of the time of all(...)
+            if not (violation < other or cost < least):
+                return False
+        return True
+
+    def add(self, violation, cost):
+        """Note a point that is left: nothing comes back to it, nor as close as a small part of its violation."""
+        self.pairs.append(envelope(violation, cost))
+
+    def accept(self, violation, cost, trial_violation, trial_cost, slope, length, small_violation):
+        """Whether a trial point may be taken (19, 20); the filter grows unless the cost fell as the slope promised."""
+        rounding = 2e-15 * abs(cost)
+        promising = slope < 0.0 and length * (-slope) ** 2.3 > violation**1.1
+        fell = promising and trial_cost <= cost + 1e-8 * length * slope + rounding
+        if promising and violation <= small_violation:
+            better = fell
+        else:
+            least_violation, least_cost = envelope(violation, cost)
+            better = trial_violation <= least_violation or trial_cost <= least_cost + rounding
+        if not better or not self.lets_pass(trial_violation, trial_cost):
+            self.refused = better
             return False
-    return True
+        self.in_turn = self.in_turn + 1 if self.refused else 0
+        self.refused = False
+        if self.in_turn == MISLED and self.emptied < EMPTIED:
+            self.empty()
+            self.emptied += 1
+        if not fell:
+            self.add(violation, cost)
+        return True
 
 
 def envelope(violation, cost):
-    """What a point adds to the filter: a little less than its violation and cost."""
+    """A little less than the violation and cost of a point."""
     return (1.0 - 1e-5) * violation, cost - 1e-8 * violation
-
-
-def accept(violation, cost, trial_violation, trial_cost, slope, length, small_violation, filtered):
-    """Whether a trial point may be taken (19, 20); the filter grows unless the cost decreased as the slope promised."""
-    if not acceptable(trial_violation, trial_cost, filtered):
-        return False
-    rounding = 2e-15 * abs(cost)
-    if violation <= small_violation and slope < 0.0 and length * (-slope) ** 2.3 > violation**1.1:
-        return trial_cost <= cost + 1e-8 * length * slope + rounding
-    least_violation, least_cost = envelope(violation, cost)
-    if trial_violation > least_violation and trial_cost > least_cost + rounding:
-        return False
-    filtered.append((least_violation, least_cost))
-    return True
 
 
 # The logarithmic barrier of bounds on unknowns: distances to the bounds, their duals, and what Newton's method needs.
@@ -1778,8 +1810,8 @@ def is_better(trial, iterate, step, length, mu, small_violation, filtered):
     point, _, logarithms = trial
     violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
     trial_cost = point.cost - mu * logarithms
-    return point.error < np.inf and accept(
-        violation, cost, point.violation, trial_cost, step.slope, length, small_violation, filtered
+    return point.error < np.inf and filtered.accept(
+        violation, cost, point.violation, trial_cost, step.slope, length, small_violation
     )
 
 
@@ -1886,7 +1918,8 @@ LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
 UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
-PATIENCE = 8  # iterations with the least weight of the barrier before a larger one has to do
+PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
+FINER = 2  # steps with the least weight that a solution may take to close the gap of its cost
 
 
 class Attempt(NamedTuple):
@@ -1927,7 +1960,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         iterate = begin(search, bent(grid, primal, attempt.bend), attempt, central=attempt is WARM)
         status = "restored"
         if attempt.nearby and iterate.point.error < np.inf:
-            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [], log)
+            status, iterate = restored(search, iterate, attempt.weight, NEARBY, Filter(np.inf), log)
         if status == "restored":
             left = max_iterations - total
             status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
@@ -1983,33 +2016,39 @@ def neighbours(search, saddle, attempt, escapes):
 def descend(search, iterate, attempt, tolerance, max_iterations, log):
     """Lower the barrier's weight and follow the minima; return (status, iterate, iterations).
 
-    The cost is off by the sum of all complementarities, for which the weight ends so low that it is below the
-    tolerance. Where rounding does not allow that, the tolerance holds for each of them, as it does in (5), and the
-    optimality conditions are relative to the multipliers.
+    For a weight of a tenth of the tolerance, each complementarity is below the tolerance, as in (5). A few more steps
+    then try to bring their sum, by which the cost is off, below it, too. Where rounding does not allow the tolerance,
+    the optimality conditions are relative to the multipliers.
     """
     grid, mu = search.grid, attempt.weight
     sound, least = tolerance / 10.0, tolerance / max(10.0, 2.0 * search.bounds.place.size)
     first = max(1.0, iterate.point.violation)
-    small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
+    small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
     shift, last_shift, length, damping = 0.0, 0.0, 0.0, 0.0
-    at_least, fallback, shortened, watch = 0, None, 0, None
+    low, found, finer, shortened, watch = 0, None, 0, 0, None
     for iteration in range(max_iterations + 1):
         iterate, measured = measured_iterate(search, iterate)
         point = iterate.point
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
         sure = iteration > 0 and shift == 0.0
-        status = conclusion(search, iterate, measured, tolerance, at_least > PATIENCE, sure)
+        status = conclusion(search, iterate, measured, tolerance, low > PATIENCE, sure)
+        if status == "solved" and measured[1] > tolerance and low <= PATIENCE:
+            status, found = "", iterate
         if not status and log.is_late():
             status = "time limit"
-        if status or iteration == max_iterations:
+        if status or finer == FINER or iteration == max_iterations:
+            if found is not None and status != "solved":
+                return "solved", found, iteration
             return status or "iteration limit", iterate, iteration
         before = mu
-        if at_least <= PATIENCE:
-            mu = lowered(point, measured, mu, least)
+        if found is None:
+            mu = lowered(point, measured, mu, sound)
+        else:
+            mu, finer = least, finer + 1
         if mu < before:
-            filtered, fallback = filtered[:1], (iterate, before)
+            filtered.empty()
             iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
-        at_least += mu == least
+        low += mu <= sound
         trial, step = None, regularised_step(search, iterate, mu, last_shift, damping)
         if step is not None:
             shift, last_shift = step.shift, step.shift or last_shift
@@ -2021,23 +2060,20 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             damping = damped(damping, step, length, shortened) if trial is not None else 0.0
-        if fallback is not None and mu <= sound and (trial is None or at_least == PATIENCE):
-            if is_acceptable(grid, point, measured, tolerance):
-                return "solved", iterate, iteration
-            # So low a weight is beyond rounding: the tolerance for each complementarity is what can be had.
-            iterate, mu, before = tightened(search, *fallback, sound), sound, sound
-            fallback, at_least, filtered = None, PATIENCE + 1, filtered[:1]
-            continue
-        if step is None:
-            return "rank-deficient", iterate, iteration
         if trial is None:
+            if found is not None:
+                return "solved", found, iteration
+            if low and is_acceptable(grid, point, measured, tolerance):
+                return "solved", iterate, iteration
+            if step is None:
+                return "rank-deficient", iterate, iteration
             if shift > 0.0 and is_nearly_stationary(point) and not is_minimum(search, iterate, tolerance):
                 return "saddle point", iterate, iteration
             if is_rounding(grid, point):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
                 closed = measured[1] <= tolerance * search.bounds.place.size
                 return ("solved" if closed else "stalled"), iterate, iteration
-            filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
+            filtered.add(point.violation, point.cost - mu * iterate.logarithms)
             status, trial = restored(search, iterate, mu, 0.9, filtered, log)
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
@@ -2053,19 +2089,19 @@ def conclusion(search, iterate, measured, tolerance, acceptable_will_do, sure):
     grid, point = search.grid, iterate.point
     if not point.error < np.inf:
         return "non-finite"
-    closed = measured[1] <= tolerance and is_solved(grid, point, tolerance)
+    closed = measured[3] <= tolerance and is_solved(grid, point, tolerance)
     if closed or (acceptable_will_do and is_acceptable(grid, point, measured, tolerance)):
         return "solved" if sure or is_minimum(search, iterate, tolerance) else "saddle point"
     return "unbounded" if is_boundless(point, measured[6]) else ""
 
 
 def lowered(point, measured, mu, least):
-    """The weight for the next step: lower where the barrier problem is solved well enough.
+    """The weight for the next step: lower where the barrier problem is solved well enough (7).
 
-    Newton's steps converge quadratically once the barrier is weak, and its weight may tend to zero as fast.
+    Its square would be too little while bounds are still to become active: steps would be cut at all of them.
     """
     while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
-        mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
+        mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-5 else mu**2))
     return mu
 
 
@@ -2091,7 +2127,7 @@ def restored(search, iterate, mu, reduction, filtered, log):
     """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
     def is_acceptable(point, logarithms):
-        return acceptable(point.violation, point.cost - mu * logarithms, filtered)
+        return filtered.lets_pass(point.violation, point.cost - mu * logarithms)
 
     status, unknowns, distance = restore(search, iterate, reduction, is_acceptable, log.is_late)
     unknowns = primal_part(search.grid, unknowns)
@@ -3354,7 +3390,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_e703bb4070874356"
+_IDENTITY = "codegen_cart_pole_c72f7581972619d4"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -14,7 +14,7 @@ from codegen.runtime.kkt.apart import allocate_system
 from codegen.runtime.optimise.barrier import add_barrier, finite_bounds
 from codegen.runtime.optimise.curvature import FLAT
 from codegen.runtime.optimise.exact_bounds import within_bounds
-from codegen.runtime.optimise.filter import acceptable, envelope
+from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.unknowns.frame import views
 from codegen.runtime.optimise.interior_steps import (
     Search,
@@ -43,7 +43,8 @@ LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
 UNLUCKY = ("infeasible", "stalled", "rank-deficient")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
-PATIENCE = 8  # iterations with the least weight of the barrier before a larger one has to do
+PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
+FINER = 2  # steps with the least weight that a solution may take to close the gap of its cost
 
 
 class Attempt(NamedTuple):
@@ -84,7 +85,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         iterate = begin(search, bent(grid, primal, attempt.bend), attempt, central=attempt is WARM)
         status = "restored"
         if attempt.nearby and iterate.point.error < np.inf:
-            status, iterate = restored(search, iterate, attempt.weight, NEARBY, [], log)
+            status, iterate = restored(search, iterate, attempt.weight, NEARBY, Filter(np.inf), log)
         if status == "restored":
             left = max_iterations - total
             status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
@@ -140,33 +141,39 @@ def neighbours(search, saddle, attempt, escapes):
 def descend(search, iterate, attempt, tolerance, max_iterations, log):
     """Lower the barrier's weight and follow the minima; return (status, iterate, iterations).
 
-    The cost is off by the sum of all complementarities, for which the weight ends so low that it is below the
-    tolerance. Where rounding does not allow that, the tolerance holds for each of them, as it does in (5), and the
-    optimality conditions are relative to the multipliers.
+    For a weight of a tenth of the tolerance, each complementarity is below the tolerance, as in (5). A few more steps
+    then try to bring their sum, by which the cost is off, below it, too. Where rounding does not allow the tolerance,
+    the optimality conditions are relative to the multipliers.
     """
     grid, mu = search.grid, attempt.weight
     sound, least = tolerance / 10.0, tolerance / max(10.0, 2.0 * search.bounds.place.size)
     first = max(1.0, iterate.point.violation)
-    small_violation, filtered = 1e-4 * first, [(attempt.funnel * first, -np.inf)]
+    small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
     shift, last_shift, length, damping = 0.0, 0.0, 0.0, 0.0
-    at_least, fallback, shortened, watch = 0, None, 0, None
+    low, found, finer, shortened, watch = 0, None, 0, 0, None
     for iteration in range(max_iterations + 1):
         iterate, measured = measured_iterate(search, iterate)
         point = iterate.point
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
         sure = iteration > 0 and shift == 0.0
-        status = conclusion(search, iterate, measured, tolerance, at_least > PATIENCE, sure)
+        status = conclusion(search, iterate, measured, tolerance, low > PATIENCE, sure)
+        if status == "solved" and measured[1] > tolerance and low <= PATIENCE:
+            status, found = "", iterate
         if not status and log.is_late():
             status = "time limit"
-        if status or iteration == max_iterations:
+        if status or finer == FINER or iteration == max_iterations:
+            if found is not None and status != "solved":
+                return "solved", found, iteration
             return status or "iteration limit", iterate, iteration
         before = mu
-        if at_least <= PATIENCE:
-            mu = lowered(point, measured, mu, least)
+        if found is None:
+            mu = lowered(point, measured, mu, sound)
+        else:
+            mu, finer = least, finer + 1
         if mu < before:
-            filtered, fallback = filtered[:1], (iterate, before)
+            filtered.empty()
             iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
-        at_least += mu == least
+        low += mu <= sound
         trial, step = None, regularised_step(search, iterate, mu, last_shift, damping)
         if step is not None:
             shift, last_shift = step.shift, step.shift or last_shift
@@ -178,23 +185,20 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             damping = damped(damping, step, length, shortened) if trial is not None else 0.0
-        if fallback is not None and mu <= sound and (trial is None or at_least == PATIENCE):
-            if is_acceptable(grid, point, measured, tolerance):
-                return "solved", iterate, iteration
-            # So low a weight is beyond rounding: the tolerance for each complementarity is what can be had.
-            iterate, mu, before = tightened(search, *fallback, sound), sound, sound
-            fallback, at_least, filtered = None, PATIENCE + 1, filtered[:1]
-            continue
-        if step is None:
-            return "rank-deficient", iterate, iteration
         if trial is None:
+            if found is not None:
+                return "solved", found, iteration
+            if low and is_acceptable(grid, point, measured, tolerance):
+                return "solved", iterate, iteration
+            if step is None:
+                return "rank-deficient", iterate, iteration
             if shift > 0.0 and is_nearly_stationary(point) and not is_minimum(search, iterate, tolerance):
                 return "saddle point", iterate, iteration
             if is_rounding(grid, point):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
                 closed = measured[1] <= tolerance * search.bounds.place.size
                 return ("solved" if closed else "stalled"), iterate, iteration
-            filtered.append(envelope(point.violation, point.cost - mu * iterate.logarithms))
+            filtered.add(point.violation, point.cost - mu * iterate.logarithms)
             status, trial = restored(search, iterate, mu, 0.9, filtered, log)
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
@@ -210,19 +214,19 @@ def conclusion(search, iterate, measured, tolerance, acceptable_will_do, sure):
     grid, point = search.grid, iterate.point
     if not point.error < np.inf:
         return "non-finite"
-    closed = measured[1] <= tolerance and is_solved(grid, point, tolerance)
+    closed = measured[3] <= tolerance and is_solved(grid, point, tolerance)
     if closed or (acceptable_will_do and is_acceptable(grid, point, measured, tolerance)):
         return "solved" if sure or is_minimum(search, iterate, tolerance) else "saddle point"
     return "unbounded" if is_boundless(point, measured[6]) else ""
 
 
 def lowered(point, measured, mu, least):
-    """The weight for the next step: lower where the barrier problem is solved well enough.
+    """The weight for the next step: lower where the barrier problem is solved well enough (7).
 
-    Newton's steps converge quadratically once the barrier is weak, and its weight may tend to zero as fast.
+    Its square would be too little while bounds are still to become active: steps would be cut at all of them.
     """
     while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
-        mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-3 else mu**2))
+        mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-5 else mu**2))
     return mu
 
 
@@ -248,7 +252,7 @@ def restored(search, iterate, mu, reduction, filtered, log):
     """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
     def is_acceptable(point, logarithms):
-        return acceptable(point.violation, point.cost - mu * logarithms, filtered)
+        return filtered.lets_pass(point.violation, point.cost - mu * logarithms)
 
     status, unknowns, distance = restore(search, iterate, reduction, is_acceptable, log.is_late)
     unknowns = primal_part(search.grid, unknowns)

@@ -18,7 +18,6 @@ from codegen.runtime.optimise.barrier import (
     relaxation,
 )
 from codegen.runtime.stand_ins.example import TIED
-from codegen.runtime.optimise.filter import accept
 from codegen.runtime.unknowns.point import Point, evaluate
 from codegen.runtime.optimise.rounding import is_solved
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
@@ -227,8 +226,8 @@ def is_better(trial, iterate, step, length, mu, small_violation, filtered):
     point, _, logarithms = trial
     violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
     trial_cost = point.cost - mu * logarithms
-    return point.error < np.inf and accept(
-        violation, cost, point.violation, trial_cost, step.slope, length, small_violation, filtered
+    return point.error < np.inf and filtered.accept(
+        violation, cost, point.violation, trial_cost, step.slope, length, small_violation
     )
 
 

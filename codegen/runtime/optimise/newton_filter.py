@@ -13,7 +13,7 @@ from codegen.runtime.kkt.apart import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
 from codegen.runtime.optimise.curvature import FLAT
 from codegen.runtime.optimise.descent import slope_of
-from codegen.runtime.optimise.filter import accept, acceptable, envelope
+from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.unknowns.layout import layout
 from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.optimise.rounding import is_solved, sizes_of_terms
@@ -52,7 +52,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     system, total = allocate_system(grid), 0
     guess = without_multipliers(grid, unknowns)
     if guess.error < np.inf and is_gross(grid, guess):
-        near = restore(grid, guess, NEARBY, [], system, log)
+        near = restore(grid, guess, NEARBY, Filter(np.inf), system, log)
         if near is not None:
             limit = min(max_iterations // 2, NEARBY_ITERATIONS)
             status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
@@ -94,7 +94,7 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
     """Follow Newton's steps from a point whose multipliers are zero; return (status, point, iterations)."""
     point = with_multipliers(grid, guess, system)
     small_violation = 1e-4 * max(1.0, point.violation)
-    filtered = [(1e8 * small_violation, -np.inf)]
+    filtered = Filter(1e8 * small_violation)
     shift, length, step = Shift(), 0.0, np.empty_like(guess.unknowns)
     for iteration in range(max_iterations + 1):
         log.append((point.cost, point.residual, point.stationarity, shift.value, length))
@@ -117,7 +117,7 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
                 return "saddle point", point, iteration
             if is_rounding(grid, point):
                 return "stalled", point, iteration
-            filtered.append(envelope(point.violation, point.cost))
+            filtered.add(point.violation, point.cost)
             trial = restore(grid, point, 0.9, filtered, system, log)
             if trial is None:
                 return "time limit" if log.is_late() else "infeasible", point, iteration
@@ -193,20 +193,27 @@ def primal_ones(steps):
 
 def search(grid, point, step, slope, small_violation, filtered, system):
     """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
-    length, violation, cost, limits = 1.0, point.violation, point.cost, (small_violation, filtered)
+    length, limits = 1.0, (slope, small_violation, filtered)
     while length > SHORTEST_STEP:
         trial = evaluate(grid, point.unknowns + step)
-        if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *limits):
+        if is_better(trial, point, length, *limits):
             return trial, length
-        if length == 1.0 and trial.violation >= violation:
+        if length == 1.0 and trial.violation >= point.violation:
             # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
             correction = np.empty_like(step)
             solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
             trial = evaluate(grid, point.unknowns + correction)
-            if trial.error < np.inf and accept(violation, cost, trial.violation, trial.cost, slope, length, *limits):
+            if is_better(trial, point, length, *limits):
                 return trial, length
         length, step = 0.5 * length, 0.5 * step
     return None, length
+
+
+def is_better(trial, point, length, slope, small_violation, filtered):
+    """Whether a trial may follow a point, from which a step of some length was to lead to it."""
+    return trial.error < np.inf and filtered.accept(
+        point.violation, point.cost, trial.violation, trial.cost, slope, length, small_violation
+    )
 
 
 def restore(grid, point, reduction, filtered, system, log):
@@ -229,7 +236,7 @@ def restore(grid, point, reduction, filtered, system, log):
                 trial = trial if lowered and trial.error < np.inf else None
             damping = damping * 8.0 if trial is None else max(damping / 5.0, 1e-12)
         point = trial
-        if point.violation <= reduction * first and acceptable(point.violation, point.cost, filtered):
+        if point.violation <= reduction * first and filtered.lets_pass(point.violation, point.cost):
             return point
     return None
 
