@@ -1,16 +1,13 @@
 """Operations are packed in what a module has compiled, wherever that is done, and in nothing else."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from golden import text_of
 from interpreted import config as interpreted_config
 from interpreted import without_compilation
 from numba import config, njit
 
 from codegen.runtime.packing import packed_operations
-
-GENERATED = Path(__file__).parents[2] / "generated"
 
 
 def products(x, y):
@@ -54,7 +51,7 @@ def test_what_numba_was_told_holds_again_after_an_error(monkeypatch):
 )  # fmt: skip
 def test_a_module_packs_what_its_solve_compiles(name, inside, monkeypatch):
     """Whatever environment it is solved in."""
-    module = without_compilation((GENERATED / f"{name}.py").read_text(encoding="utf-8"))
+    module = without_compilation(text_of(f"{name}.py"))
     monkeypatch.setattr(interpreted_config, "SLP_VECTORIZE", 0, raising=False)
     found, own = [], getattr(module, inside)
 
