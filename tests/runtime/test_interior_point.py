@@ -293,3 +293,18 @@ def test_chattering_takes_no_more_than_half_as_many_iterations_again_as_ipopt() 
     assert status == "solved"
     assert iterations <= 24
     assert_optimal(grid, point)
+
+
+def test_restoration_goes_no_farther_than_it_has_to() -> None:
+    """The second equation is a millionth as steep as the first: all of it would take a step of 100."""
+    grid = nlp((2, 0), x1**2 + x2**2, [1000 * (x1 - 1), 0.01 * (x2 - 100)], [], {x1: POSITIVE})
+    bounds = barrier.finite_bounds(grid.lower, grid.upper)
+    search = interior_steps.Search(
+        grid, bounds, [None, None], np.flatnonzero(grid.is_multiplier), (grid.lower, grid.upper)
+    )
+    iterate = interior_steps.begin(search, grid.guess, interior_point.COLD)
+    status, unknowns, _ = restoration.restore(search, iterate, 0.9, lambda *_: True, lambda: False)
+    first, second = unknowns[~grid.is_multiplier]
+    assert status == "restored"
+    assert abs(first - 1.0) < 0.1
+    assert abs(second) < 1.0

@@ -13,6 +13,7 @@ from codegen.runtime.optimise.barrier import add_barrier, measure_step, move, mo
 from codegen.runtime.unknowns.point import evaluate
 
 RESTORATION_STEPS = 200
+FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
 
 
 def restore(search, iterate, reduction, is_acceptable, is_late):
@@ -23,12 +24,13 @@ def restore(search, iterate, reduction, is_acceptable, is_late):
     grid, bounds, *_ = search
     unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
     logarithms, point = iterate.logarithms, evaluate(grid, unknowns)
-    first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 1e-4
+    first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 0.0
     duals = np.minimum(nu / distance, 1e3)
     for _ in range(RESTORATION_STEPS):
         if is_late():
             return "time limit", point.unknowns, distance
         pull = attraction(grid, point)
+        damping = damping or first_damping(grid, point, pull)
         error = restoration_error(grid, bounds, pull, distance, duals)
         if error <= 1e-8 * point.residual:
             return "infeasible", point.unknowns, distance
@@ -48,6 +50,16 @@ def attraction(grid, point):
     with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
     pull = evaluate(grid, with_residuals).gradient - point.gradient
     return np.where(grid.is_multiplier, 0.0, pull)
+
+
+def first_damping(grid, point, pull):
+    """Enough to keep the first step short where residuals hardly change, whatever the units.
+
+    Without it the step would go far along directions that are hardly determined, away from the iterate for which the
+    cost was lowered.
+    """
+    squares = 2.0 * sum_of_squares(grid, point)
+    return max(1e-12, FIRST_DAMPING * (pull @ pull) / squares) if squares > 0.0 else 1e-4
 
 
 def restoration_error(grid, bounds, pull, distance, duals):
