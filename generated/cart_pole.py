@@ -1529,6 +1529,7 @@ def move_duals(duals, dual_step, length, distance, mu, result):
 # Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3, for the purpose.
 
 RESTORATION_STEPS = 200
+FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
 
 
 def restore(search, iterate, reduction, is_acceptable, is_late):
@@ -1539,12 +1540,13 @@ def restore(search, iterate, reduction, is_acceptable, is_late):
     grid, bounds, *_ = search
     unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
     logarithms, point = iterate.logarithms, evaluate(grid, unknowns)
-    first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 1e-4
+    first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 0.0
     duals = np.minimum(nu / distance, 1e3)
     for _ in range(RESTORATION_STEPS):
         if is_late():
             return "time limit", point.unknowns, distance
         pull = attraction(grid, point)
+        damping = damping or first_damping(grid, point, pull)
         error = restoration_error(grid, bounds, pull, distance, duals)
         if error <= 1e-8 * point.residual:
             return "infeasible", point.unknowns, distance
@@ -1564,6 +1566,16 @@ def attraction(grid, point):
     with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
     pull = evaluate(grid, with_residuals).gradient - point.gradient
     return np.where(grid.is_multiplier, 0.0, pull)
+
+
+def first_damping(grid, point, pull):
+    """Enough to keep the first step short where residuals hardly change, whatever the units.
+
+    Without it the step would go far along directions that are hardly determined, away from the iterate for which the
+    cost was lowered.
+    """
+    squares = 2.0 * sum_of_squares(grid, point)
+    return max(1e-12, FIRST_DAMPING * (pull @ pull) / squares) if squares > 0.0 else 1e-4
 
 
 def restoration_error(grid, bounds, pull, distance, duals):
@@ -3390,7 +3402,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_c72f7581972619d4"
+_IDENTITY = "codegen_cart_pole_a267396c5a37ab4d"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
