@@ -308,3 +308,11 @@ def test_restoration_goes_no_farther_than_it_has_to() -> None:
     assert status == "restored"
     assert abs(first - 1.0) < 0.1
     assert abs(second) < 1.0
+
+
+def test_a_cost_that_falls_without_end_is_not_followed_to_infinity() -> None:
+    """Other beginnings may lead to a local minimum: five searches take no more steps than one did to -1e20."""
+    status, point, iterations = solve(nlp((1, 1), -x1 - x2, [x1 - x2], [], {x1: POSITIVE}))
+    assert status == "unbounded"
+    assert iterations <= 15
+    assert point.cost < -interior_point.BOTTOMLESS

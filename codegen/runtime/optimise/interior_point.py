@@ -39,9 +39,10 @@ from codegen.runtime.optimise.saddles import ESCAPES, LEFT, is_below, is_nearly_
 from codegen.runtime.optimise.standstill import is_rounding
 from codegen.runtime.kkt.system import factor_kkt
 
-LARGEST = 1e20  # unknowns or costs beyond it are taken for infinite
+LARGEST = 1e20  # unknowns beyond it are taken for infinite
+BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
-UNLUCKY = ("infeasible", "stalled", "rank-deficient")
+UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
 FINER = 2  # steps with the least weight that a solution may take to close the gap of its cost
@@ -147,7 +148,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     """
     grid, mu = search.grid, attempt.weight
     sound, least = tolerance / 10.0, tolerance / max(10.0, 2.0 * search.bounds.place.size)
-    first = max(1.0, iterate.point.violation)
+    first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
     shift, last_shift, length, damping = 0.0, 0.0, 0.0, 0.0
     low, found, finer, shortened, watch = 0, None, 0, 0, None
@@ -156,7 +157,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         point = iterate.point
         log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
         sure = iteration > 0 and shift == 0.0
-        status = conclusion(search, iterate, measured, tolerance, low > PATIENCE, sure)
+        status = conclusion(search, iterate, measured, tolerance, first_cost, low > PATIENCE, sure)
         if status == "solved" and measured[1] > tolerance and low <= PATIENCE:
             status, found = "", iterate
         if not status and log.is_late():
@@ -206,7 +207,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     return "iteration limit", iterate, max_iterations
 
 
-def conclusion(search, iterate, measured, tolerance, acceptable_will_do, sure):
+def conclusion(search, iterate, measured, tolerance, first_cost, acceptable_will_do, sure):
     """The status with which the descent ends at an iterate, or an empty word where it goes on.
 
     Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leave room for doubt.
@@ -217,7 +218,7 @@ def conclusion(search, iterate, measured, tolerance, acceptable_will_do, sure):
     closed = measured[3] <= tolerance and is_solved(grid, point, tolerance)
     if closed or (acceptable_will_do and is_acceptable(grid, point, measured, tolerance)):
         return "solved" if sure or is_minimum(search, iterate, tolerance) else "saddle point"
-    return "unbounded" if is_boundless(point, measured[6]) else ""
+    return "unbounded" if is_boundless(point, measured[6], first_cost) else ""
 
 
 def lowered(point, measured, mu, least):
@@ -243,9 +244,9 @@ def is_minimum(search, iterate, tolerance):
     return factor_kkt(grid, point.unknowns, 1.0, diagonal, system) == 0
 
 
-def is_boundless(point, largest):
+def is_boundless(point, largest, first_cost):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -LARGEST)
+    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -BOTTOMLESS * max(1.0, first_cost))
 
 
 def restored(search, iterate, mu, reduction, filtered, log):

@@ -120,8 +120,12 @@ def dependent(grid, point):
 
 
 def leading(grid, values, rows):
-    """Places of the largest values among some rows, one for each name, as long as they are comparable."""
-    order, places = rows[np.argsort(-np.abs(values[rows]), kind="stable")], {}
+    """Places of the largest values among some rows, one for each name, as long as they are comparable.
+
+    The first of them come first where they are as large as each other but for a thousandth.
+    """
+    size, places = np.abs(values[rows]), {}
+    order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
     for place in order:
         if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
             break
