@@ -97,6 +97,7 @@ class ControlModule(Protocol):
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
+    bounds_of: Callable[[Grid], tuple[Vector, Vector]]
     prescribed_beyond: Callable[[Grid, Vector], str]
     COUPLINGS: int
     ROOT: int

@@ -214,12 +214,13 @@ class Log:
         if not time_limit > 0.0:
             raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
         self.rows, self.watch, self.deadline = [], watch, perf_counter() + time_limit
-        self.weight = 1.0  # by which costs in rows are multiplied
 
-    def append(self, row):
-        """Keep a row, and show it to whoever watches."""
-        if self.weight != 1.0:
-            row = row[0] / self.weight, *row[1:]
+    def append(self, grid, point, *others):
+        """Keep a row about a point, in the problem's own units, and show it to whoever watches.
+
+        Stationarity is the change of the cost with parts of sizes where the grid has them.
+        """
+        row = point.cost, point.residual, point.stationarity, *others
         self.rows.append(row)
         if self.watch is not None:
             self.watch(len(self.rows) - 1, row)
@@ -421,7 +422,7 @@ def pin(place, element):
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
+def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Pin what is given."""
     pin_ends(k, steps, diagonal, element)
 
@@ -754,12 +755,12 @@ def allocate_condensed(grid):
 
 
 @njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, diagonal, inverses):
-    """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
+def prepare_condensed(weight, parts, diagonal, inverses):
+    """Invert the controls' block C, scaled, weighted and shifted; False when it is not positive definite."""
     block, inverse = inverses[0], inverses[1]
     for a in range(CONDENSED):
         for b in range(CONDENSED):
-            inverse[a, b] = weight * block[a, b]
+            inverse[a, b] = weight * parts[BLOCK + a] * parts[BLOCK + b] * block[a, b]
         inverse[a, a] += diagonal[BLOCK + a]
     return invert_positive_definite(inverse, CONDENSED)
 
@@ -812,30 +813,33 @@ def allocate_factors(grid):
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate_body(
-    unknowns, gradient, diagonal, steps, h, parameters, weight, upper, inverse, order, inverses, couplings, last
-):
+    unknowns, gradient, diagonal, steps, h, parameters, weight, parts, upper, inverse, order, inverses, couplings,
+    last,
+):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
     the elimination has stopped.
     """
-    if not prepare_condensed(weight, diagonal, inverses):
+    if not prepare_condensed(weight, parts, diagonal, inverses):
         return False, 0, 0
-    negative, hessian = 0, zero_vector(HESSIAN_ROWS.size)
+    negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
+    is_weighted = fill_factors(weight, parts, factors)
     element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
         interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
-        if weight != 1.0:
-            weigh(weight, hessian)
+        if is_weighted:
+            for j in range(hessian.size):
+                hessian[j] *= factors[j]
         clear(element)
         if not add_element(hessian, here, slope, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
             element[i, i] += here[i]
         if k == 0 or k == steps - 1:
-            close_element(unknowns, k, steps, h, parameters, weight, diagonal, element)
+            close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue
@@ -859,11 +863,28 @@ def eliminate_body(
 
 
 @njit(error_model="numpy")
-def weigh(weight, hessian):
-    """Multiply the second derivatives by primal unknowns."""
-    for j in range(hessian.size):
+def fill_parts(sizes, forces, parts):
+    """Fill the sizes of an element's unknowns, the same on all intervals, by which derivatives are multiplied.
+
+    They include the root of the cost's weight, and are ones where nothing is scaled.
+    """
+    for i in range(parts.size):
+        parts[i] = 1.0
+
+
+@njit(error_model="numpy")
+def fill_factors(weight, parts, factors):
+    """Fill what an interval's second derivatives are multiplied by; return whether that makes a difference.
+
+    It is the sizes of both unknowns, and the weight where both are primal.
+    """
+    is_weighted = False
+    for j in range(factors.size):
+        factors[j] = parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
         if IS_CURVATURE[j]:
-            hessian[j] *= weight
+            factors[j] *= weight
+        is_weighted = is_weighted or factors[j] != 1.0
+    return is_weighted
 
 
 @njit(error_model="numpy")
@@ -983,15 +1004,18 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, steps, h, parameters, weight, diagonal, equations, upper, inverse, order, inverses, couplings
-):
+    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
+    inverses, couplings,
+):  # fmt: skip
     """Eliminate all bodies; whether that was possible, and the excess of negative pivots."""
+    parts = zero_vector(ELEMENT)
+    fill_parts(sizes, forces, parts)
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST, LAST_WIDTH)
     for body in range(BODIES):
         first, behind = body * chain, (body + 1) * chain
         regular, found, excess = eliminate_body(
             unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess
@@ -1024,12 +1048,14 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
     array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
     part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
+    Everything is in parts of sizes where the grid has them, so that pivots do not depend on units.
     """
     factors, equations = system
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
     regular, excess = factor(
-        unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
-    )
+        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.parameters, weight, diagonal, equations,
+        *factors,
+    )  # fmt: skip
     return excess if regular else None
 
 
@@ -1086,24 +1112,27 @@ def sizes_of_terms(grid, unknowns):
     return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
 
 
-def is_solved(grid, point, tolerance):
-    """Whether residual and stationarity are within the tolerance, or as small as rounding errors allow.
+def is_solved(grid, point, tolerance, roundings=1.0):
+    """Whether residual and stationarity are within the tolerance, or no more than some rounding errors of their terms.
 
     The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
     so that a problem in small units is not called solved too early.
     """
     equations, stationarity = sizes_of_terms(grid, point.unknowns)
-    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+    return is_small(point.residual, equations, tolerance, roundings) and is_small(
+        point.stationarity, stationarity, tolerance, roundings
+    )
 
 
-def is_small(value, size, tolerance):
+def is_small(value, size, tolerance, roundings):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
-    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
+    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size)
 
 
 # Solve a linear-quadratic problem: one Newton step, and at most two more that remove rounding errors.
 
 CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
+ROUNDINGS = 4.0  # errors of their terms that one Newton step leaves in the equations
 LARGE = 1e6  # steps beyond it lead to infinity
 
 
@@ -1118,12 +1147,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     point = evaluate(grid, unknowns)
     excess = factor_kkt(grid, unknowns, 1.0, none, system, point.gradient)
     for iteration in range(4):
-        log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
+        log.append(grid, point, 0.0, float(iteration > 0))
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if excess != 0:
             return *without_minimum(grid, point, system), iteration
-        if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance):
+        if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance, ROUNDINGS):
             return "solved", point, iteration
         step = np.empty_like(unknowns)
         solve_kkt(grid, system, point.gradient, step, carried=iteration == 0)
@@ -1159,6 +1188,34 @@ def least_violation(grid, point, system):
     return point
 
 
+# Whether a number that was given can be a count of something.
+
+
+def checked_count(name, number):
+    """A positive integer, which may be written as a float; ValueError names what is not."""
+    try:
+        is_count = number == int(number) and number >= 1 and not isinstance(number, bool)
+    except (TypeError, ValueError, OverflowError):
+        is_count = False
+    if not is_count:
+        raise ValueError(f"{name} is {number!r}, expected a positive integer")
+    return int(number)
+
+
+# Whether a number that was given can be a tolerance.
+
+
+def checked_tolerance(tolerance, most):
+    """A number above zero and up to `most`; ValueError says what is not."""
+    try:
+        is_tolerance = 0.0 < tolerance <= most
+    except TypeError:
+        is_tolerance = False
+    if not is_tolerance:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and {most:g}")
+    return float(tolerance)
+
+
 # What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
@@ -1166,8 +1223,7 @@ NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
 def checked_grid(steps, duration, parameters):
     """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
-    if isinstance(steps, bool) or int(steps) != steps or steps < 1:
-        raise ValueError(f"steps is {steps!r}, expected a positive integer")
+    steps = checked_count("steps", steps)
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
@@ -1180,7 +1236,6 @@ def checked_grid(steps, duration, parameters):
             finite = finite and all(map(math.isfinite, table[:, i].tolist()))
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
-    steps = int(steps)
     return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
 
 
@@ -1473,9 +1528,8 @@ LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
-def describe(grid, guess, point, status):
-    """The status, judged once more, and the sentence."""
-    status, error = final_status(grid, guess, point, status), point.error
+def describe(grid, guess, point, status, error):
+    """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
     if status == "solved":
         return status, f"all equations hold to {error:.1e}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
@@ -1535,8 +1589,12 @@ def dependent(grid, point):
 
 
 def leading(grid, values, rows):
-    """Places of the largest values among some rows, one for each name, as long as they are comparable."""
-    order, places = rows[np.argsort(-np.abs(values[rows]), kind="stable")], {}
+    """Places of the largest values among some rows, one for each name, as long as they are comparable.
+
+    The first of them come first where they are as large as each other but for a thousandth.
+    """
+    size, places = np.abs(values[rows]), {}
+    order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
     for place in order:
         if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
             break
@@ -1678,7 +1736,8 @@ def of_body(body):
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise; return (status, message, point, iterations). `scaling` has no effect."""
     status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, log)
-    status, message = describe(grid, unknowns, point, status)
+    status = final_status(grid, unknowns, point, status)
+    status, message = describe(grid, unknowns, point, status, point.error)
     if status == "solved":
         point = point._replace(cost=corrected_cost(grid, point))
     return status, message, point, iterations
@@ -1760,6 +1819,7 @@ def solve(
         end=end,
     )
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
+    tolerance, max_iterations = checked_tolerance(tolerance, 1.0), checked_count("max_iterations", max_iterations)
     iterates = Log(time_limit, watch)
     status, message, point, iterations = optimise(
         grid, unknowns, tolerance, max_iterations, warm, scaling, iterates
@@ -1949,7 +2009,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_aed7694711019980"
+_IDENTITY = "codegen_hypersensitive_bc51ec28a1a74725"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -1568,6 +1568,34 @@ def shift_states(linear, errors, shifts):
         shifts[k + 1, :, 0] += error.ravel() if solved else np.nan
 
 
+# Whether a number that was given can be a count of something.
+
+
+def checked_count(name, number):
+    """A positive integer, which may be written as a float; ValueError names what is not."""
+    try:
+        is_count = number == int(number) and number >= 1 and not isinstance(number, bool)
+    except (TypeError, ValueError, OverflowError):
+        is_count = False
+    if not is_count:
+        raise ValueError(f"{name} is {number!r}, expected a positive integer")
+    return int(number)
+
+
+# Whether a number that was given can be a tolerance.
+
+
+def checked_tolerance(tolerance, most):
+    """A number above zero and up to `most`; ValueError says what is not."""
+    try:
+        is_tolerance = 0.0 < tolerance <= most
+    except TypeError:
+        is_tolerance = False
+    if not is_tolerance:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and {most:g}")
+    return float(tolerance)
+
+
 # What is to be connected, and whether it can be.
 
 
@@ -1608,10 +1636,9 @@ def checked_case(start, target, sigma, own, own_names, parameters, steps, durati
     steps, max_iterations = checked_count("steps", steps), checked_count("max_iterations", max_iterations)
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
-    if not 0.0 < tolerance <= 1e-6:
-        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and 1e-6")
     own = np.ascontiguousarray(own)
-    return Case(start, target, sigma, own, parameters, steps, float(duration), float(tolerance), max_iterations)
+    tolerance = checked_tolerance(tolerance, 1e-6)
+    return Case(start, target, sigma, own, parameters, steps, float(duration), tolerance, max_iterations)
 
 
 def require_possible(what, points):
@@ -1628,13 +1655,6 @@ def require_possible(what, points):
     if same.size:
         first, second = sorted(order[same[0] : same[0] + 2] + 1)
         raise ValueError(f"{what} of points {first} and {second} is the same place; no map separates or joins them")
-
-
-def checked_count(name, number):
-    """A positive integer; ValueError names what is not."""
-    if isinstance(number, bool) or int(number) != number or number < 1:
-        raise ValueError(f"{name} is {number!r}, expected a positive integer")
-    return int(number)
 
 
 # A path of nearly least action between given points: where shooting should start when the straight way misleads it.
@@ -2328,7 +2348,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_7c68e3943198d4e6"
+_IDENTITY = "codegen_image_registration_0ff10c1aaecdf84a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

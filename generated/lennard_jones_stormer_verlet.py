@@ -220,6 +220,20 @@ def moved(z, part, step, rates):
             z[part, i, k] += step * rates[i, k]
 
 
+# Whether a number that was given can be a count of something.
+
+
+def checked_count(name, number):
+    """A positive integer, which may be written as a float; ValueError names what is not."""
+    try:
+        is_count = number == int(number) and number >= 1 and not isinstance(number, bool)
+    except (TypeError, ValueError, OverflowError):
+        is_count = False
+    if not is_count:
+        raise ValueError(f"{name} is {number!r}, expected a positive integer")
+    return int(number)
+
+
 # Step after step from given places and momenta of particles, and what is measured along the stored states.
 
 FAILURES = {
@@ -312,13 +326,6 @@ def checked_grid(steps, duration, parameters, own, start):
         if not np.isfinite(values).all():
             raise ValueError(f"{name} must be finite")
     return Grid(steps, float(duration) / steps, parameters, own, start)
-
-
-def checked_count(name, number):
-    """A positive integer; ValueError names what is not."""
-    if isinstance(number, bool) or int(number) != number or number < 1:
-        raise ValueError(f"{name} is {number!r}, expected a positive integer")
-    return int(number)
 
 
 def integrate(grid, every):
@@ -556,7 +563,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_lennard_jones_2729eee110a3d3d1"
+_IDENTITY = "codegen_lennard_jones_262fc5de97056107"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -186,29 +186,32 @@ def solve_factored(matrix, pivots, right_hand_side):
 # One step of an implicit scheme by Newton's method, iterated to rounding level.
 #
 # Newton's method squares the error, so that after a correction of relative size 1e-13 nothing but rounding is left. The
-# size of a correction is measured against the sum of the magnitudes of state and unknowns. Corrections are taken in full:
-# where they do not converge the step is too long for the scheme, and shorter corrections were seen to end in spurious
-# minima of the residual as often as in a solution.
+# correction of each unknown is measured against its own size, which it may have had a few steps ago: a sum over unknowns
+# would depend on their units. Corrections are taken in full: where they do not converge the step is too long for the
+# scheme, and shorter corrections were seen to end in spurious minima of the residual as often as in a solution.
 
 NON_FINITE, SINGULAR, NOT_CONVERGED = -1, -2, -3  # what `advance` returns when there is no solution
-LEAST = 1e-300  # added to that sum: below it numbers are so close to the least ones that they have no relative size
-ROUNDING = 1e-8  # relative corrections below this are taken for rounding errors once they no longer shrink
+LEAST = 1e-300  # numbers below it are so close to the least ones that they have no relative size
+ROUNDING = 1e-8  # corrections below this part of all unknowns are taken for rounding errors once they no longer shrink
 
 
 @njit(cache=True, error_model="numpy")
 def allocate_work(h, parameters):
-    """Unknowns, residual, Jacobian and its pivots."""
-    return np.empty(UNKNOWNS), np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS, np.int64)
+    """Unknowns, residual, Jacobian and its pivots, sizes and last corrections of unknowns."""
+    matrix, pivots = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS, np.int64)
+    return np.empty(UNKNOWNS), np.empty(UNKNOWNS), matrix, pivots, np.zeros(UNKNOWNS), np.empty(UNKNOWNS)
 
 
 @njit(cache=True, error_model="numpy")
 def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
     """Fill `interval` with inner stages and the state at the right node; return the iterations, or why it failed."""
-    unknowns, residual, jacobian, pivots = work
+    unknowns, residual, jacobian, pivots, sizes, last = work
     predict_step(state, t, h, parameters, unknowns)
-    magnitude, previous = LEAST, np.inf
+    magnitude = 0.0
     for i in range(state.size):
         magnitude += abs(state[i])
+    for i in range(UNKNOWNS):
+        sizes[i], last[i] = max(0.5 * sizes[i], LEAST), np.inf
     for iteration in range(1, max_iterations + 1):
         step_jacobian(unknowns, state, t, h, parameters, residual, jacobian)
         total = 0.0
@@ -219,17 +222,27 @@ def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
         if factor_matrix(jacobian, pivots) >= 0:
             return SINGULAR
         solve_factored(jacobian, pivots, residual)
-        correction, scale = 0.0, magnitude
+        scale = magnitude
         for i in range(UNKNOWNS):
             unknowns[i] -= residual[i]
-            correction += abs(residual[i])
             scale += abs(unknowns[i])
-        stagnates = correction <= ROUNDING * scale and correction >= 0.5 * previous
-        if correction <= tolerance * scale or stagnates:
+        if has_converged(unknowns, residual, tolerance, ROUNDING * scale, sizes, last):
             complete_step(unknowns, state, t, h, parameters, interval)
             return iteration
-        previous = correction
     return NOT_CONVERGED
+
+
+@njit(error_model="numpy")
+def has_converged(unknowns, corrections, tolerance, rounding, sizes, last):
+    """Whether each correction is small, or a rounding error that has stopped to shrink; note sizes and corrections."""
+    settled = True
+    for i in range(UNKNOWNS):
+        change = abs(corrections[i])
+        sizes[i] = max(sizes[i], abs(unknowns[i]))
+        stagnates = change <= rounding and change >= 0.5 * last[i]
+        settled = settled and (stagnates or change <= tolerance * sizes[i])
+        last[i] = 0.0 if stagnates else change
+    return settled
 
 
 # Step after step from an initial state, and what is measured along the stored path.
@@ -309,6 +322,34 @@ def energies(path, times, parameters, values):
         values[row] = energy(path[row], times[row], parameters)
 
 
+# Whether a number that was given can be a count of something.
+
+
+def checked_count(name, number):
+    """A positive integer, which may be written as a float; ValueError names what is not."""
+    try:
+        is_count = number == int(number) and number >= 1 and not isinstance(number, bool)
+    except (TypeError, ValueError, OverflowError):
+        is_count = False
+    if not is_count:
+        raise ValueError(f"{name} is {number!r}, expected a positive integer")
+    return int(number)
+
+
+# Whether a number that was given can be a tolerance.
+
+
+def checked_tolerance(tolerance, most):
+    """A number above zero and up to `most`; ValueError says what is not."""
+    try:
+        is_tolerance = 0.0 < tolerance <= most
+    except TypeError:
+        is_tolerance = False
+    if not is_tolerance:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and {most:g}")
+    return float(tolerance)
+
+
 # What surrounds the steps: the time grid and its checks, storage, and what is reported about a trajectory.
 
 FAILURES = {
@@ -342,13 +383,6 @@ def checked_grid(steps, duration, parameters, start):
     return Grid(steps, float(duration) / steps, parameters, start)
 
 
-def checked_count(name, number):
-    """A positive integer; ValueError names what is not."""
-    if isinstance(number, bool) or int(number) != number or number < 1:
-        raise ValueError(f"{name} is {number!r}, expected a positive integer")
-    return int(number)
-
-
 def replace_values(boundary, values):
     """Overwrite initial values by name; ValueError tells which names there are."""
     for quantity, value in values.items():
@@ -360,9 +394,7 @@ def replace_values(boundary, values):
 def integrate(grid, every, tolerance, max_iterations):
     """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations)."""
     every = min(checked_count("every", every), grid.steps)
-    tolerance, max_iterations = float(tolerance), checked_count("max_iterations", max_iterations)
-    if not 0.0 < tolerance <= 1e-6:
-        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and 1e-6")
+    tolerance, max_iterations = checked_tolerance(tolerance, 1e-6), checked_count("max_iterations", max_iterations)
     path = np.empty((1 - (-grid.steps // every), STATE))
     before = path if every == 1 else np.empty((path.shape[0] - 1, STATE))
     steps, rows, iterations, outcome = follow(
@@ -624,7 +656,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_76a2945b994e21e0"
+_IDENTITY = "codegen_pendulum_dff0c45b8735ccea"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -226,6 +226,34 @@ def energies(path, times, parameters, values):
         values[row] = energy(path[row], times[row], parameters)
 
 
+# Whether a number that was given can be a count of something.
+
+
+def checked_count(name, number):
+    """A positive integer, which may be written as a float; ValueError names what is not."""
+    try:
+        is_count = number == int(number) and number >= 1 and not isinstance(number, bool)
+    except (TypeError, ValueError, OverflowError):
+        is_count = False
+    if not is_count:
+        raise ValueError(f"{name} is {number!r}, expected a positive integer")
+    return int(number)
+
+
+# Whether a number that was given can be a tolerance.
+
+
+def checked_tolerance(tolerance, most):
+    """A number above zero and up to `most`; ValueError says what is not."""
+    try:
+        is_tolerance = 0.0 < tolerance <= most
+    except TypeError:
+        is_tolerance = False
+    if not is_tolerance:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and {most:g}")
+    return float(tolerance)
+
+
 # What surrounds the steps: the time grid and its checks, storage, and what is reported about a trajectory.
 
 FAILURES = {
@@ -259,13 +287,6 @@ def checked_grid(steps, duration, parameters, start):
     return Grid(steps, float(duration) / steps, parameters, start)
 
 
-def checked_count(name, number):
-    """A positive integer; ValueError names what is not."""
-    if isinstance(number, bool) or int(number) != number or number < 1:
-        raise ValueError(f"{name} is {number!r}, expected a positive integer")
-    return int(number)
-
-
 def replace_values(boundary, values):
     """Overwrite initial values by name; ValueError tells which names there are."""
     for quantity, value in values.items():
@@ -277,9 +298,7 @@ def replace_values(boundary, values):
 def integrate(grid, every, tolerance, max_iterations):
     """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations)."""
     every = min(checked_count("every", every), grid.steps)
-    tolerance, max_iterations = float(tolerance), checked_count("max_iterations", max_iterations)
-    if not 0.0 < tolerance <= 1e-6:
-        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and 1e-6")
+    tolerance, max_iterations = checked_tolerance(tolerance, 1e-6), checked_count("max_iterations", max_iterations)
     path = np.empty((1 - (-grid.steps // every), STATE))
     before = path if every == 1 else np.empty((path.shape[0] - 1, STATE))
     steps, rows, iterations, outcome = follow(
@@ -505,7 +524,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_139d00320f5a4884"
+_IDENTITY = "codegen_pendulum_c0cc9efb296bd880"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -346,12 +346,16 @@ class Log:
         if not time_limit > 0.0:
             raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
         self.rows, self.watch, self.deadline = [], watch, perf_counter() + time_limit
-        self.weight = 1.0  # by which costs in rows are multiplied
 
-    def append(self, row):
-        """Keep a row, and show it to whoever watches."""
-        if self.weight != 1.0:
-            row = row[0] / self.weight, *row[1:]
+    def append(self, grid, point, *others):
+        """Keep a row about a point, in the problem's own units, and show it to whoever watches.
+
+        Stationarity is the change of the cost with parts of sizes where the grid has them.
+        """
+        row = point.cost, point.residual, point.stationarity, *others
+        if grid.sizes.size:
+            residual = np.abs(point.gradient / grid.forces)[grid.is_multiplier].max(initial=0.0)
+            row = point.cost / grid.weight, residual, point.stationarity / grid.weight, *others
         self.rows.append(row)
         if self.watch is not None:
             self.watch(len(self.rows) - 1, row)
@@ -558,7 +562,7 @@ def pin(place, element):
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
+def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Pin what is given."""
     pin_ends(k, steps, diagonal, element)
 
@@ -896,12 +900,12 @@ def allocate_condensed(grid):
 
 
 @njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, diagonal, inverses):
-    """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
+def prepare_condensed(weight, parts, diagonal, inverses):
+    """Invert the controls' block C, scaled, weighted and shifted; False when it is not positive definite."""
     block, inverse = inverses[0], inverses[1]
     for a in range(CONDENSED):
         for b in range(CONDENSED):
-            inverse[a, b] = weight * block[a, b]
+            inverse[a, b] = weight * parts[BLOCK + a] * parts[BLOCK + b] * block[a, b]
         inverse[a, a] += diagonal[BLOCK + a]
     return invert_positive_definite(inverse, CONDENSED)
 
@@ -954,30 +958,33 @@ def allocate_factors(grid):
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate_body(
-    unknowns, gradient, diagonal, steps, h, parameters, weight, upper, inverse, order, inverses, couplings, last
-):
+    unknowns, gradient, diagonal, steps, h, parameters, weight, parts, upper, inverse, order, inverses, couplings,
+    last,
+):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
     the elimination has stopped.
     """
-    if not prepare_condensed(weight, diagonal, inverses):
+    if not prepare_condensed(weight, parts, diagonal, inverses):
         return False, 0, 0
-    negative, hessian = 0, zero_vector(HESSIAN_ROWS.size)
+    negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
+    is_weighted = fill_factors(weight, parts, factors)
     element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
         interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
-        if weight != 1.0:
-            weigh(weight, hessian)
+        if is_weighted:
+            for j in range(hessian.size):
+                hessian[j] *= factors[j]
         clear(element)
         if not add_element(hessian, here, slope, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
             element[i, i] += here[i]
         if k == 0 or k == steps - 1:
-            close_element(unknowns, k, steps, h, parameters, weight, diagonal, element)
+            close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue
@@ -1001,11 +1008,31 @@ def eliminate_body(
 
 
 @njit(error_model="numpy")
-def weigh(weight, hessian):
-    """Multiply the second derivatives by primal unknowns."""
-    for j in range(hessian.size):
+def fill_parts(sizes, forces, parts):
+    """Fill the sizes of an element's unknowns, the same on all intervals, by which derivatives are multiplied.
+
+    They include the root of the cost's weight, and are ones where nothing is scaled.
+    """
+    for i in range(parts.size):
+        parts[i] = 1.0
+    if sizes.size:
+        for i in range(ELEMENT):
+            parts[i] = np.sqrt(sizes[i] * forces[i])
+
+
+@njit(error_model="numpy")
+def fill_factors(weight, parts, factors):
+    """Fill what an interval's second derivatives are multiplied by; return whether that makes a difference.
+
+    It is the sizes of both unknowns, and the weight where both are primal.
+    """
+    is_weighted = False
+    for j in range(factors.size):
+        factors[j] = parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
         if IS_CURVATURE[j]:
-            hessian[j] *= weight
+            factors[j] *= weight
+        is_weighted = is_weighted or factors[j] != 1.0
+    return is_weighted
 
 
 @njit(error_model="numpy")
@@ -1125,15 +1152,18 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, steps, h, parameters, weight, diagonal, equations, upper, inverse, order, inverses, couplings
-):
+    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
+    inverses, couplings,
+):  # fmt: skip
     """Eliminate all bodies; whether that was possible, and the excess of negative pivots."""
+    parts = zero_vector(ELEMENT)
+    fill_parts(sizes, forces, parts)
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST, LAST_WIDTH)
     for body in range(BODIES):
         first, behind = body * chain, (body + 1) * chain
         regular, found, excess = eliminate_body(
             unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess
@@ -1166,15 +1196,16 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
     array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
     part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
+    Everything is in parts of sizes where the grid has them, so that pivots do not depend on units.
     """
     factors, equations = system
-    if grid.sizes.size:
-        unknowns, diagonal = unknowns * grid.sizes, diagonal / (grid.forces * grid.sizes)
-        gradient = None if gradient is None else gradient / grid.forces
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
+    if grid.sizes.size:
+        unknowns = unknowns * grid.sizes
     regular, excess = factor(
-        unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
-    )
+        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.parameters, weight, diagonal, equations,
+        *factors,
+    )  # fmt: skip
     return excess if regular else None
 
 
@@ -1188,11 +1219,7 @@ def solve_kkt(grid, system, gradient, step, carried=False):
 
     That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
-    if grid.sizes.size:
-        gradient = gradient / grid.forces
     substitute(gradient, False, grid.steps, *system[0], step)
-    if grid.sizes.size:
-        step /= grid.sizes
 
 
 # How large the terms of the equations are: what a residual has to be compared with.
@@ -1239,8 +1266,8 @@ def sizes_of_terms(grid, unknowns):
     return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
 
 
-def is_solved(grid, point, tolerance):
-    """Whether residual and stationarity are within the tolerance, or as small as rounding errors allow.
+def is_solved(grid, point, tolerance, roundings=1.0):
+    """Whether residual and stationarity are within the tolerance, or no more than some rounding errors of their terms.
 
     The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
     so that a problem in small units is not called solved too early.
@@ -1248,12 +1275,14 @@ def is_solved(grid, point, tolerance):
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
     equations, stationarity = sizes_of_terms(grid, point.unknowns)
-    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+    return is_small(point.residual, equations, tolerance, roundings) and is_small(
+        point.stationarity, stationarity, tolerance, roundings
+    )
 
 
-def is_small(value, size, tolerance):
+def is_small(value, size, tolerance, roundings):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
-    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
+    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size)
 
 
 # Whether nothing but rounding is left, so that no step makes progress.
@@ -1429,7 +1458,7 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
     filtered = Filter(1e8 * small_violation)
     shift, length, step = Shift(), 0.0, np.empty_like(guess.unknowns)
     for iteration in range(max_iterations + 1):
-        log.append((point.cost, point.residual, point.stationarity, shift.value, length))
+        log.append(grid, point, shift.value, length)
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if is_solved(grid, point, tolerance):
@@ -1606,6 +1635,34 @@ def interval_momenta(unknowns, steps, h, parameters, momenta):
             momenta[body, steps, i] = part[STRIDE + EQUATIONS[i]]
 
 
+# Whether a number that was given can be a count of something.
+
+
+def checked_count(name, number):
+    """A positive integer, which may be written as a float; ValueError names what is not."""
+    try:
+        is_count = number == int(number) and number >= 1 and not isinstance(number, bool)
+    except (TypeError, ValueError, OverflowError):
+        is_count = False
+    if not is_count:
+        raise ValueError(f"{name} is {number!r}, expected a positive integer")
+    return int(number)
+
+
+# Whether a number that was given can be a tolerance.
+
+
+def checked_tolerance(tolerance, most):
+    """A number above zero and up to `most`; ValueError says what is not."""
+    try:
+        is_tolerance = 0.0 < tolerance <= most
+    except TypeError:
+        is_tolerance = False
+    if not is_tolerance:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and {most:g}")
+    return float(tolerance)
+
+
 # What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
@@ -1613,8 +1670,7 @@ NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
 def checked_grid(steps, duration, parameters):
     """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
-    if isinstance(steps, bool) or int(steps) != steps or steps < 1:
-        raise ValueError(f"steps is {steps!r}, expected a positive integer")
+    steps = checked_count("steps", steps)
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
     table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
@@ -1627,7 +1683,6 @@ def checked_grid(steps, duration, parameters):
             finite = finite and all(map(math.isfinite, table[:, i].tolist()))
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
-    steps = int(steps)
     return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
 
 
@@ -1948,14 +2003,12 @@ LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
-def describe(grid, guess, point, status):
-    """The status, judged once more, and the sentence."""
-    status, error = final_status(grid, guess, point, status), point.error
-    if grid.sizes.size:
-        sizes, grid = grid.sizes, plain_grid(grid)
-        guess, point = guess * sizes, evaluate(grid, point.unknowns * sizes)
+def describe(grid, guess, point, status, error):
+    """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
     if status == "solved":
         return status, f"all equations hold to {error:.1e}"
+    if grid.sizes.size:
+        grid = plain_grid(grid)
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 
@@ -2013,8 +2066,12 @@ def dependent(grid, point):
 
 
 def leading(grid, values, rows):
-    """Places of the largest values among some rows, one for each name, as long as they are comparable."""
-    order, places = rows[np.argsort(-np.abs(values[rows]), kind="stable")], {}
+    """Places of the largest values among some rows, one for each name, as long as they are comparable.
+
+    The first of them come first where they are as large as each other but for a thousandth.
+    """
+    size, places = np.abs(values[rows]), {}
+    order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
     for place in order:
         if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
             break
@@ -2150,18 +2207,8 @@ def of_body(body):
     return f" of body {body}" if BODIES > 1 else ""
 
 
-# How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
-#
-# Every kind of unknown (a coordinate at all nodes, a control on all intervals, ...) has one size, taken from its guess,
-# which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
-# matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
-# constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
-# duration. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
-# at most when one unknown changes by its size. A change of units then changes nothing but the sizes.
+# How steep equations and cost are: the largest derivatives by kinds of unknowns, from some intervals and both ends.
 
-CHANGE = 8.0  # of the scaled cost, at most, when one unknown changes by its size
-LOOSE = 1e-3  # a guess below this part of a bound says little about the size of an unknown
-DUST = 1e-6  # the same beside the other terms of every equation
 SAMPLES = 4  # intervals on which derivatives are looked at
 CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 
@@ -2172,80 +2219,12 @@ PLACE = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NOD
 KIND_IS_MULTIPLIER = np.concatenate(
     [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
 )
-# Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
-NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
-NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
-SCALE = metadata.get("scale", {})
-GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
-
-
-@njit(cache=True, error_model="numpy")
-def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
-    """Fill in the size of every unknown; return the weight of the cost, and how far from one weights and sizes are."""
-    size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
-    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
-    for i in range(kinds.size):
-        if not KIND_IS_MULTIPLIER[kinds[i]]:
-            primal[i] = unknowns[i]
-            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
-    lagrangian_gradient(primal, steps, h, parameters, slopes)
-    for i in range(kinds.size):
-        if KIND_IS_MULTIPLIER[kinds[i]]:
-            rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
-    fit_bounds(lower, upper, kinds, size)
-    measure_intervals(primal, steps, h, parameters, tables)
-    forget_dust(size, tables[1])
-    for j in range(KINDS):
-        if GIVEN[j] > 0.0:
-            size[j] = GIVEN[j]
-    spread(size, rest, tables[1])
-    for j in range(KINDS):
-        if not KIND_IS_MULTIPLIER[j]:
-            size[j] = positive(size[j])
-    weight = CHANGE / positive(change_of_cost(slopes, kinds, size, tables[2]))
-    extreme = max(weight, 1.0 / weight)
-    for i in range(KINDS):
-        if KIND_IS_MULTIPLIER[i]:
-            largest = 0.0
-            for j in range(KINDS):
-                if not KIND_IS_MULTIPLIER[j]:
-                    largest = max(largest, tables[0, i, j] * size[j])
-            largest = positive(largest)
-            extreme = max(extreme, largest, 1.0 / largest)
-            size[i] = 1.0 / (largest * weight)
-        else:
-            extreme = max(extreme, size[i], 1.0 / size[i])
-    for i in range(kinds.size):
-        sizes[i] = size[kinds[i]]
-    return weight, extreme
-
-
-@njit(error_model="numpy")
-def positive(value):
-    """A size, or one where there is none."""
-    return value if 1e-150 < value < 1e150 else 1.0
-
-
-@njit(error_model="numpy")
-def fit_bounds(lower, upper, kinds, size):
-    """Make sizes fit the largest finite bound, where there is one on either side: no less than a small part of it."""
-    bound, between = zero_vector(KINDS), zero_vector(KINDS)
-    for i in range(lower.size):
-        below, above = abs(lower[i]), abs(upper[i])
-        if max(below, above) < np.inf:
-            between[kinds[i]] = max(between[kinds[i]], below, above)
-        elif min(below, above) < np.inf:
-            bound[kinds[i]] = max(bound[kinds[i]], min(below, above))
-    for j in range(KINDS):
-        if between[j] > 0.0 and size[j] > 0.0:
-            size[j] = min(max(size[j], LOOSE * between[j]), between[j])
-        elif size[j] == 0.0:
-            size[j] = max(between[j], bound[j])
+IS_AT_ENDS = np.isin(np.arange(KINDS), ONLY_AT_ENDS)  # inner nodes have ones on their diagonal
 
 
 @njit(error_model="numpy")
 def add_entry(row, column, value, tables):
-    """Note the modulus of a derivative: of an equation by an unknown, or a curvature of the cost."""
+    """Note the modulus of a derivative: of an equation by an unknown, or a curvature of the cost, which add up."""
     if KIND_IS_MULTIPLIER[row] and KIND_IS_MULTIPLIER[column]:
         return
     if KIND_IS_MULTIPLIER[column]:
@@ -2254,7 +2233,7 @@ def add_entry(row, column, value, tables):
         tables[0, row, column] = max(tables[0, row, column], value)
         tables[1, row, column] = max(tables[1, row, column], value)
     else:
-        tables[2, row, column] = max(tables[2, row, column], value)
+        tables[2, row, column] += value
 
 
 @njit(error_model="numpy")
@@ -2262,7 +2241,7 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
     """Fill three tables by kinds from some intervals.
 
     The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
-    quadratic in time, of size one, the third the largest curvatures of the cost.
+    quadratic in time, of size one, the third the sums of the cost's curvatures.
     """
     intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT, KINDS, 4))
     stride = max(1, intervals // SAMPLES)
@@ -2279,7 +2258,8 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
                 if LOCAL_IS_MULTIPLIER[column]:
                     row, column = column, row
                 if not LOCAL_IS_MULTIPLIER[row]:
-                    add_entry(KIND[row], KIND[column], abs(hessian[j]), tables)
+                    if not IS_AT_ENDS[KIND[row]]:
+                        add_entry(KIND[row], KIND[column], stride * abs(hessian[j]), tables)
                 elif not LOCAL_IS_MULTIPLIER[column]:
                     ahead = PLACE[column] - PLACE[row]
                     moments[row, KIND[column], 0] += hessian[j]
@@ -2321,6 +2301,138 @@ def change(moments, intervals, powers):
     return max(largest, abs(moments[2]) / intervals**2) if powers == 2 else largest
 
 
+# How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
+#
+# Every kind of unknown (a coordinate at all nodes, a control on all intervals, ...) has one size, taken from its guess,
+# which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
+# matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
+# constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
+# duration. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
+# at most when all unknowns of one kind change by their size.
+#
+# Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
+# them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
+# well. So problems in ordinary numbers are solved as they are, and a change of units by a power of a million changes
+# nothing but the sizes.
+
+SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
+LEAST = 1e-150  # what is below, or above its inverse, is no size
+LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
+DUST = 1e-6  # the same beside the other terms of every equation
+
+# Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
+NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
+NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
+SCALE = metadata.get("scale", {})
+GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
+# Which kinds are a single unknown, such as a free duration, that no node equals.
+IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
+IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") for name in NAMES])
+
+
+@njit(cache=True, error_model="numpy")
+def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
+    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one."""
+    size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
+    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
+    for i in range(kinds.size):
+        if not KIND_IS_MULTIPLIER[kinds[i]]:
+            primal[i] = unknowns[i]
+            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
+    lagrangian_gradient(primal, steps, h, parameters, slopes)
+    for i in range(kinds.size):
+        if KIND_IS_MULTIPLIER[kinds[i]]:
+            rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+    bound = fit_bounds(lower, upper, kinds, size)
+    measure_intervals(primal, steps, h, parameters, tables)
+    forget_dust(size, tables[1])
+    for j in range(KINDS):
+        if GIVEN[j] > 0.0:
+            size[j] = GIVEN[j]
+    for j in range(KINDS):
+        bound[j] = bound[j] if size[j] == 0.0 else 0.0
+    spread(size, rest, tables[1])
+    for j in range(KINDS):
+        size[j] = max(size[j], bound[j])
+    weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), 6.0, False)
+    for i in range(KINDS):
+        if KIND_IS_MULTIPLIER[i]:
+            size[i] = size_of_equation(i, size, tables[0])
+            if size[i] == 0.0:
+                size[i] = rest[i]  # which is flat at the guess
+    is_scaled, digits = weight != 1.0, digits_of(size)
+    for i in range(KINDS):
+        if not GIVEN[i] > 0.0:
+            size[i] = rounded(size[i], digits, IS_SINGLE[i])
+        is_scaled = is_scaled or size[i] != 1.0
+        if KIND_IS_MULTIPLIER[i]:
+            size[i] = 1.0 / (size[i] * weight)
+    for i in range(kinds.size):
+        sizes[i] = size[kinds[i]]
+    return weight, is_scaled
+
+
+@njit(error_model="numpy")
+def digits_of(size):
+    """To powers of ten to what sizes are rounded: to six where all are ordinary, up to such powers, else to three."""
+    for i in range(KINDS):
+        if LEAST < size[i] < 1.0 / LEAST and not GIVEN[i] > 0.0:
+            above = np.log10(size[i]) - SMALL
+            if above - 6.0 * np.floor(above / 6.0) > LARGE - SMALL:
+                return 3.0
+    return 6.0
+
+
+@njit(error_model="numpy")
+def rounded(value, digits, finer):
+    """The highest power of ten to the `digits` that is no larger than some thirty sizes, or one without a size.
+
+    `finer` has powers of a hundred as well among those of a thousand: numbers from 30 to 3000 are parts of a hundred.
+    """
+    if not LEAST < value < 1.0 / LEAST:
+        return 1.0
+    above = np.log10(value) - SMALL
+    if finer and digits == 3.0:
+        million = np.floor(above / 6.0)
+        above -= 6.0 * million
+        return 10.0 ** (6.0 * million + (0.0 if above < 3.0 else 2.0 if above < 5.0 else 4.0))
+    return 10.0 ** (digits * np.floor(above / digits))
+
+
+@njit(error_model="numpy")
+def size_of_equation(row, size, slopes):
+    """The largest product of a derivative of an equation and the size of an unknown."""
+    largest = 0.0
+    for j in range(KINDS):
+        if not KIND_IS_MULTIPLIER[j]:
+            largest = max(largest, slopes[row, j] * size[j])
+    return largest
+
+
+@njit(error_model="numpy")
+def fit_bounds(lower, upper, kinds, size):
+    """Make sizes fit the largest finite bound, where there is one on either side: no less than a part of it.
+
+    Return the largest of other bounds, where there are no such: the least sizes of what has none otherwise. Bounds of
+    slacks say nothing about their size.
+    """
+    bound, between = zero_vector(KINDS), zero_vector(KINDS)
+    for i in range(lower.size):
+        if IS_SLACK[kinds[i]]:
+            continue
+        below, above = abs(lower[i]), abs(upper[i])
+        if max(below, above) < np.inf:
+            between[kinds[i]] = max(between[kinds[i]], below, above)
+        elif min(below, above) < np.inf:
+            bound[kinds[i]] = max(bound[kinds[i]], min(below, above))
+    for j in range(KINDS):
+        if between[j] > 0.0 and size[j] > 0.0:
+            size[j] = min(max(size[j], LOOSE * between[j]), between[j])
+        elif size[j] == 0.0:
+            size[j] = between[j]
+    return bound
+
+
 @njit(error_model="numpy")
 def forget_dust(size, effect):
     """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
@@ -2360,12 +2472,16 @@ def spread(size, rest, effect):
 
 @njit(error_model="numpy")
 def change_of_cost(slopes, kinds, size, curvature):
-    """By how much the cost changes, at most, when one unknown changes by its size."""
-    largest = 0.0
+    """By how much the cost changes, at most, when all unknowns of one kind change by its size.
+
+    It does not depend on the number of intervals as the share of a single one does.
+    """
+    largest, total = 0.0, zero_vector(KINDS)
     for i in range(kinds.size):
         if not KIND_IS_MULTIPLIER[kinds[i]]:
-            largest = max(largest, abs(slopes[i]) * size[kinds[i]])
+            total[kinds[i]] += abs(slopes[i])
     for i in range(KINDS):
+        largest = max(largest, total[i] * size[i])
         for j in range(KINDS):
             largest = max(largest, curvature[i, j] * size[i] * size[j])
     return largest
@@ -2374,10 +2490,10 @@ def change_of_cost(slopes, kinds, size, curvature):
 # Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
 #
 # What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
-# all sizes are between 1/ORDINARY and ORDINARY, none is used.
+# they are that already, it is solved as it is.
 
-ORDINARY = 1e3  # sizes between its inverse and it need no scaling
-COARSE = 1e3  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
+# How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
+COARSE, COARSE_COST = 3e3, 3e6
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -2386,19 +2502,20 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     if scaling == "auto":
         grid = scaled_grid(grid, unknowns)
-    start, log.weight = unknowns / grid.sizes if grid.sizes.size else unknowns, grid.weight
+    start = in_parts(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite"):
+    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded"):
         # Sizes come from the guess, and may be far from those of the solution.
-        grid, start, log.weight = plain_grid(grid), unknowns, 1.0
+        grid, start = plain_grid(grid), unknowns
         status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
         iterations += further
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status, message = describe(grid, start, point, status)
-    cost = corrected_cost(grid, point) if status == "solved" else point.cost / grid.weight
-    return status, message, in_units(grid, point)._replace(cost=cost), iterations
+    status, error, own = final_status(grid, start, point, status), point.error, in_units(grid, point)
+    status, message = describe(grid, unknowns, own, status, error)
+    cost = corrected_cost(grid, point) if status == "solved" else own.cost
+    return status, message, own._replace(cost=cost), iterations
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):
@@ -2409,14 +2526,15 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """
     total = 0
     while grid.sizes.size:
-        begin = point.unknowns * grid.sizes
-        finer = scaled_grid(plain_grid(grid), begin)
-        forces = finer.forces if finer.sizes.size else 1.0
-        if not (forces > COARSE * grid.forces).any():
+        unknowns = own_values(grid, point.unknowns)
+        finer = scaled_grid(plain_grid(grid), unknowns)
+        if not is_steeper(finer, grid):
             break
-        if finer.sizes.size:
-            begin /= finer.sizes
-        log.weight = finer.weight
+        begin = in_parts(finer, unknowns)
+        same = evaluate(finer, begin)
+        if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
+            grid, start, point = finer, begin, same
+            continue
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
@@ -2426,11 +2544,22 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
+def is_steeper(finer, grid):
+    """Whether a grid's forces, ones where it has no sizes, are far larger than those of a grid that has sizes."""
+    large = finer.forces if finer.sizes.size else 1.0
+    return (large > np.where(grid.is_multiplier, COARSE, COARSE_COST) * grid.forces).any()
+
+
+def in_parts(grid, unknowns):
+    """Unknowns in parts of sizes where the grid has them."""
+    return unknowns / grid.sizes if grid.sizes.size else unknowns
+
+
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
-    sizes, bounds = np.empty(unknowns.size), (NONE, NONE)
-    weight, extreme = fill_sizes(unknowns, *bounds, kinds_of(grid.steps), grid.steps, grid.h, grid.parameters, sizes)
-    if not extreme > ORDINARY:
+    sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
+    weight, is_scaled = fill_sizes(unknowns, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    if not is_scaled:
         return grid._replace(bounds=bounds)
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
 
@@ -2519,6 +2648,7 @@ def solve(
         end=end,
     )
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
+    tolerance, max_iterations = checked_tolerance(tolerance, 1.0), checked_count("max_iterations", max_iterations)
     iterates = Log(time_limit, watch)
     status, message, point, iterations = optimise(
         grid, unknowns, tolerance, max_iterations, warm, scaling, iterates
@@ -2724,7 +2854,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_6a984f13f0e4364c"
+_IDENTITY = "codegen_spherical_pendulum_888e4cbaec0e0dc2"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

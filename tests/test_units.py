@@ -7,6 +7,15 @@ import pytest
 from gallery_units import GALLERY, UNITS, cost_factor, text_in_units
 from interpreted import without_compilation
 
+OTHER_UNITS = [
+    ("low_thrust", {"length_unit": 1e-6}),
+    ("low_thrust", {"length_unit": 1e6}),
+    ("low_thrust", {"time_unit": 1e-6}),
+    ("hypersensitive", {"length_unit": 1e6}),
+    ("acrobot", {"time_unit": 1e6}),
+    ("cart_pendulum", {"mass_unit": 1e6}),
+]
+
 
 @pytest.mark.parametrize("name", ["orbital_transfer", "double_integrator", "linear_pendulum"])
 def test_other_units_have_the_same_solution(name):
@@ -19,6 +28,82 @@ def test_other_units_have_the_same_solution(name):
             assert solution.status == "solved", (unit, factor, solution.message)
             assert solution.cost == pytest.approx(own.cost * cost_factor(name, **{unit: factor}), rel=1e-8)
             assert solution.iterations <= 1.5 * own.iterations
+
+
+@pytest.mark.parametrize(("name", "units"), OTHER_UNITS)
+def test_solutions_are_found_as_quickly_in_other_units(name, units):
+    """Sizes change by the units' factors, and nothing else but for rounding."""
+    module, steps = without_compilation(text_in_units(name)), GALLERY[name].steps
+    own, other = module.solve(steps), module.solve(steps, **units)
+    assert (own.status, other.status) == ("solved", "solved"), other.message
+    assert other.cost == pytest.approx(own.cost * cost_factor(name, **units), rel=1e-8)
+    assert other.iterations <= 1.5 * own.iterations
+
+
+@pytest.mark.parametrize("name", ["cart_pole", "brachistochrone", "quadrotor"])
+def test_ordinary_numbers_stay_what_they_are(interpreted, name):
+    module = interpreted(name)
+    grid = module.make_grid(10)
+    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
+
+
+def test_the_weight_of_a_cost_does_not_depend_on_the_number_of_intervals(interpreted):
+    """An integral's share of one interval does: it is the smaller the more there are."""
+    module = interpreted("quadrotor")
+    weights = []
+    for steps in (4, 400):
+        grid = module.make_grid(steps, g=9.81e4)
+        weights.append(module.scaled_grid(grid, module.initial_guess(grid)).weight)
+    assert weights[0] == weights[1] != 1.0
+
+
+def test_sizes_are_rounded_as_a_whole(interpreted):
+    """To powers of a million where that makes all ordinary numbers, to powers of a thousand where it does not."""
+    module = interpreted("brachistochrone")
+    size = np.where(np.arange(module.KINDS) % 2, 0.04, 700.0)
+    for unit in (1e-6, 1.0, 1e6, 1e12):
+        for digits, thousand in ((6.0, 1.0), (3.0, 1e3)):
+            assert module.digits_of(unit * size) == digits
+            assert module.rounded(unit * 0.04, digits, False) == pytest.approx(unit)
+            assert module.rounded(unit * 700.0, digits, False) == pytest.approx(unit * thousand)
+            size[0] = 2e3
+        for value, expected in ((0.08, 1.0), (24.0, 1.0), (40.0, 100.0), (2e3, 100.0), (4e3, 1e4)):
+            assert module.rounded(unit * value, 3.0, True) == pytest.approx(unit * expected)
+        size[0] = 700.0
+    assert module.rounded(0.0, 3.0, True) == module.rounded(np.inf, 6.0, False) == 1.0
+
+
+def test_iterates_are_logged_in_the_problem_s_own_units():
+    module, rows = without_compilation(text_in_units("brachistochrone")), {}
+    for unit in (1.0, 1e6):
+        watched = rows.setdefault(unit, [])
+        module.solve(10, length_unit=unit, time_unit=unit, watch=lambda _, row, kept=watched: kept.append(row))
+    for own, other in zip(rows[1.0], rows[1e6], strict=True):
+        assert other[0] == pytest.approx(1e6 * own[0], rel=1e-6)
+        assert other[4:] == pytest.approx(own[4:])
+
+
+@pytest.mark.parametrize("failure", ["stalled", "unbounded"])
+def test_where_sizes_do_not_help_the_problem_s_own_units_are_tried(failure):
+    module = without_compilation(text_in_units("brachistochrone"))
+    minimise = module.minimise
+
+    def fails_in_parts(grid, unknowns, *arguments):
+        if grid.sizes.size:
+            return failure, module.evaluate(grid, unknowns), 3
+        return minimise(grid, unknowns, *arguments)
+
+    module.minimise = fails_in_parts
+    solution = module.solve(10, length_unit=100.0)
+    assert solution.status == "solved"
+    assert solution.iterations > 3
+
+
+@pytest.mark.parametrize("arguments", [{"tolerance": 0.0}, {"tolerance": "tight"}, {"max_iterations": 0}])
+def test_arguments_that_end_no_search_are_refused(interpreted, arguments):
+    (name,) = arguments
+    with pytest.raises(ValueError, match=f"^{name} is "):
+        interpreted("brachistochrone").solve(10, **arguments)
 
 
 def test_cost_is_right_to_second_order_in_the_residual(interpreted):

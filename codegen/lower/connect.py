@@ -116,7 +116,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         metadata=tuple(_metadata_of_motion(program, derivatives, loops)),
         constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
         kernels=(),
-        runtime=(*_special(loops, around), *step, "pair_motion"),
+        runtime=(*_special(loops, around), *step, "counts", "pair_motion"),
         sizes=(("IMPLICIT", int(implicit)),),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
@@ -212,7 +212,7 @@ def _runtime(
         *_step(program),
         *(["pair_implicit"] if _implicit(program) else []),
     ]
-    files += ["pair_trajectory", "pair_secant", "pair_shooting", "pair_case"]
+    files += ["pair_trajectory", "pair_secant", "pair_shooting", "counts", "tolerances", "pair_case"]
     files += [*(["pair_least_action"] if derivatives.quadratic else []), "pair_ladder"]
     files += ["pair_callbacks", *(["pair_action"] if program.method == "action" else [])]
     return tuple(files)

@@ -255,7 +255,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "frontal", "substitution", "bordered" if program.shared else "apart", "system", "rounding",
         *solver,
         *(("momenta",) if program.method == "variational" else ()),
-        "frame",
+        "counts", "tolerances", "frame",
         *(("slacks",) if layout.slack_places(program) else ()),
         *(("phases",) if program.phases else ()),
         "layout",
@@ -266,7 +266,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(() if derivatives.linear_quadratic else ("saddles",)),
         "verdict",
         "messages",
-        *(("unscaled",) if derivatives.linear_quadratic else ("sizes", "scales")),
+        *(("unscaled",) if derivatives.linear_quadratic else ("steepness", "sizes", "scales")),
     )  # fmt: skip
 
 

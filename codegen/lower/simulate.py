@@ -188,6 +188,8 @@ def _runtime(program: StepProgram, derivatives: StepDerivatives) -> tuple[str, .
         f"step_{_solver(program, derivatives)}",
         *(["composition"] if program.fractions else []),
         "trajectory",
+        "counts",
+        "tolerances",
         "path",
     ]
     if program.unknowns:

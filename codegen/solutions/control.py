@@ -14,15 +14,15 @@ LARGE_MULTIPLIERS = 100.0
 def control_result(module: ControlModule, driver: str, request: Request, attempt: ControlAttempt) -> Result:
     """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
     metadata, unknowns, grid = module.metadata, attempt.unknowns, module.make_grid(request.steps)
-    residual, stationarity = _errors(module, grid, unknowns, np.ones(unknowns.size), 1.0)
     status, message, scaled = attempt.status, attempt.message, _scaled_grid(module, grid, request)
+    residual, stationarity = _errors(module, scaled, unknowns, np.ones(unknowns.size), 1.0)
     if status == "solved" and not _is_accurate(module, scaled, attempt):
         status = "inaccurate"
         message = (
             f"{driver} reported success, but the discrete equations have residual {residual:.1e} and the optimality "
             f"conditions {stationarity:.1e}; {other_driver(driver)}"
         )
-    elif metadata["inequalities"] and (beyond := module.prescribed_beyond(grid, unknowns)):
+    elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status != "solved" and driver != "newton":
         # Optimisers of others number the rows; the module has names for them.
@@ -80,44 +80,48 @@ def _cost(module: ControlModule, scaled: Grid, unknowns: Vector) -> float:
 
 def _is_accurate(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -> bool:
     """Whether residual and stationarity, in the solver's scales, are as small as the driver promised, or rounding."""
-    unknowns, sizes, weight = attempt.unknowns, np.ones(attempt.unknowns.size), scaled.weight
-    grid = module.plain_grid(scaled)
-    if scaled.sizes.size:
-        sizes = scaled.sizes
-    residual, stationarity = _errors(module, grid, unknowns, sizes, weight)
+    unknowns, weight = attempt.unknowns, scaled.weight
+    sizes = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
+    residual, stationarity = _errors(module, scaled, unknowns, sizes, weight)
     if not np.isfinite(residual + stationarity):
         return False
+    grid = module.plain_grid(scaled)
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
     steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
-    scale = max(1.0, steepest, _mean_multiplier(module, grid, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
+    scale = max(1.0, steepest, _mean_multiplier(module, scaled, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
     return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= 10.0 * max(
         attempt.tolerance * scale, rounding
     )
 
 
-def _mean_multiplier(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector, weight: float) -> float:
+def _mean_multiplier(module: ControlModule, scaled: Grid, unknowns: Vector, sizes: Vector, weight: float) -> float:
     """The mean modulus of all multipliers and of the duals of bounds, the slopes that are held by them.
 
     Where it is large, optimality conditions are sums of large terms, and the tolerance is relative to it, as it is for
     the generated solver and IPOPT. Source: Waechter and Biegler (2006), equation (6).
     """
+    grid = module.plain_grid(scaled)
     primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    below, above = bound_distances(module, grid, unknowns)
+    below, above = bound_distances(module, scaled, unknowns)
     slopes = weight * sizes[primal] * np.abs(module.stationarity(grid, unknowns))
     bounded = np.isfinite(below) | np.isfinite(above)
     total = np.abs(unknowns[multipliers] / sizes[multipliers]).sum() + slopes[bounded].sum()
     return float(total / max(1, multipliers.size + bounded.sum()))
 
 
-def _errors(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector, weight: float) -> tuple[float, float]:
-    """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes."""
+def _errors(module: ControlModule, scaled: Grid, unknowns: Vector, sizes: Vector, weight: float) -> tuple[float, float]:
+    """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes.
+
+    Bounds are those of the grid `scaled`, in whose units slacks may yield.
+    """
+    grid = module.plain_grid(scaled)
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     wrong = (
         weight * sizes[dual] * module.constraints(grid, unknowns),
         _pinned_error(module, grid, unknowns, sizes),
-        _beyond_bounds(module, grid, unknowns) / sizes[primal],
+        _beyond_bounds(module, scaled, unknowns) / sizes[primal],
     )
-    unbalanced = weight * sizes[primal] * _unbalanced(module, grid, unknowns, sizes[primal])
+    unbalanced = weight * sizes[primal] * _unbalanced(module, scaled, unknowns, sizes[primal])
     return max(max_norm(values) for values in wrong), max_norm(unbalanced)
 
 
@@ -127,8 +131,9 @@ def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tupl
     if not module.metadata["inequalities"]:
         none = np.full(primal.size, np.inf)
         return none, none
-    lower, upper = module.variable_bounds(grid)
-    return unknowns[primal] - lower[primal], upper[primal] - unknowns[primal]
+    lower, upper = module.bounds_of(grid)
+    units = grid.sizes if grid.sizes.size else np.ones(unknowns.size)
+    return (unknowns - units * lower)[primal], (units * upper - unknowns)[primal]
 
 
 def _beyond_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
@@ -143,7 +148,7 @@ def _unbalanced(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vect
     A bound may hold against a slope that leads out of it, in proportion to its closeness: what remains is the slope
     times the distance in parts of the unknown's size, as in complementarity.
     """
-    gradient = module.stationarity(grid, unknowns)
+    gradient = module.stationarity(module.plain_grid(grid), unknowns)
     below, above = (np.clip(d / sizes, 0.0, 1.0) for d in bound_distances(module, grid, unknowns))
     return np.asarray(np.where(gradient > 0.0, gradient * below, gradient * above), dtype=float)
 

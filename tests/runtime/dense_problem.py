@@ -28,6 +28,7 @@ class Dense(NamedTuple):
     guess: Vector
     lagrangian: Callable[[Vector], tuple[float, Vector]]
     hessian: Callable[[Vector], Vector]
+    sizes: Vector = np.zeros(0)
 
 
 class Point(NamedTuple):

@@ -91,6 +91,18 @@ def test_newton_reports_why_it_failed() -> None:
     assert step_newton.advance(nowhere, 0.0, STEP, NOTHING, work, interval, 1e-13, 50) == step_newton.NON_FINITE
 
 
+def test_corrections_are_measured_unknown_by_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small unknown beside a large one has not converged before its own digits stand."""
+    monkeypatch.setattr(step_newton, "UNKNOWNS", 2)
+    has_converged = step_newton.has_converged.py_func
+    unknowns, last = np.array([1e6, 1e-6]), np.full(2, np.inf)
+    arguments = 1e-13, step_newton.ROUNDING * np.abs(unknowns).sum(), np.abs(unknowns), last
+    assert not has_converged(unknowns, np.array([0.0, 1e-9]), *arguments)
+    assert not has_converged(unknowns, np.array([0.0, 1e-15]), *arguments)
+    assert has_converged(unknowns, np.array([0.0, 1e-20]), *arguments)
+    assert has_converged(unknowns, np.array([1e-9, 2e-20]), *arguments)
+
+
 def test_linear_steps_make_one_newton_step() -> None:
     """The stand-in is not linear, so that one solve leaves a known error; both variants leave what belongs to them."""
     expected = midpoint_step(*START, 1e-3)

@@ -5,8 +5,8 @@ from numba import njit
 from codegen.runtime.arrays import zero_matrix, zero_vector
 from codegen.runtime.kkt.condensation import condense, expand
 from codegen.runtime.kkt.elements import BLOCK
-from codegen.runtime.stand_ins.example import BODIES, CARRIED, NODE, STRIDE
-from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body
+from codegen.runtime.stand_ins.example import BODIES, CARRIED, ELEMENT, NODE, STRIDE
+from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body, fill_parts
 from codegen.runtime.unknowns.layout import multiplier_unknowns
 from codegen.runtime.kkt.substitution import backward, forward
 
@@ -18,15 +18,18 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, steps, h, parameters, weight, diagonal, equations, upper, inverse, order, inverses, couplings
-):
+    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
+    inverses, couplings,
+):  # fmt: skip
     """Eliminate all bodies; whether that was possible, and the excess of negative pivots."""
+    parts = zero_vector(ELEMENT)
+    fill_parts(sizes, forces, parts)
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST, LAST_WIDTH)
     for body in range(BODIES):
         first, behind = body * chain, (body + 1) * chain
         regular, found, excess = eliminate_body(
             unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess

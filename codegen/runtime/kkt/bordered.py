@@ -8,8 +8,19 @@ from codegen.runtime.kkt.condensation import condense, expand
 from codegen.runtime.unknowns.coupling import add_coupling_matrix
 from codegen.runtime.kkt.elements import BLOCK, padded
 from codegen.runtime.unknowns.equal_ends import follow_shared, release_tied
-from codegen.runtime.stand_ins.example import BODIES, CARRIED, COUPLINGS, NODE, ROOT, SHARED, STRIDE, TIED
-from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    CARRIED,
+    COUPLINGS,
+    ELEMENT,
+    NODE,
+    ROOT,
+    SCALED,
+    SHARED,
+    STRIDE,
+    TIED,
+)
+from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body, fill_parts
 from codegen.runtime.unknowns.layout import multiplier_unknowns
 from codegen.runtime.unknowns.shared import read_shared, root_place
 from codegen.runtime.kkt.substitution import backward, forward
@@ -36,12 +47,14 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, steps, h, parameters, weight, diagonal, equations, upper, inverse, order, inverses, couplings,
-    root_upper, root_inverse, root_order, root_right,
+    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
+    inverses, couplings, root_upper, root_inverse, root_order, root_right,
 ):  # fmt: skip
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST + SHARED, LAST_WIDTH)
     root, left = zero_matrix(ROOT, ROOT_WIDTH), zero_matrix(SHARED, SHARED_WIDTH)
+    parts = zero_vector(ELEMENT + SHARED)
+    fill_parts(sizes, forces, parts)
     for i in range(ROOT):
         root_right[i] = -gradient[gradient.size - ROOT + i]
     for body in range(BODIES):
@@ -49,7 +62,7 @@ def factor(
         read_shared(unknowns, body, parameters)
         regular, found, excess = eliminate_body(
             unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess
@@ -66,9 +79,25 @@ def factor(
     for i in range(ROOT):
         root[i, i] += diagonal[diagonal.size - ROOT + i]
     if COUPLINGS:
-        add_coupling_matrix(unknowns, parameters[0], weight, root)
+        add_conditions(unknowns, sizes, forces, parameters[0], weight, root)
     found = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
     return found >= 0, negative + found - equations
+
+
+if COUPLINGS:
+
+    @njit(error_model="numpy")
+    def add_conditions(unknowns, sizes, forces, parameters, weight, root):
+        """Add what the conditions add to the matrix of the shared unknowns, in parts of sizes where there are any."""
+        if SCALED and sizes.size:
+            matrix, first = zero_matrix(ROOT, ROOT), sizes.size - ROOT
+            add_coupling_matrix(unknowns, parameters, weight, matrix)
+            for i in range(ROOT):
+                for j in range(ROOT):
+                    factor = sizes[first + i] * forces[first + i] * sizes[first + j] * forces[first + j]
+                    root[i, j] += np.sqrt(factor) * matrix[i, j]
+        else:
+            add_coupling_matrix(unknowns, parameters, weight, root)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})

@@ -25,12 +25,12 @@ def allocate_condensed(grid):
 
 
 @njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, diagonal, inverses):
-    """Invert the controls' block C, weighted and shifted; False when it is not positive definite."""
+def prepare_condensed(weight, parts, diagonal, inverses):
+    """Invert the controls' block C, scaled, weighted and shifted; False when it is not positive definite."""
     block, inverse = inverses[0], inverses[1]
     for a in range(CONDENSED):
         for b in range(CONDENSED):
-            inverse[a, b] = weight * block[a, b]
+            inverse[a, b] = weight * parts[BLOCK + a] * parts[BLOCK + b] * block[a, b]
         inverse[a, a] += diagonal[BLOCK + a]
     return invert_positive_definite(inverse, CONDENSED)
 

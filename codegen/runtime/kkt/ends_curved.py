@@ -7,6 +7,7 @@ from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.elements import BLOCK, LOCAL_IS_MULTIPLIER, TAIL, pin_ends
 from codegen.runtime.stand_ins.example import (
     BODIES,
+    ELEMENT,
     END_HESSIAN_COLUMNS,
     END_HESSIAN_ROWS,
     NODE,
@@ -20,30 +21,30 @@ from codegen.runtime.stand_ins.example import (
     start_hessian,
 )
 from codegen.runtime.unknowns.shared import root_place
-from codegen.runtime.optimise.sizes import add_entry
+from codegen.runtime.optimise.steepness import add_entry
 
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
+def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Add the Hessians of the boundary conditions to the first or last element matrix, and pin what is given."""
     if k == 0:
         entries = zero_vector(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[:NODE], 0.0, parameters, entries)
-        add_end_hessian(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, 0, weight, element)
+        add_end_hessian(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, 0, weight, parts, element)
     if k == steps - 1:
         entries = zero_vector(END_HESSIAN_ROWS.size)
         end_hessian(unknowns[steps * STRIDE : steps * STRIDE + NODE], steps * h, parameters, entries)
-        add_end_hessian(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, BLOCK, weight, element)
+        add_end_hessian(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, BLOCK, weight, parts, element)
     pin_ends(k, steps, diagonal, element)
 
 
 @njit(error_model="numpy")
-def add_end_hessian(entries, rows, columns, first, weight, element):
+def add_end_hessian(entries, rows, columns, first, weight, parts, element):
     """Add the lower triangle `entries` of an end's Hessian, and its mirror image; its node begins at row `first`."""
     for j in range(entries.size):
-        value = entries[j]
+        value = entries[j] * parts[end_unknown(rows[j])] * parts[end_unknown(columns[j])]
         if not (END_IS_MULTIPLIER[rows[j]] or END_IS_MULTIPLIER[columns[j]]):
             value *= weight
         row = first + rows[j] if rows[j] < NODE else TAIL + rows[j] - NODE
@@ -51,6 +52,12 @@ def add_end_hessian(entries, rows, columns, first, weight, element):
         element[row, column] += value
         if row != column:
             element[column, row] += value
+
+
+@njit(error_model="numpy", inline="always")
+def end_unknown(local):
+    """The place of an end's unknown in an element: of its node, or a shared one."""
+    return local if local < NODE else ELEMENT + local - NODE
 
 
 if SCALED:

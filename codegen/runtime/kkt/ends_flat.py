@@ -8,7 +8,7 @@ from codegen.runtime.stand_ins.example import SCALED
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, diagonal, element):
+def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Pin what is given."""
     pin_ends(k, steps, diagonal, element)
 

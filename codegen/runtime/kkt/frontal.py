@@ -39,13 +39,17 @@ from codegen.runtime.stand_ins.example import (
     BODIES,
     CARRIED,
     ELEMENT,
+    HESSIAN_COLUMNS,
     HESSIAN_ROWS,
     IS_MULTIPLIER,
     NODE,
+    ROOT,
+    SCALED,
     SHARED,
     STRIDE,
     interval_hessian,
 )
+from codegen.runtime.unknowns.shared import root_place
 from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
 
 REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
@@ -73,23 +77,26 @@ def allocate_factors(grid):
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate_body(
-    unknowns, gradient, diagonal, steps, h, parameters, weight, upper, inverse, order, inverses, couplings, last
-):
+    unknowns, gradient, diagonal, steps, h, parameters, weight, parts, upper, inverse, order, inverses, couplings,
+    last,
+):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
     the elimination has stopped.
     """
-    if not prepare_condensed(weight, diagonal, inverses):
+    if not prepare_condensed(weight, parts, diagonal, inverses):
         return False, 0, 0
-    negative, hessian = 0, zero_vector(HESSIAN_ROWS.size)
+    negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
+    is_weighted = fill_factors(weight, parts, factors)
     element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
         interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
-        if weight != 1.0:
-            weigh(weight, hessian)
+        if is_weighted:
+            for j in range(hessian.size):
+                hessian[j] *= factors[j]
         clear(element)
         if not add_element(hessian, here, slope, inverses, couplings, k, element):
             return False, 0, 0
@@ -98,7 +105,7 @@ def eliminate_body(
         if CARRIED:
             add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
-            close_element(unknowns, k, steps, h, parameters, weight, diagonal, element)
+            close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue
@@ -134,11 +141,34 @@ if CARRIED:
 
 
 @njit(error_model="numpy")
-def weigh(weight, hessian):
-    """Multiply the second derivatives by primal unknowns."""
-    for j in range(hessian.size):
+def fill_parts(sizes, forces, parts):
+    """Fill the sizes of an element's unknowns, the same on all intervals, by which derivatives are multiplied.
+
+    They include the root of the cost's weight, and are ones where nothing is scaled.
+    """
+    for i in range(parts.size):
+        parts[i] = 1.0
+    if SCALED and sizes.size:
+        for i in range(ELEMENT):
+            parts[i] = np.sqrt(sizes[i] * forces[i])
+        for i in range(SHARED):
+            place = sizes.size - ROOT + root_place(0, i)
+            parts[ELEMENT + i] = np.sqrt(sizes[place] * forces[place])
+
+
+@njit(error_model="numpy")
+def fill_factors(weight, parts, factors):
+    """Fill what an interval's second derivatives are multiplied by; return whether that makes a difference.
+
+    It is the sizes of both unknowns, and the weight where both are primal.
+    """
+    is_weighted = False
+    for j in range(factors.size):
+        factors[j] = parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
         if IS_CURVATURE[j]:
-            hessian[j] *= weight
+            factors[j] *= weight
+        is_weighted = is_weighted or factors[j] != 1.0
+    return is_weighted
 
 
 @njit(error_model="numpy")

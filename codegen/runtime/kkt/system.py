@@ -12,15 +12,16 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
     array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
     part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
+    Everything is in parts of sizes where the grid has them, so that pivots do not depend on units.
     """
     factors, equations = system
-    if SCALED and grid.sizes.size:
-        unknowns, diagonal = unknowns * grid.sizes, diagonal / (grid.forces * grid.sizes)
-        gradient = None if gradient is None else gradient / grid.forces
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
+    if SCALED and grid.sizes.size:
+        unknowns = unknowns * grid.sizes
     regular, excess = factor(
-        unknowns, right, grid.steps, grid.h, grid.parameters, weight, diagonal, equations, *factors
-    )
+        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.parameters, weight, diagonal, equations,
+        *factors,
+    )  # fmt: skip
     return excess if regular else None
 
 
@@ -34,11 +35,7 @@ def solve_kkt(grid, system, gradient, step, carried=False):
 
     That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
     """
-    if SCALED and grid.sizes.size:
-        gradient = gradient / grid.forces
     if CARRIED:
         substitute(gradient, carried, grid.steps, *system[0], step)
     else:
         substitute(gradient, False, grid.steps, *system[0], step)
-    if SCALED and grid.sizes.size:
-        step /= grid.sizes

@@ -155,7 +155,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     for iteration in range(max_iterations + 1):
         iterate, measured = measured_iterate(search, iterate)
         point = iterate.point
-        log.append((point.cost, point.residual, point.stationarity, shift, length, mu))
+        log.append(grid, point, shift, length, mu)
         sure = iteration > 0 and shift == 0.0
         status = conclusion(search, iterate, measured, tolerance, first_cost, low > PATIENCE, sure)
         if status == "solved" and measured[1] > tolerance and low <= PATIENCE:

@@ -14,6 +14,11 @@ def bounds_of(grid):
     return grid.bounds or variable_bounds(grid)
 
 
+def units_of(grid):
+    """The sizes of all unknowns, ones where the grid has none."""
+    return grid.sizes if grid.sizes.size else np.ones(grid.is_multiplier.size)
+
+
 def at_limits(grid, unknowns):
     """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
     lower, upper = bounds_of(grid)
@@ -24,10 +29,12 @@ def at_limits(grid, unknowns):
 def prescribed_beyond(grid, unknowns):
     """Which prescribed value or path condition at an end violates what holds farther inside, or nothing.
 
+    Unknowns are in the problem's own units; what is negligible is so in parts of sizes where the grid has them.
     Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
     within the first interval.
     """
-    steps, (nodes, intervals) = grid.steps, views(grid, unknowns)
+    steps, units = grid.steps, units_of(grid)
+    nodes, intervals = views(grid, unknowns / units)
     if steps == 1:
         return ""
     (low, least), (high, _) = (views(grid, bound) for bound in bounds_of(grid))
@@ -37,8 +44,9 @@ def prescribed_beyond(grid, unknowns):
     if beyond.any():
         beyond &= np.isinf(low[ends]) & np.isinf(high[ends])
         for body, end, i in np.argwhere(beyond)[:1]:
-            limits = f"{low[body, (1, -2)[end], i]:g} to {high[body, (1, -2)[end], i]:g}"
-            value = f"{metadata['node'][i]} is prescribed as {given[body, end, i]:g}"
+            unit, k = views(grid, units)[0][body, 0, i], (1, -2)[end]
+            limits = f"{unit * low[body, k, i]:g} to {unit * high[body, k, i]:g}"
+            value = f"{metadata['node'][i]} is prescribed as {unit * given[body, end, i]:g}"
             return f"{value} at the {END_NAMES[end]}, beyond its bounds {limits}"
     ends, inner = np.s_[:, :: steps - 1], np.s_[:, 1 : steps - 1 : max(1, steps - 3)] if steps > 2 else np.s_[:, ::-1]
     violated = intervals[ends] < least[inner] - LEAST_SLACK

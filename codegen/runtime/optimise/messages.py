@@ -23,10 +23,9 @@ from codegen.runtime.stand_ins.example import (
 from codegen.runtime.unknowns.frame import plain_grid
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.optimise.limits import at_limits, prescribed_beyond
-from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.phases import node_times
 from codegen.runtime.unknowns.shared import least_duration, read_shared
-from codegen.runtime.optimise.verdict import GROWTH, HOLDS, final_status
+from codegen.runtime.optimise.verdict import GROWTH, HOLDS
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
@@ -43,18 +42,16 @@ LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
-def describe(grid, guess, point, status):
-    """The status, judged once more, and the sentence."""
-    status, error = final_status(grid, guess, point, status), point.error
-    if SCALED and grid.sizes.size:
-        sizes, grid = grid.sizes, plain_grid(grid)
-        guess, point = guess * sizes, evaluate(grid, point.unknowns * sizes)
+def describe(grid, guess, point, status, error):
+    """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
     if INEQUALITIES:
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:
             return "infeasible", f"infeasible: {beyond}; change the value or the bound"
     if status == "solved":
         return status, f"all equations hold to {error:.1e}"
+    if SCALED and grid.sizes.size:
+        grid = plain_grid(grid)
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 

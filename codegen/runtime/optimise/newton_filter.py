@@ -97,7 +97,7 @@ def descend(grid, guess, tolerance, max_iterations, log, system):
     filtered = Filter(1e8 * small_violation)
     shift, length, step = Shift(), 0.0, np.empty_like(guess.unknowns)
     for iteration in range(max_iterations + 1):
-        log.append((point.cost, point.residual, point.stationarity, shift.value, length))
+        log.append(grid, point, shift.value, length)
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if is_solved(grid, point, tolerance):

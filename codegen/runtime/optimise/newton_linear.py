@@ -9,6 +9,7 @@ from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.optimise.rounding import WORTH_MEASURING, is_solved
 
 CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
+ROUNDINGS = 4.0  # errors of their terms that one Newton step leaves in the equations
 LARGE = 1e6  # steps beyond it lead to infinity
 
 
@@ -23,12 +24,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     point = evaluate(grid, unknowns)
     excess = factor_kkt(grid, unknowns, 1.0, none, system, point.gradient)
     for iteration in range(4):
-        log.append((point.cost, point.residual, point.stationarity, 0.0, float(iteration > 0)))
+        log.append(grid, point, 0.0, float(iteration > 0))
         if not point.error < np.inf:
             return "non-finite", point, iteration
         if excess != 0:
             return *without_minimum(grid, point, system), iteration
-        if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance):
+        if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance, ROUNDINGS):
             return "solved", point, iteration
         step = np.empty_like(unknowns)
         solve_kkt(grid, system, point.gradient, step, carried=iteration == 0)

@@ -65,8 +65,8 @@ def sizes_of_terms(grid, unknowns):
     return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
 
 
-def is_solved(grid, point, tolerance):
-    """Whether residual and stationarity are within the tolerance, or as small as rounding errors allow.
+def is_solved(grid, point, tolerance, roundings=1.0):
+    """Whether residual and stationarity are within the tolerance, or no more than some rounding errors of their terms.
 
     The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
     so that a problem in small units is not called solved too early.
@@ -74,9 +74,11 @@ def is_solved(grid, point, tolerance):
     if SCALED and point.error > max(tolerance, WORTH_MEASURING):
         return False
     equations, stationarity = sizes_of_terms(grid, point.unknowns)
-    return is_small(point.residual, equations, tolerance) and is_small(point.stationarity, stationarity, tolerance)
+    return is_small(point.residual, equations, tolerance, roundings) and is_small(
+        point.stationarity, stationarity, tolerance, roundings
+    )
 
 
-def is_small(value, size, tolerance):
+def is_small(value, size, tolerance, roundings):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
-    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size)
+    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size)

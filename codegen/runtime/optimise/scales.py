@@ -1,7 +1,7 @@
 """Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
 
 What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
-all sizes are between 1/ORDINARY and ORDINARY, none is used.
+they are that already, it is solved as it is.
 """
 
 from functools import lru_cache
@@ -24,11 +24,12 @@ from codegen.runtime.optimise.messages import describe
 from codegen.runtime.optimise.newton_filter import minimise
 from codegen.runtime.optimise.limits import bounds_of
 from codegen.runtime.unknowns.point import evaluate, lagrangian
-from codegen.runtime.optimise.sizes import fill_sizes
-from codegen.runtime.optimise.verdict import VIOLATED
+from codegen.runtime.optimise.rounding import is_solved
+from codegen.runtime.optimise.sizes import IS_SLACK, fill_sizes
+from codegen.runtime.optimise.verdict import VIOLATED, final_status, own_values
 
-ORDINARY = 1e3  # sizes between its inverse and it need no scaling
-COARSE = 1e3  # how much smaller terms may be at a solution than at the guess by whose sizes it was measured
+# How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
+COARSE, COARSE_COST = 3e3, 3e6
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -37,19 +38,20 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     if scaling == "auto":
         grid = scaled_grid(grid, unknowns)
-    start, log.weight = unknowns / grid.sizes if grid.sizes.size else unknowns, grid.weight
+    start = in_parts(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite"):
+    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded"):
         # Sizes come from the guess, and may be far from those of the solution.
-        grid, start, log.weight = plain_grid(grid), unknowns, 1.0
+        grid, start = plain_grid(grid), unknowns
         status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
         iterations += further
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status, message = describe(grid, start, point, status)
-    cost = corrected_cost(grid, point) if status == "solved" else point.cost / grid.weight
-    return status, message, in_units(grid, point)._replace(cost=cost), iterations
+    status, error, own = final_status(grid, start, point, status), point.error, in_units(grid, point)
+    status, message = describe(grid, unknowns, own, status, error)
+    cost = corrected_cost(grid, point) if status == "solved" else own.cost
+    return status, message, own._replace(cost=cost), iterations
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):
@@ -60,14 +62,15 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """
     total = 0
     while grid.sizes.size:
-        begin = point.unknowns * grid.sizes
-        finer = scaled_grid(plain_grid(grid), begin)
-        forces = finer.forces if finer.sizes.size else 1.0
-        if not (forces > COARSE * grid.forces).any():
+        unknowns = own_values(grid, point.unknowns)
+        finer = scaled_grid(plain_grid(grid), unknowns)
+        if not is_steeper(finer, grid):
             break
-        if finer.sizes.size:
-            begin /= finer.sizes
-        log.weight = finer.weight
+        begin = in_parts(finer, unknowns)
+        same = evaluate(finer, begin)
+        if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
+            grid, start, point = finer, begin, same
+            continue
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
@@ -77,16 +80,29 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
+def is_steeper(finer, grid):
+    """Whether a grid's forces, ones where it has no sizes, are far larger than those of a grid that has sizes."""
+    large = finer.forces if finer.sizes.size else 1.0
+    return (large > np.where(grid.is_multiplier, COARSE, COARSE_COST) * grid.forces).any()
+
+
+def in_parts(grid, unknowns):
+    """Unknowns in parts of sizes where the grid has them."""
+    return unknowns / grid.sizes if grid.sizes.size else unknowns
+
+
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
-    sizes, bounds = np.empty(unknowns.size), (NONE, NONE)
+    sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
     if INEQUALITIES:
         bounds = variable_bounds(grid)
-    weight, extreme = fill_sizes(unknowns, *bounds, kinds_of(grid.steps), grid.steps, grid.h, grid.parameters, sizes)
-    if not extreme > ORDINARY:
+    weight, is_scaled = fill_sizes(unknowns, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    if not is_scaled:
         return grid._replace(bounds=bounds)
     if INEQUALITIES:
-        bounds = bounds[0] / sizes, bounds[1] / sizes
+        # Bounds of slacks below zero, by rounding or where equations determine them, are numbers without a unit.
+        units = np.where(IS_SLACK[kinds], 1.0, sizes)
+        bounds = bounds[0] / units, bounds[1] / units
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
 
 

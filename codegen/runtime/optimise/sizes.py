@@ -5,7 +5,12 @@ which contains prescribed values, and from its bounds. What is zero there, and u
 matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
 constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
 duration. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
-at most when one unknown changes by its size. A change of units then changes nothing but the sizes.
+at most when all unknowns of one kind change by their size.
+
+Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
+them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
+well. So problems in ordinary numbers are solved as they are, and a change of units by a power of a million changes
+nothing but the sizes.
 """
 
 import numpy as np
@@ -13,50 +18,42 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_matrix, zero_vector
 from codegen.runtime.unknowns.coupling import add_coupling_matrix
-from codegen.runtime.kkt.elements import LOCAL_IS_MULTIPLIER
-from codegen.runtime.kkt.ends_flat import note_ends
 from codegen.runtime.stand_ins.example import (
-    BODIES,
     COUPLINGS,
-    ELEMENT,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    NODE,
-    PHASE_LACKS,
-    PHASES,
+    END_SHARED,
+    END_SHARED_PLACES,
     ROOT,
     SHARED,
+    START_SHARED,
+    START_SHARED_PLACES,
     STRIDE,
-    SWITCH_LACKS,
-    interval_hessian,
+    TIED,
     metadata,
 )
 from codegen.runtime.unknowns.lagrangian import lagrangian_gradient
-from codegen.runtime.unknowns.shared import read_shared
+from codegen.runtime.optimise.steepness import KIND_IS_MULTIPLIER, KINDS, add_entry, measure_intervals
 
-CHANGE = 8.0  # of the scaled cost, at most, when one unknown changes by its size
-LOOSE = 1e-3  # a guess below this part of a bound says little about the size of an unknown
+SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
+LEAST = 1e-150  # what is below, or above its inverse, is no size
+LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
 DUST = 1e-6  # the same beside the other terms of every equation
-SAMPLES = 4  # intervals on which derivatives are looked at
-CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 
-KINDS = STRIDE + SHARED + COUPLINGS
-# The kind of each unknown of an element, its time in lengths of an interval, and which kinds are multipliers.
-KIND = np.concatenate([np.arange(STRIDE), np.arange(NODE), STRIDE + np.arange(SHARED)])
-PLACE = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
-KIND_IS_MULTIPLIER = np.concatenate(
-    [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
-)
 # Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
 NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
 NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
 SCALE = metadata.get("scale", {})
 GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
+# Which kinds are a single unknown, such as a free duration, that no node equals.
+IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
+if TIED:
+    IS_SINGLE[STRIDE + START_SHARED] = False
+    IS_SINGLE[STRIDE + END_SHARED] = False
+IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") for name in NAMES])
 
 
 @njit(cache=True, error_model="numpy")
 def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
-    """Fill in the size of every unknown; return the weight of the cost, and how far from one weights and sizes are."""
+    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one."""
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
     primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
     for i in range(kinds.size):
@@ -67,7 +64,7 @@ def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
             rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
-    fit_bounds(lower, upper, kinds, size)
+    bound = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, parameters, tables)
     if COUPLINGS:
         matrix = zero_matrix(ROOT, ROOT)
@@ -80,39 +77,98 @@ def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
             size[j] = GIVEN[j]
+    for j in range(KINDS):
+        bound[j] = bound[j] if size[j] == 0.0 else 0.0
     spread(size, rest, tables[1])
     for j in range(KINDS):
-        if not KIND_IS_MULTIPLIER[j]:
-            size[j] = positive(size[j])
-    weight = CHANGE / positive(change_of_cost(slopes, kinds, size, tables[2]))
-    extreme = max(weight, 1.0 / weight)
+        size[j] = max(size[j], bound[j])
+    if TIED:
+        equate_tied(size)
+    weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), 6.0, False)
     for i in range(KINDS):
         if KIND_IS_MULTIPLIER[i]:
-            largest = 0.0
-            for j in range(KINDS):
-                if not KIND_IS_MULTIPLIER[j]:
-                    largest = max(largest, tables[0, i, j] * size[j])
-            largest = positive(largest)
-            extreme = max(extreme, largest, 1.0 / largest)
-            size[i] = 1.0 / (largest * weight)
-        else:
-            extreme = max(extreme, size[i], 1.0 / size[i])
+            size[i] = size_of_equation(i, size, tables[0])
+            if size[i] == 0.0:
+                size[i] = rest[i]  # which is flat at the guess
+    if TIED:
+        equate_tied(size)
+    is_scaled, digits = weight != 1.0, digits_of(size)
+    for i in range(KINDS):
+        if not GIVEN[i] > 0.0:
+            size[i] = rounded(size[i], digits, IS_SINGLE[i])
+        is_scaled = is_scaled or size[i] != 1.0
+        if KIND_IS_MULTIPLIER[i]:
+            size[i] = 1.0 / (size[i] * weight)
     for i in range(kinds.size):
         sizes[i] = size[kinds[i]]
-    return weight, extreme
+    return weight, is_scaled
 
 
 @njit(error_model="numpy")
-def positive(value):
-    """A size, or one where there is none."""
-    return value if 1e-150 < value < 1e150 else 1.0
+def digits_of(size):
+    """To powers of ten to what sizes are rounded: to six where all are ordinary, up to such powers, else to three."""
+    for i in range(KINDS):
+        if LEAST < size[i] < 1.0 / LEAST and not GIVEN[i] > 0.0:
+            above = np.log10(size[i]) - SMALL
+            if above - 6.0 * np.floor(above / 6.0) > LARGE - SMALL:
+                return 3.0
+    return 6.0
+
+
+@njit(error_model="numpy")
+def rounded(value, digits, finer):
+    """The highest power of ten to the `digits` that is no larger than some thirty sizes, or one without a size.
+
+    `finer` has powers of a hundred as well among those of a thousand: numbers from 30 to 3000 are parts of a hundred.
+    """
+    if not LEAST < value < 1.0 / LEAST:
+        return 1.0
+    above = np.log10(value) - SMALL
+    if finer and digits == 3.0:
+        million = np.floor(above / 6.0)
+        above -= 6.0 * million
+        return 10.0 ** (6.0 * million + (0.0 if above < 3.0 else 2.0 if above < 5.0 else 4.0))
+    return 10.0 ** (digits * np.floor(above / digits))
+
+
+@njit(error_model="numpy")
+def size_of_equation(row, size, slopes):
+    """The largest product of a derivative of an equation and the size of an unknown."""
+    largest = 0.0
+    for j in range(KINDS):
+        if not KIND_IS_MULTIPLIER[j]:
+            largest = max(largest, slopes[row, j] * size[j])
+    return largest
+
+
+if TIED:
+
+    @njit(error_model="numpy")
+    def equate_tied(size):
+        """Give unknowns at the ends and the shared ones that they equal one size, the largest."""
+        for _ in range(SHARED):
+            for i in range(START_SHARED.size):
+                level(START_SHARED_PLACES[i], STRIDE + START_SHARED[i], size)
+            for i in range(END_SHARED.size):
+                level(END_SHARED_PLACES[i], STRIDE + END_SHARED[i], size)
+
+    @njit(error_model="numpy")
+    def level(one, other, size):
+        """Give two kinds the larger one of their sizes."""
+        size[one] = size[other] = max(size[one], size[other])
 
 
 @njit(error_model="numpy")
 def fit_bounds(lower, upper, kinds, size):
-    """Make sizes fit the largest finite bound, where there is one on either side: no less than a small part of it."""
+    """Make sizes fit the largest finite bound, where there is one on either side: no less than a part of it.
+
+    Return the largest of other bounds, where there are no such: the least sizes of what has none otherwise. Bounds of
+    slacks say nothing about their size.
+    """
     bound, between = zero_vector(KINDS), zero_vector(KINDS)
     for i in range(lower.size):
+        if IS_SLACK[kinds[i]]:
+            continue
         below, above = abs(lower[i]), abs(upper[i])
         if max(below, above) < np.inf:
             between[kinds[i]] = max(between[kinds[i]], below, above)
@@ -122,91 +178,8 @@ def fit_bounds(lower, upper, kinds, size):
         if between[j] > 0.0 and size[j] > 0.0:
             size[j] = min(max(size[j], LOOSE * between[j]), between[j])
         elif size[j] == 0.0:
-            size[j] = max(between[j], bound[j])
-
-
-@njit(error_model="numpy")
-def add_entry(row, column, value, tables):
-    """Note the modulus of a derivative: of an equation by an unknown, or a curvature of the cost."""
-    if KIND_IS_MULTIPLIER[row] and KIND_IS_MULTIPLIER[column]:
-        return
-    if KIND_IS_MULTIPLIER[column]:
-        row, column = column, row
-    if KIND_IS_MULTIPLIER[row]:
-        tables[0, row, column] = max(tables[0, row, column], value)
-        tables[1, row, column] = max(tables[1, row, column], value)
-    else:
-        tables[2, row, column] = max(tables[2, row, column], value)
-
-
-@njit(error_model="numpy")
-def measure_intervals(unknowns, steps, h, parameters, tables):
-    """Fill three tables by kinds from some intervals.
-
-    The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
-    quadratic in time, of size one, the third the largest curvatures of the cost.
-    """
-    intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT + SHARED, KINDS, 4))
-    if PHASES:
-        intervals = steps // PHASES
-    stride = max(1, intervals // SAMPLES)
-    for body in range(BODIES):
-        if SHARED:
-            read_shared(unknowns, body, parameters)
-        note_ends(unknowns, body, steps, h, parameters, tables)
-        for k in range(steps):
-            if k % intervals % stride > 0:
-                continue
-            first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
-            moments[:] = 0.0
-            for j in range(HESSIAN_ROWS.size):
-                row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
-                if LOCAL_IS_MULTIPLIER[column]:
-                    row, column = column, row
-                if PHASES and is_lacking(row, k, steps):
-                    continue
-                if not LOCAL_IS_MULTIPLIER[row]:
-                    add_entry(KIND[row], KIND[column], abs(hessian[j]), tables)
-                elif not LOCAL_IS_MULTIPLIER[column]:
-                    ahead = PLACE[column] - PLACE[row]
-                    moments[row, KIND[column], 0] += hessian[j]
-                    moments[row, KIND[column], 1] += hessian[j] * ahead
-                    moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
-                    moments[row, KIND[column], 3] += abs(hessian[j])
-            fold(moments, intervals, tables)
-
-
-@njit(error_model="numpy")
-def fold(moments, intervals, tables):
-    """Put the moments of one interval's equations into the tables.
-
-    An equation of a node is a sum of two intervals' shares, each as large as what is equated: as a momentum, say.
-    """
-    total = zero_vector(4)
-    for row in range(moments.shape[0]):
-        if not LOCAL_IS_MULTIPLIER[row] or STRIDE <= row < ELEMENT:
-            continue
-        for column in range(KINDS):
-            largest = moments[row, column, 3]
-            for i in range(4):
-                total[i] = moments[row, column, i]
-            if row < NODE:
-                for i in range(4):
-                    total[i] += moments[STRIDE + row, column, i]
-                largest = max(
-                    change(moments[row, column], intervals, 1), change(moments[STRIDE + row, column], intervals, 1)
-                )
-            tables[0, KIND[row], column] = max(tables[0, KIND[row], column], largest)
-            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, 2))
-
-
-@njit(error_model="numpy")
-def change(moments, intervals, powers):
-    """What an equation with these moments makes of motions of size one."""
-    largest = abs(moments[0]) if abs(moments[0]) > CANCELLED * moments[3] else 0.0
-    largest = max(largest, abs(moments[1]) / intervals)
-    return max(largest, abs(moments[2]) / intervals**2) if powers == 2 else largest
+            size[j] = between[j]
+    return bound
 
 
 @njit(error_model="numpy")
@@ -248,22 +221,16 @@ def spread(size, rest, effect):
 
 @njit(error_model="numpy")
 def change_of_cost(slopes, kinds, size, curvature):
-    """By how much the cost changes, at most, when one unknown changes by its size."""
-    largest = 0.0
+    """By how much the cost changes, at most, when all unknowns of one kind change by its size.
+
+    It does not depend on the number of intervals as the share of a single one does.
+    """
+    largest, total = 0.0, zero_vector(KINDS)
     for i in range(kinds.size):
         if not KIND_IS_MULTIPLIER[kinds[i]]:
-            largest = max(largest, abs(slopes[i]) * size[kinds[i]])
+            total[kinds[i]] += abs(slopes[i])
     for i in range(KINDS):
+        largest = max(largest, total[i] * size[i])
         for j in range(KINDS):
             largest = max(largest, curvature[i, j] * size[i] * size[j])
     return largest
-
-
-if PHASES:
-
-    @njit(error_model="numpy")
-    def is_lacking(local, k, steps):
-        """Whether interval k does not have an unknown; a one on the diagonal then stands for it."""
-        phase, within = divmod(k, steps // PHASES)
-        lacks = SWITCH_LACKS[phase - 1] if within == 0 and phase > 0 else PHASE_LACKS[phase]
-        return NODE <= local < STRIDE and lacks[local - NODE]

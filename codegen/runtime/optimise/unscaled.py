@@ -3,12 +3,14 @@
 from codegen.runtime.optimise.messages import describe
 from codegen.runtime.optimise.newton_linear import minimise
 from codegen.runtime.unknowns.point import lagrangian
+from codegen.runtime.optimise.verdict import final_status
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise; return (status, message, point, iterations). `scaling` has no effect."""
     status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, log)
-    status, message = describe(grid, unknowns, point, status)
+    status = final_status(grid, unknowns, point, status)
+    status, message = describe(grid, unknowns, point, status, point.error)
     if status == "solved":
         point = point._replace(cost=corrected_cost(grid, point))
     return status, message, point, iterations

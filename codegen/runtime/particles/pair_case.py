@@ -4,7 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from codegen.runtime.optimise.counts import checked_count
 from codegen.runtime.stand_ins.example_pairs import DIMENSION, domain_margin
+from codegen.runtime.optimise.tolerances import checked_tolerance
 
 
 class Case(NamedTuple):
@@ -44,10 +46,9 @@ def checked_case(start, target, sigma, own, own_names, parameters, steps, durati
     steps, max_iterations = checked_count("steps", steps), checked_count("max_iterations", max_iterations)
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration!r}, expected a positive number")
-    if not 0.0 < tolerance <= 1e-6:
-        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and 1e-6")
     own = np.ascontiguousarray(own)
-    return Case(start, target, sigma, own, parameters, steps, float(duration), float(tolerance), max_iterations)
+    tolerance = checked_tolerance(tolerance, 1e-6)
+    return Case(start, target, sigma, own, parameters, steps, float(duration), tolerance, max_iterations)
 
 
 def require_possible(what, points):
@@ -64,10 +65,3 @@ def require_possible(what, points):
     if same.size:
         first, second = sorted(order[same[0] : same[0] + 2] + 1)
         raise ValueError(f"{what} of points {first} and {second} is the same place; no map separates or joins them")
-
-
-def checked_count(name, number):
-    """A positive integer; ValueError names what is not."""
-    if isinstance(number, bool) or int(number) != number or number < 1:
-        raise ValueError(f"{name} is {number!r}, expected a positive integer")
-    return int(number)

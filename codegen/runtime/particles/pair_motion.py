@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from codegen.runtime.optimise.counts import checked_count
 from codegen.runtime.stand_ins.example_pairs import DIMENSION, POINTS, hamiltonian, make_own
 from codegen.runtime.particles.pair_separable import advance
 
@@ -98,13 +99,6 @@ def checked_grid(steps, duration, parameters, own, start):
         if not np.isfinite(values).all():
             raise ValueError(f"{name} must be finite")
     return Grid(steps, float(duration) / steps, parameters, own, start)
-
-
-def checked_count(name, number):
-    """A positive integer; ValueError names what is not."""
-    if isinstance(number, bool) or int(number) != number or number < 1:
-        raise ValueError(f"{name} is {number!r}, expected a positive integer")
-    return int(number)
 
 
 def integrate(grid, every):

@@ -5,8 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.stepping.composition import advance_parts, allocate_parts
+from codegen.runtime.optimise.counts import checked_count
 from codegen.runtime.stand_ins.example_step import PARTS, STAGES, STATE
 from codegen.runtime.stepping.step_newton import advance, allocate_work
+from codegen.runtime.optimise.tolerances import checked_tolerance
 from codegen.runtime.stepping.trajectory import energies, follow, largest_residual
 
 FAILURES = {
@@ -40,13 +42,6 @@ def checked_grid(steps, duration, parameters, start):
     return Grid(steps, float(duration) / steps, parameters, start)
 
 
-def checked_count(name, number):
-    """A positive integer; ValueError names what is not."""
-    if isinstance(number, bool) or int(number) != number or number < 1:
-        raise ValueError(f"{name} is {number!r}, expected a positive integer")
-    return int(number)
-
-
 def replace_values(boundary, values):
     """Overwrite initial values by name; ValueError tells which names there are."""
     for quantity, value in values.items():
@@ -58,9 +53,7 @@ def replace_values(boundary, values):
 def integrate(grid, every, tolerance, max_iterations):
     """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations)."""
     every = min(checked_count("every", every), grid.steps)
-    tolerance, max_iterations = float(tolerance), checked_count("max_iterations", max_iterations)
-    if not 0.0 < tolerance <= 1e-6:
-        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and 1e-6")
+    tolerance, max_iterations = checked_tolerance(tolerance, 1e-6), checked_count("max_iterations", max_iterations)
     path = np.empty((1 - (-grid.steps // every), STATE))
     before = path if every == 1 else np.empty((path.shape[0] - 1, STATE))
     steps, rows, iterations, outcome = follow(
