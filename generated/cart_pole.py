@@ -1961,7 +1961,6 @@ NEARBY = 0.1  # part of the guess's violation that is left where a search begins
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
-FINER = 2  # steps with the least weight that a solution may take to close the gap of its cost
 
 
 class Attempt(NamedTuple):
@@ -2058,39 +2057,30 @@ def neighbours(search, saddle, attempt, escapes):
 def descend(search, iterate, attempt, tolerance, max_iterations, log):
     """Lower the barrier's weight and follow the minima; return (status, iterate, iterations).
 
-    For a weight of a tenth of the tolerance, each complementarity is below the tolerance, as in (5). A few more steps
-    then try to bring their sum, by which the cost is off, below it, too. Where rounding does not allow the tolerance,
-    the optimality conditions are relative to the multipliers.
+    The weight ends at a tenth of the tolerance, so that each complementarity is below the tolerance, as in (5); by
+    their sum the cost of an optimum is corrected. Where rounding does not allow the tolerance, the optimality
+    conditions are relative to the multipliers.
     """
     grid, mu = search.grid, attempt.weight
-    sound, least = tolerance / 10.0, tolerance / max(10.0, 2.0 * search.bounds.place.size)
     first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
     shift, last_shift, length, damping = 0.0, 0.0, 0.0, 0.0
-    low, found, finer, shortened, watch = 0, None, 0, 0, None
+    low, shortened, watch = 0, 0, None
     for iteration in range(max_iterations + 1):
         iterate, measured = measured_iterate(search, iterate)
         point = iterate.point
         log.append(grid, point, shift, length, mu)
         sure = iteration > 0 and shift == 0.0
         status = conclusion(search, iterate, measured, tolerance, first_cost, low > PATIENCE, sure)
-        if status == "solved" and measured[1] > tolerance and low <= PATIENCE:
-            status, found = "", iterate
         if not status and log.is_late():
             status = "time limit"
-        if status or finer == FINER or iteration == max_iterations:
-            if found is not None and status != "solved":
-                return "solved", found, iteration
+        if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
-        before = mu
-        if found is None:
-            mu = lowered(point, measured, mu, sound)
-        else:
-            mu, finer = least, finer + 1
+        before, mu = mu, lowered(point, measured, mu, tolerance / 10.0)
         if mu < before:
             filtered.empty()
             iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
-        low += mu <= sound
+        low += mu <= tolerance / 10.0
         trial, step = None, regularised_step(search, iterate, mu, last_shift, damping)
         if step is not None:
             shift, last_shift = step.shift, step.shift or last_shift
@@ -2103,8 +2093,6 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
-            if found is not None:
-                return "solved", found, iteration
             if low and is_acceptable(grid, point, measured, tolerance):
                 return "solved", iterate, iteration
             if step is None:
@@ -3542,7 +3530,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_de89a3802c9d9dd3"
+_IDENTITY = "codegen_cart_pole_d7ca2a1830adbe9c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

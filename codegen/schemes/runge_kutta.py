@@ -1,6 +1,6 @@
 """Runge-Kutta methods of higher order: Gauss collocation, Lobatto IIIA-IIIB, Lobatto IIIA, explicit ones.
 
-The tables are exact; `tests/test_orders.py` proves orders and symplecticity from them.
+The tables are exact; `tests/schemes/test_orders.py` proves orders and symplecticity from them.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from codegen.author.problem_file import input_digest, parse_arguments
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError
 from codegen.model.from_file import load_problem
 
-PROBLEMS = Path(__file__).parents[1] / "problems"
+PROBLEMS = Path(__file__).parents[2] / "problems"
 
 TYPED = '''"""Arguments of every type."""
 

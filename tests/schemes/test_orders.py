@@ -26,7 +26,7 @@ from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, OF_PARTICLES, R
 from codegen.solutions.result import Request
 from codegen.transcribe import transcribe
 
-PROBLEMS = Path(__file__).parents[1] / "problems"
+PROBLEMS = Path(__file__).parents[2] / "problems"
 TABLES = list(dict.fromkeys([*RUNGE_KUTTA, *FIRST_ORDER_RUNGE_KUTTA, *OF_PARTICLES]))
 
 # ---- Runge-Kutta methods: the order conditions of rooted trees (Hairer, Lubich and Wanner 2006, III.1 and III.2) ----

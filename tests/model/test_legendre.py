@@ -30,7 +30,7 @@ from codegen.model.legendre import (
     velocity_of_momentum,
 )
 
-PROBLEMS = Path(__file__).parents[1] / "problems"
+PROBLEMS = Path(__file__).parents[2] / "problems"
 
 
 def gallery(name: str, **arguments: Any) -> Model:

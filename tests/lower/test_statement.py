@@ -12,7 +12,7 @@ from codegen.lower.statement import description
 from codegen.model.from_file import load_problem
 from codegen.transcribe import transcribe
 
-FOLDER = Path(__file__).parents[1] / "problems"
+FOLDER = Path(__file__).parents[2] / "problems"
 
 
 def stated(path, **choices):

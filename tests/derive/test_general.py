@@ -13,7 +13,7 @@ from codegen.compiler import build, generate
 from codegen.errors import ArgumentError
 from codegen.naming import Choices, module_name
 
-PROBLEMS = Path(__file__).parents[1] / "problems"
+PROBLEMS = Path(__file__).parents[2] / "problems"
 
 
 def swing() -> Simulate:

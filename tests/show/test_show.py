@@ -12,7 +12,7 @@ from codegen import schemes
 from codegen.errors import ArgumentError, SchemeError
 from codegen.show.equations import equations
 
-PROBLEMS = Path(__file__).parents[1] / "problems"
+PROBLEMS = Path(__file__).parents[2] / "problems"
 CASES = [
     ("pendulum", {}, {}),
     ("pendulum", {"form": "lagrangian"}, {}),

@@ -19,7 +19,7 @@ from codegen.expressions.graph import Graph
 from codegen.expressions.zeros import vanishing
 from codegen.model.from_file import load_problem
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 X, Y, Z, P = symbols("x y z p", real=True)
 UNKNOWNS = (X, Y, Z)
 

@@ -21,7 +21,7 @@ from codegen.errors import FileError
 from codegen.lower.connect import ConnectModule, ParticlesModule
 from codegen.lower.module import ControlModule, Origin, SimulateModule
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"
 SPARE = {"interval_times"}
 """Middles of intervals stand beside the times of nodes, whether or not a guess depends on them."""

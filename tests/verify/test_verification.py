@@ -190,7 +190,7 @@ def test_what_is_emitted_passes(of_cart, of_pendulum, of_explicit_pendulum, comp
 
 
 def prepared_file(name: str, **arguments):
-    path = Path(__file__).parents[1] / "problems" / f"{name}.py"
+    path = Path(__file__).parents[2] / "problems" / f"{name}.py"
     model = load_problem(path, arguments)
     program = transcribe.transcribe(model, None, None, "interval")
     return program, emit.render(lower.lower(program, derive.derivatives(program)), ORIGIN)

@@ -21,7 +21,7 @@ from codegen.transcribe import transcribe
 from codegen.transcribe.elimination import linear_in
 from codegen.transcribe.phase_functions import phase_functions
 
-FOLDER = Path(__file__).parent / "large_systems"
+FOLDER = Path(__file__).parents[1] / "large_systems"
 
 
 def model_of(name: str, **arguments: object) -> Model:
