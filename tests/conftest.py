@@ -26,6 +26,23 @@ settings.load_profile("shared")
 PROBLEMS = Path(__file__).parent.parent / "problems"
 
 
+FAST = frozenset(
+    "rounding newton_filter terms trials shapes printer verdict phase_programs images landmark_formats quantities"
+    " pairs_and_frame first_order_programs inequalities output dense_assembly zeros bodies least_action packing"
+    " drawing large_constants general ends_and_bodies holonomic_constraints copies pairwise orders legendre specialise"
+    " model problem_file phase_checks kinks path_modes damage damage_beyond_kernels phase_solutions interior_point"
+    " import_graph batch solver refinement limits".split()
+)
+"""Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that `pytest -m fast` runs."""
+    for item in items:
+        if item.path.stem.removeprefix("test_") in FAST:
+            item.add_marker("fast")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where builds of this run are cached, by all of its worker processes together.

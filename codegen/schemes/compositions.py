@@ -4,7 +4,8 @@ With S a symmetric scheme of order 2, S(g_s h) ... S(g_1 h) with g_i = g_{s+1-i}
 the order conditions, whatever S is (Hairer, Lubich and Wanner 2006, section V.3.2). A partitioned method alternates
 steps of symplectic-euler-adjoint and symplectic-euler of lengths a_i h and b_i h; it is explicit where the Hamiltonian
 is separable, and has the same order where it is not (McLachlan 1995, On the numerical integration of ordinary
-differential equations by symmetric composition methods, section 2). `tests/schemes/test_orders.py` solves for the orders anew.
+differential equations by symmetric composition methods, section 2). `tests/schemes/test_orders.py` solves for the
+orders anew.
 """
 
 from __future__ import annotations

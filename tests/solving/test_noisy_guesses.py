@@ -71,7 +71,7 @@ def test_restoration_gets_past_neighbours_that_almost_meet(hovercraft):
     own[1] = own[0] + 1e-6
     point = at(hovercraft, grid, hovercraft.with_pinned_values(grid, guess))
     system = hovercraft.allocate_system(grid)
-    restored = hovercraft.restore(grid, point, 1e-6, [], system, hovercraft.Log())
+    restored = hovercraft.restore(grid, point, 1e-6, hovercraft.Filter(np.inf), system, hovercraft.Log())
     assert restored is not None
     assert restored.violation <= 1e-6 * point.violation
     assert np.abs(restored.unknowns - point.unknowns).max() < 100.0
