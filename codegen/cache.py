@@ -39,7 +39,7 @@ def kept_text(store: Path) -> str:
 
 _GENERATORS = (
     "author", "model", "expressions", "schemes", "discretise", "transcribe", "derive", "lower", "emit", "verify",
-    "runtime", "compiler.py", "mangling.py",
+    "runtime", "compiler.py", "drawing.py", "mangling.py", "naming.py",
 )  # fmt: skip
 """Parts of this package on which generated texts depend; all others use them."""
 

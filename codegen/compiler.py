@@ -1,7 +1,7 @@
-"""The story of a build: problem file -> model -> interval expressions -> program -> derivatives -> strings -> module.
+"""The story of a build: problem file -> model -> program -> derivatives -> strings -> module.
 
-    author            discretise           transcribe          derive              lower            render
-    Problem   --->    interval exprs --->  Program     --->    derivatives  --->   Module    --->   text of one .py
+    author           model        transcribe        derive             lower          emit
+    Problem  --->    Model --->   Program   --->    derivatives --->   Module  --->   text of one .py
 
 Before the text is written, `verify` compares its derivatives with an independent differentiation of the program.
 

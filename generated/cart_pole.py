@@ -317,12 +317,13 @@ def end_gradient(unknowns, t, parameters, gradient):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled.
+# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
+# at once, one may leave the option as another had set it, which changes no result.
 
 
 @contextmanager
 def packed_operations():
-    """Have operations packed in whatever numba compiles while the block runs, and no longer."""
+    """Have operations packed in whatever numba compiles while the block runs."""
     before = getattr(config, "SLP_VECTORIZE", 0)
     config.SLP_VECTORIZE = 1
     try:
@@ -2093,11 +2094,12 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
-            if low and is_acceptable(grid, point, measured, tolerance):
+            convex = step is None or shift == 0.0 or is_minimum(search, iterate, tolerance)
+            if low and convex and is_acceptable(grid, point, measured, tolerance):
                 return "solved", iterate, iteration
             if step is None:
                 return "rank-deficient", iterate, iteration
-            if shift > 0.0 and is_nearly_stationary(point) and not is_minimum(search, iterate, tolerance):
+            if not convex and is_nearly_stationary(point):
                 return "saddle point", iterate, iteration
             if is_rounding(grid, point):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
@@ -2156,10 +2158,10 @@ def is_boundless(point, largest, first_cost):
 def restored(search, iterate, mu, reduction, filtered, log):
     """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
-    def is_acceptable(point, logarithms):
+    def lets_pass(point, logarithms):
         return filtered.lets_pass(point.violation, point.cost - mu * logarithms)
 
-    status, unknowns, distance = restore(search, iterate, reduction, is_acceptable, log.is_late)
+    status, unknowns, distance = restore(search, iterate, reduction, lets_pass, log.is_late)
     unknowns = primal_part(search.grid, unknowns)
     return status, with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3))
 
@@ -2219,7 +2221,7 @@ def checked_tolerance(tolerance, most):
     return float(tolerance)
 
 
-# What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
+# The time grid of a solution and its checks, views of the unknowns, the iteration log.
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
@@ -2586,7 +2588,9 @@ def runaways(grid, guess, point, is_stationary):
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
     first = evaluate(grid, guess).cost
-    has_fallen = first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns).max()
+    has_fallen = (
+        first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns[~grid.is_multiplier]).max()
+    )
     return grown & falls & has_fallen
 
 
@@ -3128,7 +3132,11 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         grid = scaled_grid(grid, unknowns)
     start = in_parts(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded"):
+    if (
+        grid.sizes.size
+        and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")
+        and iterations < max_iterations
+    ):
         # Sizes come from the guess, and may be far from those of the solution.
         grid, start = plain_grid(grid), unknowns
         status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
@@ -3136,7 +3144,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status, error, own = final_status(grid, start, point, status), point.error, in_units(grid, point)
+    status, error, own = final_status(grid, in_parts(grid, unknowns), point, status), point.error, in_units(grid, point)
     status, message = describe(grid, unknowns, own, status, error)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations
@@ -3530,7 +3538,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_d7ca2a1830adbe9c"
+_IDENTITY = "codegen_cart_pole_334619d2926f669e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -396,12 +396,13 @@ def coupling_5(values, parameters, slopes, curvatures):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled.
+# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
+# at once, one may leave the option as another had set it, which changes no result.
 
 
 @contextmanager
 def packed_operations():
-    """Have operations packed in whatever numba compiles while the block runs, and no longer."""
+    """Have operations packed in whatever numba compiles while the block runs."""
     before = getattr(config, "SLP_VECTORIZE", 0)
     config.SLP_VECTORIZE = 1
     try:
@@ -1991,7 +1992,7 @@ def checked_tolerance(tolerance, most):
     return float(tolerance)
 
 
-# What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
+# The time grid of a solution and its checks, views of the unknowns, the iteration log.
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
@@ -2312,7 +2313,9 @@ def runaways(grid, guess, point, is_stationary):
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
     first = evaluate(grid, guess).cost
-    has_fallen = first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns).max()
+    has_fallen = (
+        first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns[~grid.is_multiplier]).max()
+    )
     return grown & falls & has_fallen
 
 
@@ -2874,7 +2877,11 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         grid = scaled_grid(grid, unknowns)
     start = in_parts(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded"):
+    if (
+        grid.sizes.size
+        and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")
+        and iterations < max_iterations
+    ):
         # Sizes come from the guess, and may be far from those of the solution.
         grid, start = plain_grid(grid), unknowns
         status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
@@ -2882,7 +2889,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status, error, own = final_status(grid, start, point, status), point.error, in_units(grid, point)
+    status, error, own = final_status(grid, in_parts(grid, unknowns), point, status), point.error, in_units(grid, point)
     status, message = describe(grid, unknowns, own, status, error)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations
@@ -3270,7 +3277,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_d319b666a70504de"
+_IDENTITY = "codegen_hovercraft_7d7646b4f0e6453b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -165,12 +165,13 @@ def end_gradient(unknowns, t, parameters, gradient):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled.
+# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
+# at once, one may leave the option as another had set it, which changes no result.
 
 
 @contextmanager
 def packed_operations():
-    """Have operations packed in whatever numba compiles while the block runs, and no longer."""
+    """Have operations packed in whatever numba compiles while the block runs."""
     before = getattr(config, "SLP_VECTORIZE", 0)
     config.SLP_VECTORIZE = 1
     try:
@@ -1216,7 +1217,7 @@ def checked_tolerance(tolerance, most):
     return float(tolerance)
 
 
-# What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log.
+# The time grid of a solution and its checks, views of the unknowns, the iteration log.
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
@@ -1498,7 +1499,9 @@ def runaways(grid, guess, point, is_stationary):
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
     first = evaluate(grid, guess).cost
-    has_fallen = first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns).max()
+    has_fallen = (
+        first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns[~grid.is_multiplier]).max()
+    )
     return grown & falls & has_fallen
 
 
@@ -2009,7 +2012,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_bc51ec28a1a74725"
+_IDENTITY = "codegen_hypersensitive_0917fa3824ccdffc"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -141,12 +141,13 @@ def energy(state, t, parameters):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled.
+# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
+# at once, one may leave the option as another had set it, which changes no result.
 
 
 @contextmanager
 def packed_operations():
-    """Have operations packed in whatever numba compiles while the block runs, and no longer."""
+    """Have operations packed in whatever numba compiles while the block runs."""
     before = getattr(config, "SLP_VECTORIZE", 0)
     config.SLP_VECTORIZE = 1
     try:
@@ -643,7 +644,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_2415e97d68d33beb"
+_IDENTITY = "codegen_pendulum_e66476fb67563ac1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -5,8 +5,8 @@ compiled functions call is optimised once more as part of each of its callers, i
 linked. A solver is made of many short functions, so that this takes a third of all time. And numba compiles a function
 anew when an argument is a constant of the module and not a variable, which makes no difference to the code.
 
-This is the only file that knows how numba works inside. Where a numba is not as it expects, or of another version than
-those that were tried, nothing is done: a build then takes longer, and what it makes is the same.
+This is the only file that replaces anything of numba. Where a numba is not as it expects, or of another version than
+those that were tried, it does nothing: a build then takes longer, and what it makes is the same.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the issue on particles promises, measured: accuracy, speed, sizes, hard cases, long motions.
+"""Problems of particles, measured: accuracy, speed, sizes, hard cases, long motions.
 
     python tests/benchmarks/particles.py [table speed sizes threads hard pairs planets] [--repeat R] [--plot FILE.png]
 

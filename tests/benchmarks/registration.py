@@ -1,4 +1,4 @@
-"""What the issue on registration promises, measured: folding, speed, dragging; beside scikit-image's thin-plate spline.
+"""Registration, measured: folding, speed, dragging; beside scikit-image's thin-plate spline.
 
     python tests/benchmarks/registration.py [folding speed drag] [--pairs P] [--repeat R]
 

@@ -177,11 +177,12 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
-            if low and is_acceptable(grid, point, measured, tolerance):
+            convex = step is None or shift == 0.0 or is_minimum(search, iterate, tolerance)
+            if low and convex and is_acceptable(grid, point, measured, tolerance):
                 return "solved", iterate, iteration
             if step is None:
                 return "rank-deficient", iterate, iteration
-            if shift > 0.0 and is_nearly_stationary(point) and not is_minimum(search, iterate, tolerance):
+            if not convex and is_nearly_stationary(point):
                 return "saddle point", iterate, iteration
             if is_rounding(grid, point):
                 # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
@@ -240,9 +241,9 @@ def is_boundless(point, largest, first_cost):
 def restored(search, iterate, mu, reduction, filtered, log):
     """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
 
-    def is_acceptable(point, logarithms):
+    def lets_pass(point, logarithms):
         return filtered.lets_pass(point.violation, point.cost - mu * logarithms)
 
-    status, unknowns, distance = restore(search, iterate, reduction, is_acceptable, log.is_late)
+    status, unknowns, distance = restore(search, iterate, reduction, lets_pass, log.is_late)
     unknowns = primal_part(search.grid, unknowns)
     return status, with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3))

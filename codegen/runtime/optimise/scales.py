@@ -40,7 +40,11 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         grid = scaled_grid(grid, unknowns)
     start = in_parts(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    if grid.sizes.size and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded"):
+    if (
+        grid.sizes.size
+        and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")
+        and iterations < max_iterations
+    ):
         # Sizes come from the guess, and may be far from those of the solution.
         grid, start = plain_grid(grid), unknowns
         status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
@@ -48,7 +52,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status, error, own = final_status(grid, start, point, status), point.error, in_units(grid, point)
+    status, error, own = final_status(grid, in_parts(grid, unknowns), point, status), point.error, in_units(grid, point)
     status, message = describe(grid, unknowns, own, status, error)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations

@@ -83,7 +83,9 @@ def runaways(grid, guess, point, is_stationary):
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
     first = evaluate(grid, guess).cost
-    has_fallen = first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns).max()
+    has_fallen = (
+        first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns[~grid.is_multiplier]).max()
+    )
     return grown & falls & has_fallen
 
 

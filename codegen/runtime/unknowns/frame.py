@@ -1,4 +1,4 @@
-"""What surrounds the solver: the time grid and its checks, views of the unknowns, the iteration log."""
+"""The time grid of a solution and its checks, views of the unknowns, the iteration log."""
 
 import math
 
