@@ -2497,6 +2497,7 @@ def change_of_cost(slopes, kinds, size, curvature):
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
+FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -2861,7 +2862,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_9b4c647890cf5d2d"
+_IDENTITY = "codegen_spherical_pendulum_d4c887d21bccd820"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -46,7 +46,7 @@ def module(interpreted):
 
 
 def test_forty_landmarks_against_an_independent_program(compiled):
-    """The discrete cost h sum 2H of explicit Euler, N = 10, from a hand-written program with numpy and scipy's fsolve."""
+    """The discrete cost h sum 2H, from a hand-written program with numpy and scipy's fsolve."""
     points = read_points(PROBLEMS / "data" / "trilobite40.csv", 2)
     result = solving.solve(compiled, points=points)
     assert result.status == "solved", result.message

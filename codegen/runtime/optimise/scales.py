@@ -30,6 +30,7 @@ from codegen.runtime.optimise.verdict import VIOLATED, final_status, own_values
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
+FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
