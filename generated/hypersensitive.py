@@ -1499,9 +1499,8 @@ def runaways(grid, guess, point, is_stationary):
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
     first = evaluate(grid, guess).cost
-    has_fallen = (
-        first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns[~grid.is_multiplier]).max()
-    )
+    largest = np.abs(unknowns[~grid.is_multiplier]).max()
+    has_fallen = first - point.cost > FALL * abs(first) and point.residual <= HELD * largest
     return grown & falls & has_fallen
 
 
@@ -2012,7 +2011,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_0917fa3824ccdffc"
+_IDENTITY = "codegen_hypersensitive_842672a7c2fab9a3"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

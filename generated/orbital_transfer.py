@@ -1993,9 +1993,8 @@ def runaways(grid, guess, point, is_stationary):
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
     first = evaluate(grid, guess).cost
-    has_fallen = (
-        first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns[~grid.is_multiplier]).max()
-    )
+    largest = np.abs(unknowns[~grid.is_multiplier]).max()
+    has_fallen = first - point.cost > FALL * abs(first) and point.residual <= HELD * largest
     return grown & falls & has_fallen
 
 
@@ -2527,11 +2526,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         grid = scaled_grid(grid, unknowns)
     start = in_parts(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    if (
-        grid.sizes.size
-        and status in ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")
-        and iterations < max_iterations
-    ):
+    if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
         grid, start = plain_grid(grid), unknowns
         status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
@@ -2890,7 +2885,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_d4e382225d149f20"
+_IDENTITY = "codegen_orbital_transfer_590bd1c8b45608af"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

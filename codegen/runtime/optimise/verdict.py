@@ -83,9 +83,8 @@ def runaways(grid, guess, point, is_stationary):
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
     first = evaluate(grid, guess).cost
-    has_fallen = (
-        first - point.cost > FALL * abs(first) and point.residual <= HELD * np.abs(unknowns[~grid.is_multiplier]).max()
-    )
+    largest = np.abs(unknowns[~grid.is_multiplier]).max()
+    has_fallen = first - point.cost > FALL * abs(first) and point.residual <= HELD * largest
     return grown & falls & has_fallen
 
 
