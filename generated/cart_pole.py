@@ -3001,7 +3001,7 @@ def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
 
 @njit(error_model="numpy")
 def digits_of(size):
-    """To powers of ten to what sizes are rounded: to six where all are ordinary, up to such powers, else to three."""
+    """How many powers of ten sizes are apart: six where all are ordinary, but for powers of a million, else three."""
     for i in range(KINDS):
         if LEAST < size[i] < 1.0 / LEAST and not GIVEN[i] > 0.0:
             above = np.log10(size[i]) - SMALL
@@ -3012,9 +3012,9 @@ def digits_of(size):
 
 @njit(error_model="numpy")
 def rounded(value, digits, finer):
-    """The highest power of ten to the `digits` that is no larger than some thirty sizes, or one without a size.
+    """The highest power of a million (`digits` are six) or a thousand below some thirty sizes, or one without a size.
 
-    `finer` has powers of a hundred as well among those of a thousand: numbers from 30 to 3000 are parts of a hundred.
+    `finer` has 1, 100 and 10000 times a power of a million in place of powers of a thousand.
     """
     if not LEAST < value < 1.0 / LEAST:
         return 1.0
@@ -3121,6 +3121,7 @@ def change_of_cost(slopes, kinds, size, curvature):
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
+REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -3153,7 +3154,7 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
     """
     total = 0
-    while grid.sizes.size:
+    for _ in range(REFINEMENTS if grid.sizes.size else 0):
         unknowns = own_values(grid, point.unknowns)
         finer = scaled_grid(plain_grid(grid), unknowns)
         if not is_steeper(finer, grid):
@@ -3161,14 +3162,15 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         begin = in_parts(finer, unknowns)
         same = evaluate(finer, begin)
         if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
-            grid, start, point = finer, begin, same
-            continue
+            return "solved", finer, begin, same, total
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
             holds = evaluate(finer, begin).residual <= VIOLATED
             return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
         grid, start, point = finer, begin, better
+        if not grid.sizes.size:
+            break
     return "solved", grid, start, point, total
 
 
@@ -3534,7 +3536,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_c7ee096210463370"
+_IDENTITY = "codegen_cart_pole_dfd7daca05536b74"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -47,7 +47,8 @@ def test_optimum_on_the_coarsest_grid(interpreted, reference):
 @pytest.mark.parametrize("form", BIOPTIM)
 def test_trajectory_that_bioptim_published(interpreted, form):
     arguments = {} if form == "plain" else {"form": form}
-    solution = interpreted("cart_pendulum", arguments=arguments, scheme="trapezoidal").solve(20)
+    # One of several local optima, to which the search in the problem's own units leads, as that of bioptim does.
+    solution = interpreted("cart_pendulum", arguments=arguments, scheme="trapezoidal").solve(20, scaling="none")
     position, controls = BIOPTIM[form]
     np.testing.assert_allclose(solution.q[10], position, atol=1e-5)
     for interval, value in controls.items():

@@ -30,6 +30,7 @@ from codegen.runtime.optimise.verdict import VIOLATED, final_status, own_values
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
+REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -62,7 +63,7 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
     """
     total = 0
-    while grid.sizes.size:
+    for _ in range(REFINEMENTS if grid.sizes.size else 0):
         unknowns = own_values(grid, point.unknowns)
         finer = scaled_grid(plain_grid(grid), unknowns)
         if not is_steeper(finer, grid):
@@ -70,14 +71,15 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         begin = in_parts(finer, unknowns)
         same = evaluate(finer, begin)
         if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
-            grid, start, point = finer, begin, same
-            continue
+            return "solved", finer, begin, same, total
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
             holds = evaluate(finer, begin).residual <= VIOLATED
             return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
         grid, start, point = finer, begin, better
+        if not grid.sizes.size:
+            break
     return "solved", grid, start, point, total
 
 

@@ -106,7 +106,7 @@ def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
 
 @njit(error_model="numpy")
 def digits_of(size):
-    """To powers of ten to what sizes are rounded: to six where all are ordinary, up to such powers, else to three."""
+    """How many powers of ten sizes are apart: six where all are ordinary, but for powers of a million, else three."""
     for i in range(KINDS):
         if LEAST < size[i] < 1.0 / LEAST and not GIVEN[i] > 0.0:
             above = np.log10(size[i]) - SMALL
@@ -117,9 +117,9 @@ def digits_of(size):
 
 @njit(error_model="numpy")
 def rounded(value, digits, finer):
-    """The highest power of ten to the `digits` that is no larger than some thirty sizes, or one without a size.
+    """The highest power of a million (`digits` are six) or a thousand below some thirty sizes, or one without a size.
 
-    `finer` has powers of a hundred as well among those of a thousand: numbers from 30 to 3000 are parts of a hundred.
+    `finer` has 1, 100 and 10000 times a power of a million in place of powers of a thousand.
     """
     if not LEAST < value < 1.0 / LEAST:
         return 1.0
