@@ -2058,7 +2058,7 @@ def neighbours(search, saddle, attempt, escapes):
 def descend(search, iterate, attempt, tolerance, max_iterations, log):
     """Lower the barrier's weight and follow the minima; return (status, iterate, iterations).
 
-    The weight ends at a tenth of the tolerance, so that each complementarity is below the tolerance, as in (5); by
+    The weight ends at a fortieth of the tolerance, so that each complementarity is far below it, as in (5); by
     their sum the cost of an optimum is corrected. Where rounding does not allow the tolerance, the optimality
     conditions are relative to the multipliers.
     """
@@ -2077,11 +2077,11 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
-        before, mu = mu, lowered(point, measured, mu, tolerance / 10.0)
+        before, mu = mu, lowered(point, measured, mu, tolerance / 40.0)
         if mu < before:
             filtered.empty()
             iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
-        low += mu <= tolerance / 10.0
+        low += mu <= tolerance / 40.0
         trial, step = None, regularised_step(search, iterate, mu, last_shift, damping)
         if step is not None:
             shift, last_shift = step.shift, step.shift or last_shift
@@ -3536,7 +3536,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_dfd7daca05536b74"
+_IDENTITY = "codegen_cart_pole_338fcbd62247d117"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
