@@ -1961,6 +1961,7 @@ BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+LEAST_PART = 0.025  # of the tolerance is the last weight: at a tenth the cost of the crane is off by 2e-9 of it
 PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
 
 
@@ -2077,11 +2078,11 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
-        before, mu = mu, lowered(point, measured, mu, tolerance / 40.0)
+        before, mu = mu, lowered(point, measured, mu, LEAST_PART * tolerance)
         if mu < before:
             filtered.empty()
             iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
-        low += mu <= tolerance / 40.0
+        low += mu <= LEAST_PART * tolerance
         trial, step = None, regularised_step(search, iterate, mu, last_shift, damping)
         if step is not None:
             shift, last_shift = step.shift, step.shift or last_shift
@@ -3536,7 +3537,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_338fcbd62247d117"
+_IDENTITY = "codegen_cart_pole_3791bee7b3eb406a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -44,6 +44,7 @@ BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or
 NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+LEAST_PART = 0.025  # of the tolerance is the last weight: at a tenth the cost of the crane is off by 2e-9 of it
 PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
 
 
@@ -160,11 +161,11 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
-        before, mu = mu, lowered(point, measured, mu, tolerance / 40.0)
+        before, mu = mu, lowered(point, measured, mu, LEAST_PART * tolerance)
         if mu < before:
             filtered.empty()
             iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
-        low += mu <= tolerance / 40.0
+        low += mu <= LEAST_PART * tolerance
         trial, step = None, regularised_step(search, iterate, mu, last_shift, damping)
         if step is not None:
             shift, last_shift = step.shift, step.shift or last_shift
