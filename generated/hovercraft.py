@@ -2344,10 +2344,10 @@ LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
-def describe(grid, guess, point, status, error):
+def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
     if status == "solved":
-        return status, f"all equations hold to {error:.1e}"
+        return status, f"all equations hold to {point.error:.1e}"
     if grid.sizes.size:
         grid = plain_grid(grid)
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
@@ -2886,8 +2886,8 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status, error, own = final_status(grid, in_parts(grid, unknowns), point, status), point.error, in_units(grid, point)
-    status, message = describe(grid, unknowns, own, status, error)
+    status, own = final_status(grid, in_parts(grid, unknowns), point, status), in_units(grid, point)
+    status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations
 
@@ -3275,7 +3275,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_9db2f8eb05410a5d"
+_IDENTITY = "codegen_hovercraft_1160ea6149ae1c26"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

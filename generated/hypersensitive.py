@@ -1530,10 +1530,10 @@ LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
-def describe(grid, guess, point, status, error):
+def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
     if status == "solved":
-        return status, f"all equations hold to {error:.1e}"
+        return status, f"all equations hold to {point.error:.1e}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 
@@ -1739,7 +1739,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise; return (status, message, point, iterations). `scaling` has no effect."""
     status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, log)
     status = final_status(grid, unknowns, point, status)
-    status, message = describe(grid, unknowns, point, status, point.error)
+    status, message = describe(grid, unknowns, point, status)
     if status == "solved":
         point = point._replace(cost=corrected_cost(grid, point))
     return status, message, point, iterations
@@ -2011,7 +2011,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_842672a7c2fab9a3"
+_IDENTITY = "codegen_hypersensitive_f49b9d63fca423cc"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

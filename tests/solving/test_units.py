@@ -130,3 +130,18 @@ def test_what_is_solved_in_wrong_sizes_alone_is_not_solved(interpreted):
     assert status == "solved"
     assert iterations > 0
     assert module.in_units(found, point).residual <= 1e-10
+
+
+def test_what_a_message_says_of_the_equations_is_in_the_problem_s_own_units():
+    module = without_compilation(text_in_units("brachistochrone"))
+    solution = module.solve(10, length_unit=1e6, time_unit=1e6)
+    assert solution.status == "solved"
+    assert solution.residual > 1e-12
+    assert float(solution.message.split()[-1]) >= 0.95 * solution.residual
+
+
+def test_sizes_are_not_measured_again_for_ever(interpreted):
+    """Two sets of sizes, each at the solution that the other one led to, are coarse beside each other."""
+    solution = interpreted("cart_pendulum", arguments={"form": "holonomic"}).solve(20, max_iterations=300)
+    assert solution.status == "solved"
+    assert solution.residual <= 1e-9

@@ -42,14 +42,14 @@ LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
 
-def describe(grid, guess, point, status, error):
+def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
     if INEQUALITIES:
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:
             return "infeasible", f"infeasible: {beyond}; change the value or the bound"
     if status == "solved":
-        return status, f"all equations hold to {error:.1e}"
+        return status, f"all equations hold to {point.error:.1e}"
     if SCALED and grid.sizes.size:
         grid = plain_grid(grid)
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"

@@ -50,8 +50,8 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status, error, own = final_status(grid, in_parts(grid, unknowns), point, status), point.error, in_units(grid, point)
-    status, message = describe(grid, unknowns, own, status, error)
+    status, own = final_status(grid, in_parts(grid, unknowns), point, status), in_units(grid, point)
+    status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations
 

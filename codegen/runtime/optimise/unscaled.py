@@ -10,7 +10,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise; return (status, message, point, iterations). `scaling` has no effect."""
     status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, log)
     status = final_status(grid, unknowns, point, status)
-    status, message = describe(grid, unknowns, point, status, point.error)
+    status, message = describe(grid, unknowns, point, status)
     if status == "solved":
         point = point._replace(cost=corrected_cost(grid, point))
     return status, message, point, iterations
