@@ -20,7 +20,7 @@ class OneStepInterval:
     """Equations of one step in (q_k, p_k), inner stages and (q_k1, p_k1), each an expression that must vanish.
 
     The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
-    system has no momenta.
+    system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the cost.
     """
 
     q: Sites
@@ -29,6 +29,7 @@ class OneStepInterval:
     equations: tuple[Expr, ...]
     cost: Expr
     path: tuple[PathValue, ...] = ()
+    integrals: tuple[Expr, ...] = ()
 
 
 def one_step_interval(model: Model, scheme: OfSteps, nodal_controls: bool = False) -> OneStepInterval:
@@ -48,11 +49,12 @@ def one_step_interval(model: Model, scheme: OfSteps, nodal_controls: bool = Fals
         ends.append(at_nodes((*model.coordinates, *model.rates), f"_stage{index}"))
     ends.append((*q_sites.right, *p_sites.right))
 
-    field = (*_vector_field(model), model.cost or sympy.S.Zero)
+    integrands = _integrands(model)
+    field = (*_vector_field(model), *integrands)
     dimension = len(model.coordinates)
     equations: list[Expr] = []
     path: list[PathValue] = []
-    cost, elapsed = sympy.S.Zero, sympy.S.Zero
+    integrals, elapsed = [sympy.S.Zero] * len(integrands), sympy.S.Zero
     for substep, x0, x1 in zip(scheme.substeps, ends[:-1], ends[1:], strict=True):
         a, b, fraction = substep.position, substep.momentum, STEP * substep.fraction
         position = [between(left, right, a) for left, right in zip(x0[:dimension], x1[:dimension], strict=True)]
@@ -60,13 +62,14 @@ def one_step_interval(model: Model, scheme: OfSteps, nodal_controls: bool = Fals
         c = elapsed + a * substep.fraction
         controls = mean_controls(q_sites, c)
 
-        *rates, cost_rate = (substitute(model, f, position, momentum, controls, c) for f in field)
+        values = [substitute(model, f, position, momentum, controls, c) for f in field]
+        rates, densities = values[: len(x0)], values[len(x0) :]
         equations += [right - left - fraction * rate for left, right, rate in zip(x0, x1, rates, strict=True)]
-        cost += fraction * cost_rate
+        integrals = [total + fraction * density for total, density in zip(integrals, densities, strict=True)]
         path += [PathValue(g, c, substitute(model, g.expression, position, momentum, controls, c)) for g in model.path]
         elapsed = sympy.expand(elapsed + substep.fraction)
     stages, kept = _without_idle_stages(ends[1:-1], equations)
-    return OneStepInterval(q_sites, p_sites, stages, kept, cost, distinct(path))
+    return OneStepInterval(q_sites, p_sites, stages, kept, integrals[0], distinct(path), tuple(integrals[1:]))
 
 
 def _runge_kutta_interval(model: Model, scheme: RungeKutta, nodal_controls: bool) -> OneStepInterval:
@@ -77,11 +80,13 @@ def _runge_kutta_interval(model: Model, scheme: RungeKutta, nodal_controls: bool
     dimension, states = len(model.coordinates), (*model.coordinates, *model.rates)
     points = [_stage_values(scheme, i, dimension, states, left, right) for i in range(len(scheme.weights))]
 
-    rates, cost, path = list[list[Expr]](), sympy.S.Zero, list[PathValue]()
+    integrands = _integrands(model)
+    rates, integrals, path = list[list[Expr]](), [sympy.S.Zero] * len(integrands), list[PathValue]()
     for c, weight, point in zip(scheme.places, scheme.weights, points, strict=True):
         position, momentum, controls = point[:dimension], point[dimension:], mean_controls(q_sites, c)
         rates.append([substitute(model, f, position, momentum, controls, c) for f in _vector_field(model)])
-        cost += STEP * weight * substitute(model, model.cost or sympy.S.Zero, position, momentum, controls, c)
+        densities = [substitute(model, f, position, momentum, controls, c) for f in integrands]
+        integrals = [total + STEP * weight * density for total, density in zip(integrals, densities, strict=True)]
         path += [PathValue(g, c, substitute(model, g.expression, position, momentum, controls, c)) for g in model.path]
 
     def step(row: Sequence[Expr], x: int) -> Expr:
@@ -94,7 +99,8 @@ def _runge_kutta_interval(model: Model, scheme: RungeKutta, nodal_controls: bool
                 stages.append(value)
                 equations.append(value - left[x] - step(_row(scheme, i, x < dimension), x))
     equations += [end - begin - step(scheme.weights, x) for x, (begin, end) in enumerate(zip(left, right, strict=True))]
-    return OneStepInterval(q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path))
+    values = tuple(integrals[1:])
+    return OneStepInterval(q_sites, p_sites, tuple(stages), tuple(equations), integrals[0], distinct(path), values)
 
 
 def _row(scheme: RungeKutta, stage: int, of_coordinates: bool) -> tuple[Expr, ...]:
@@ -128,6 +134,11 @@ def _vector_field(model: Model) -> tuple[Expr, ...]:
         *gradient(model.function, model.rates),
         *(f - slope for slope, f in zip(gradient(model.function, model.coordinates), model.force, strict=True)),
     )
+
+
+def _integrands(model: Model) -> tuple[Expr, ...]:
+    """What is integrated beside the motion: the cost, and what conditions on integrals are on."""
+    return (model.cost or sympy.S.Zero, *(integral.integrand for integral in model.integrals))
 
 
 def _without_idle_stages(

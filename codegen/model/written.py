@@ -9,10 +9,23 @@ from typing import Any
 import sympy
 
 from codegen.author.problem import Control, Problem
-from codegen.author.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
+from codegen.author.symbols import (
+    ControlInput,
+    Coordinate,
+    EndValue,
+    FreeParameter,
+    Momentum,
+    Quantity,
+    State,
+    Time,
+    Velocity,
+)
 from codegen.errors import ExpressionError, SymbolError
 from codegen.expressions import checks as expressions
-from codegen.model.relations import relation, short
+from codegen.model.relations import integral_sides, relation, short
+
+
+_MOVES = (Coordinate, Velocity, Momentum, State, ControlInput, Time)
 
 
 @dataclass(frozen=True)
@@ -102,6 +115,7 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield from _bounds(control.bounds)
     yield from _periodic(control)
     yield from _relations("path", control.path)
+    yield from _integrals(control.integral)
     yield from _relations("start_conditions", control.start_conditions)
     yield from _relations("end_conditions", control.end_conditions)
     yield from _relations("constraint", control.constraint)
@@ -226,6 +240,15 @@ def _relations(what: str, values: Any) -> Iterator[Entry]:
             raise ExpressionError(f"{what} lists {short(name)} twice", "list it once")
         seen.add(found.expression)
         yield Entry(what, f"{what} {short(name)}", found.expression, None, name, found.equality)
+
+
+def _integrals(values: Any) -> Iterator[Entry]:
+    """Conditions on integrals, each as an integrand and as the value that its integral has or does not exceed."""
+    written = values.values() if isinstance(values, Mapping) else _sequence("integral", values, "relation")
+    for entry, value in zip(_relations("integral", values), written, strict=True):
+        integrand, limit = integral_sides(value, entry.what, _MOVES)
+        yield replace(entry, expression=integrand)
+        yield replace(entry, role="integral value", what=f"value of {entry.what}", expression=limit)
 
 
 def _given_name(what: str, name: Any) -> str:

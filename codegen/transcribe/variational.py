@@ -121,6 +121,7 @@ def _motion(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool, cons
         element=interval.cost + interval.virtual_work(displacements, impulses),
         cost=interval.cost,
         path=interval.path,
+        integrals=interval.integrals,
         equations=_equations(names, interval),
         node_guess=guess,
         stage_guess=guess * (len(interval.inner) // len(names)),
