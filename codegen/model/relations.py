@@ -71,9 +71,13 @@ def integral_sides(value: Any, what: str, moving: tuple[type, ...]) -> tuple[sym
     left, right = (expressions.checked(side, what) for side in (left, right))
     moves = [any(isinstance(symbol, moving) for symbol in side.free_symbols) for side in (left, right)]
     if all(moves):
-        raise ExpressionError(f"both sides of {what} move", "write the integrand on one side, its integral's value on the other")
+        raise ExpressionError(
+            f"both sides of {what} move", "write the integrand on one side, its integral's value on the other"
+        )
     if not any(moves):
-        raise ExpressionError(f"{what} has no integrand, since nothing in it moves", "write Eq(integrand, value), or leave it out")
+        raise ExpressionError(
+            f"{what} has no integrand, since nothing in it moves", "write Eq(integrand, value), or leave it out"
+        )
     integrand, limit = (left, right) if moves[0] else (right, left)
     at_least = (sign == ">=") == moves[0] and sign != "="
     return (-integrand, -limit) if at_least else (integrand, limit)

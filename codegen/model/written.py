@@ -229,11 +229,7 @@ def _shifts(periodic: Any) -> Iterator[Entry]:
 
 def _relations(what: str, values: Any) -> Iterator[Entry]:
     seen: set[sympy.Expr] = set()
-    given = [*values.items()] if isinstance(values, Mapping) else _sequence(what, values, "relation")
-    for place, value in enumerate(given):
-        # A pair is a relation with its name, as mappings have them.
-        named, written = value if isinstance(value, tuple) and len(value) == 2 else ("", value)
-        given_name = _given_name(what, named) if isinstance(value, tuple) else ""
+    for place, (given_name, written) in enumerate(_named(what, values)):
         found = relation(written, f"{what}[{given_name or place!r}]")
         name = given_name or found.name
         if found.expression in seen:
@@ -242,11 +238,18 @@ def _relations(what: str, values: Any) -> Iterator[Entry]:
         yield Entry(what, f"{what} {short(name)}", found.expression, None, name, found.equality)
 
 
+def _named(what: str, values: Any) -> Iterator[tuple[str, Any]]:
+    """Relations, each after the name that its author gave it, or nothing."""
+    for value in [*values.items()] if isinstance(values, Mapping) else _sequence(what, values, "relation"):
+        # A pair is a relation with its name, as mappings have them.
+        name, written = value if isinstance(value, tuple) and len(value) == 2 else ("", value)
+        yield _given_name(what, name) if isinstance(value, tuple) else "", written
+
+
 def _integrals(values: Any) -> Iterator[Entry]:
     """Conditions on integrals, each as an integrand and as the value that its integral has or does not exceed."""
-    written = values.values() if isinstance(values, Mapping) else _sequence("integral", values, "relation")
-    for entry, value in zip(_relations("integral", values), written, strict=True):
-        integrand, limit = integral_sides(value, entry.what, _MOVES)
+    for entry, (_, written) in zip(_relations("integral", values), _named("integral", values), strict=True):
+        integrand, limit = integral_sides(written, entry.what, _MOVES)
         yield replace(entry, expression=integrand)
         yield replace(entry, role="integral value", what=f"value of {entry.what}", expression=limit)
 

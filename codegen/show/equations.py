@@ -147,7 +147,9 @@ def _cost(model: Model) -> Iterator[Block]:
         yield Block("Rate of the cost, and duration", ((_named("C"), model.cost), (_named("T"), model.duration)))
     for number, integral in enumerate(model.integrals, start=1):
         heading = f"Integral over [0, T] that {'equals' if integral.equality else 'is at most'} c_{number}"
-        yield Block(heading, ((_named(f"rate G_{number}"), integral.integrand), (_named(f"c_{number}"), integral.value)))
+        yield Block(
+            heading, ((_named(f"rate G_{number}"), integral.integrand), (_named(f"c_{number}"), integral.value))
+        )
 
 
 def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
