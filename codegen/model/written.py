@@ -24,7 +24,6 @@ from codegen.errors import ExpressionError, SymbolError
 from codegen.expressions import checks as expressions
 from codegen.model.relations import integral_sides, relation, short
 
-
 _MOVES = (Coordinate, Velocity, Momentum, State, ControlInput, Time)
 
 
