@@ -20,7 +20,8 @@ class OneStepInterval:
     """Equations of one step in (q_k, p_k), inner stages and (q_k1, p_k1), each an expression that must vanish.
 
     The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
-    system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the cost.
+    system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the
+    cost.
     """
 
     q: Sites

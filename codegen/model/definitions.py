@@ -83,9 +83,10 @@ class Model:
 
     `path` holds at every time and may depend on coordinates, rates, controls, time and parameters; bounds on
     velocities arrive there as well. `integrals` are conditions on integrals over the duration. `start_conditions` and
-    `end_conditions` are conditions on coordinates and rates of one end, beside the values of `start` and `end`. `terminal_cost` is added to the integral of `cost` and depends on
-    coordinates and rates at the end and on parameters; both are negated where the author asked for a greatest value,
-    which `maximised` says. `holonomic` constraints c(q) = 0 hold at every time.
+    `end_conditions` are conditions on coordinates and rates of one end, beside the values of `start` and `end`.
+    `terminal_cost` is added to the integral of `cost` and depends on coordinates and rates at the end and on
+    parameters; both are negated where the author asked for a greatest value, which `maximised` says. `holonomic`
+    constraints c(q) = 0 hold at every time.
     `periodic` gives pairs (coordinate or rate, shift): its value at the end is that at the start plus the shift.
 
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's

@@ -101,7 +101,7 @@ def test_the_value_may_stand_on_either_side():
 
 def test_each_body_has_its_own():
     problem = with_area(bodies=3, start={}, end={})
-    (x,) = [q for q in problem.force]
+    (x,) = problem.force
     number = body_number()
     at_rest = {x: number, x.partner: 0}
     problem = replace(problem, start=at_rest, end=at_rest, integral=[sympy.Eq(x, AREA)])
@@ -129,7 +129,7 @@ def _elsewhere() -> Control:
 
 
 def test_each_phase_has_its_own():
-    """From x = 0 with x' = u: a phase of length h from x to y with the area a takes (y-x)^2/h + 12 (a-(x+y)h/2)^2/h^3."""
+    """With x' = u a phase of length h from x to y with the area a takes (y-x)^2/h + 12 (a-(x+y)h/2)^2/h^3."""
     x = states("x")[0]
     u = control("u")
 
@@ -163,7 +163,7 @@ def test_each_phase_has_its_own():
 )
 def test_refusals(written, finding):
     problem = with_area()
-    (x,) = [q for q in problem.force]
+    (x,) = problem.force
     (u,) = problem.force.values()
     with pytest.raises(Exception, match=finding) as raised:
         normalise(replace(problem, integral=written(x, x.partner, u)))

@@ -31,10 +31,9 @@ def check(context: Context) -> Iterator[Finding]:
     model = program.model
     place, rates = _smooth_motion(context, program)
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
-    accelerations = {s for value in place.values() for s in value.free_symbols} - {*symbols, STEP}
-    symbols = list(
-        dict.fromkeys([*symbols, *sorted(accelerations, key=str), *(free.symbol for free in model.free_parameters)])
-    )
+    symbols += [free.symbol for free in model.free_parameters]
+    symbols += sorted({s for value in place.values() for s in value.free_symbols} - {*symbols, STEP}, key=str)
+    symbols = list(dict.fromkeys(symbols))
     for integral in program.integrals:
         integrand, quadrature = integral.condition.integrand, in_time(program, integral.quadrature).xreplace(place)
         share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integrand])
