@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "codegen"
 
 FLOORS = (
     ("__init__", "mangling", "runtime"),
-    ("errors", "machine"),
+    ("errors", "machine", "tasks"),
     ("drawing", "expressions", "files", "loading", "schemes"),
     ("author", "emit", "machine_code", "terminal"),
     ("model", "solutions"),
@@ -30,7 +30,7 @@ FLOORS = (
 )
 """Folders of the package, and files beside them: what stands on a floor imports from lower ones only."""
 
-NUMERIC = ("drawing", "loading", "runtime", "machine_code", "solutions", "solving", "drivers", "plots")
+NUMERIC = ("tasks", "drawing", "loading", "runtime", "machine_code", "solutions", "solving", "drivers", "plots")
 """What runs without sympy."""
 
 SYMBOLIC = ("model", "expressions", "schemes", "discretise", "transcribe", "derive", "lower", "emit", "verify",

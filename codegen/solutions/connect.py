@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ from codegen.solutions.result import ConnectAttempt, Request, Result, max_norm, 
 TOLERANCE = 1e-12
 
 
-def connect_result(module: ConnectModule, driver: str, request: Request, attempt: ConnectAttempt) -> Result:
+def connect_result(
+    module: ConnectModule, driver: str, request: Request, attempt: ConnectAttempt, seconds: float = math.nan
+) -> Result:
     """Re-evaluate every step and the arrival, and downgrade a false claim of success."""
     metadata, case, path = module.metadata, case_of(module, request), attempt.path
     finite = bool(np.isfinite(path).all())
@@ -79,7 +82,14 @@ def connect_result(module: ConnectModule, driver: str, request: Request, attempt
             "tangents": float(attempt.tangents),
         },
         attempts=attempt.attempts,
+        seconds_solve=seconds,
     )
+
+
+def numbers_kept(metadata: Mapping[str, Any], request: Request) -> int:
+    """How many numbers are kept: states at all nodes with what Newton's method makes of them, and two matrices."""
+    count = 0 if request.points is None else len(request.points.start)
+    return 40 * (request.steps + 1) * count * len(metadata["coordinates"]) + 2 * count**2
 
 
 def case_of(module: ConnectModule, request: Request) -> Any:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from codegen.loading import Matrix, SimulateModule
@@ -12,7 +16,7 @@ UNITS = 1e4
 
 
 def simulate_result(
-    module: SimulateModule, driver: str, request: Request, attempt: SimulateAttempt, seconds: float
+    module: SimulateModule, driver: str, request: Request, attempt: SimulateAttempt, seconds: float = math.nan
 ) -> Result:
     """Re-evaluate the residual of an attempt, and downgrade a false claim of success."""
     metadata = module.metadata
@@ -57,7 +61,13 @@ def simulate_result(
             "energy_drift": float(drift.max()),
             "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
         },
+        seconds_solve=seconds,
     )
+
+
+def numbers_kept(metadata: Mapping[str, Any], request: Request) -> int:
+    """How many numbers are kept: the path, its positions and momenta, times and energies."""
+    return (request.steps // request.every + 1) * (4 * len(metadata["coordinates"]) + 2)
 
 
 def _expected_rounding(attempt: SimulateAttempt) -> float:
