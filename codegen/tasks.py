@@ -28,11 +28,13 @@ class Home:
 class Task:
     """What is special to a task.
 
-    `options` are arguments of `codegen.solve` that mean something for this task, whatever the driver; those that depend
-    on the driver stand in the table of drivers. `functions` are what a module of the task has at least.
+    `noun` is what it is called to solve such a problem. `options` are arguments of `codegen.solve` that mean something
+    for this task, whatever the driver; those that depend on the driver stand in the table of drivers. `functions` are
+    what a module of the task has at least.
     """
 
     name: str
+    noun: str
     options: frozenset[str]
     functions: tuple[str, ...]
     result: Home
@@ -47,10 +49,11 @@ class Task:
     """(module, steps): have machine code ready of what drivers of scipy call."""
 
 
-def _task(name: str, options: str, functions: str, is_whole: bool = True) -> Task:
+def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = True) -> Task:
     """A row: what the functions are called that parts of the package have for a task."""
     return Task(
         name,
+        noun,
         frozenset(options.split()),
         tuple(functions.split()),
         result=Home(f"solutions.{name}", f"{name}_result"),
@@ -64,15 +67,17 @@ def _task(name: str, options: str, functions: str, is_whole: bool = True) -> Tas
 TASKS = {
     task.name: task
     for task in (
-        _task("simulate", "every", "solve make_grid energy path_residual"),
+        _task("simulate", "simulations", "every", "solve make_grid energy path_residual"),
         _task(
             "control",
+            "optimisation",
             "warm doublings guesses",
             "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
             "constraints jacobian hessian stationarity evaluate worst_row unpack",
         ),
         _task(
             "connect",
+            "particles that are connected",
             "points",
             "solve solve_case make_case residual jacobian path_cost path_errors hamiltonian",
             is_whole=False,

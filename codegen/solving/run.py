@@ -7,37 +7,32 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from codegen.drivers import Driver
-from codegen.errors import FileError, NumericsError
-from codegen.files import refused
-from codegen.loading import GeneratedModule, code_folders, load, machine_code_counts
-from codegen.machine_code.parts import solve_small
-from codegen.solutions.result import Request, Result
+from codegen.errors import NumericsError
+from codegen.loading import GeneratedModule, machine_code_counts
+from codegen.machine_code.ahead import unkept
+from codegen.solutions.result import Result, Run
 from codegen.tasks import task_of
 
 
-def run(module: GeneratedModule, driver: Driver, request: Request, repeat: int) -> Result:
-    """Solve `repeat` times with warm machine code, and assess the last solution; see `codegen.solving.solve`."""
-    for name, number in (("steps", request.steps), ("every", request.every), ("repeat", repeat)):
-        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-            raise NumericsError(f"{name} is {number!r}", "give a positive integer")
+def assessed(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:
+    """Run a driver `repeat` times with warm machine code, and assess the last solution; see `codegen.solve`."""
     task = task_of(module)
-    _require_memory(task.numbers(module.metadata, request), request.steps)
+    _require_memory(task.numbers(module.metadata, run), run.steps)
     function = driver.function(task.name)
     begin, compiled_before = time.perf_counter(), machine_code_counts(module)[0]
     try:
         if driver.name != "newton":  # the others call what this one does not
-            task.touch(module, request.steps)
-        attempt, seconds, warm_up = _timed(module, lambda: function(module, request), repeat)
+            task.touch(module, run.steps)
+        attempt, seconds, warm_up = _timed(module, lambda: function(module, run), repeat)
     except ValueError as error:
         # Generated modules know nothing of codegen's errors.
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
     except OSError as error:
         raise unkept(module, error) from error
-    result: Result = task.result(module, driver.name, request, attempt, seconds)
+    result: Result = task.result(module, driver.name, run, attempt, seconds)
     compiled = machine_code_counts(module)[0] > compiled_before
     return replace(result, seconds_first=warm_up - begin, compiled=compiled)
 
@@ -52,24 +47,6 @@ def _require_memory(numbers: int, steps: int) -> None:
             f"{steps} steps need about {8e-9 * numbers:.0f} GB of memory, and there are {1e-9 * memory:.0f}",
             "take fewer steps, or store only every so many-th of a simulation",
         )
-
-
-def compile_here(path: Path) -> None:
-    """Have all that `newton` needs of a module compiled in this process."""
-    module = load(path)
-    try:
-        if task_of(module).is_whole:
-            module.solve()  # which tells what is wrong, or compiles what is missing
-        else:
-            solve_small(module)
-    except OSError as error:
-        raise unkept(module, error) from error
-
-
-def unkept(module: GeneratedModule, error: OSError) -> FileError:
-    """The error that says where machine code of a module cannot be written, and what to do about it."""
-    folder = ", ".join(sorted(code_folders(module))) or "the folder of machine code"
-    return refused(error, folder, "make room there, or let NUMBA_CACHE_DIR name a folder that may be written to")
 
 
 def _timed(module: GeneratedModule, solve: Callable[[], Any], repeat: int) -> tuple[Any, float, float]:

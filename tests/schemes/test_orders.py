@@ -23,7 +23,7 @@ from codegen.errors import ArgumentError, SchemeError
 from codegen.naming import Choices
 from codegen.schemes.compositions import COMPOSITIONS
 from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, OF_PARTICLES, RUNGE_KUTTA
-from codegen.solutions.result import Request
+from codegen.solutions.result import Run
 from codegen.transcribe import transcribe
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -196,7 +196,7 @@ def test_inner_points_do_not_meet_holonomic_constraints() -> None:
 
 def test_fsolve_does_not_solve_compositions() -> None:
     with pytest.raises(ArgumentError, match="makes 3 steps of another scheme"):
-        fsolve(module_of("pendulum-hamiltonian", "hamiltonian", "yoshida-4-of-midpoint"), Request(5))
+        fsolve(module_of("pendulum-hamiltonian", "hamiltonian", "yoshida-4-of-midpoint"), Run(5))
 
 
 def test_a_composition_emits_its_base_once() -> None:
