@@ -53,7 +53,7 @@ def compile_for_callers(module: GeneratedModule) -> None:
     functions = _compiled_functions(module)
     inner = [function for function in functions if function.stats.cache_path is None]
     long = [function for function in inner if len(function.py_func.__code__.co_code) > LONG]
-    if linking.applies():
+    if linking.applies(functions):
         linking.link_inner_functions(functions, [function.py_func.__name__ for function in long])
     for function in long:
         function.enable_caching()
