@@ -16,7 +16,7 @@ from codegen.checks.derivation.symplecticity import PRESERVED, defect_at_random_
 from codegen.errors import DegenerateError
 from codegen.expressions.zeros import identically_zero
 from codegen.model import Model
-from codegen.schemes import METHODS, Composition, DiscreteLagrangian, RungeKutta, Scheme
+from codegen.schemes import METHODS, Scheme
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -42,9 +42,9 @@ def check(context: Context) -> Iterator[Finding]:
 def _of_method(forced: Model, model: Model, method: str, schemes: Iterable[Scheme], curved: bool) -> Iterator[Finding]:
     """The rows of the schemes of a method; DegenerateError where the problem has no form for it."""
     for scheme in schemes:
-        if not isinstance(scheme, Composition):
+        if not scheme.parts:
             claim = "symplectic" if scheme.symplectic else "not symplectic"
-            if isinstance(scheme, RungeKutta) or (isinstance(scheme, DiscreteLagrangian) and len(scheme.nodes) > 2):
+            if not scheme.is_chain:
                 # The determinant of a step with inner stages is a long expression; for two variables it is S^T J S.
                 defect = defect_at_random_points(forced, step_equations(model, scheme))
                 passed = (defect < PRESERVED) == scheme.symplectic or not curved
