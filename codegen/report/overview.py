@@ -95,8 +95,8 @@ def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Se
     text = (
         f"A case is worse if its error grew by more than a factor {compare.ERROR_FACTOR:g} (and exceeds "
         f"{compare.LEAST_ERROR:g}), its time by more than {compare.TIME_FACTOR:g} (and exceeds "
-        f"{1e3 * compare.LEAST_SECONDS:g} ms), its order fell by more than {compare.ORDER_LOSS:g}, or it is no longer "
-        f"solved. {shared(before, after)} cases are in both reports."
+        f"{1e3 * compare.LEAST_SECONDS:g} ms), its order fell by more than {compare.ORDER_LOSS:g}, it takes more than "
+        f"{compare.MORE_ITERATIONS:g} times the iterations or lines, or it is no longer solved. {shared(before, after)} cases are in both reports."
     )
     machines = [f"{r.environment.get('processor')}, load {r.environment.get(_LOAD)}" for r in (before, after)]
     machine = f"Times were measured on {machines[0]} then, on {machines[1]} now; times of a busy machine prove little."
