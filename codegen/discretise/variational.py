@@ -12,7 +12,8 @@ from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct,
 from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
 from codegen.model import Model
-from codegen.schemes import DiscreteLagrangian
+from codegen.schemes import Scheme
+from codegen.schemes.base import DiscreteLagrangian
 
 _LONG = 80
 """Operations from which on the variation of a discrete Lagrangian is taken as a whole."""
@@ -83,7 +84,7 @@ class VariationalInterval:
         return along + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
 
 
-def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool = False) -> VariationalInterval:
+def variational_interval(model: Model, scheme: Scheme, nodal_controls: bool = False) -> VariationalInterval:
     """Integrate L, the work of the forces and the cost over one interval by the scheme's quadrature rule.
 
     The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
@@ -91,8 +92,9 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
     controls in the cost, and along straight lines of the forces of both nodes.
     """
     places = sites(model, model.coordinates, nodal_controls)
-    inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(scheme.nodes) - 1)]
-    motion = PolynomialMotion(STEP, scheme.nodes, (places.left, *inner, places.right))
+    rule = scheme.discrete_lagrangian()
+    inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(rule.nodes) - 1)]
+    motion = PolynomialMotion(STEP, rule.nodes, (places.left, *inner, places.right))
 
     def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
         return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
@@ -106,8 +108,8 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
     integrands = (model.cost or sympy.S.Zero, *(integral.integrand for integral in model.integrals))
     integrals = [sympy.S.Zero] * len(integrands)
     path: list[PathValue] = []
-    forces = [[sympy.S.Zero] * len(model.force) for _ in scheme.nodes]
-    for point in scheme.points:
+    forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
+    for point in rule.points:
         weight, c = STEP * point.weight, point.place
         controls = mean_controls(places, c)
         lagrangian += weight * at(model.function, c, controls)
@@ -119,7 +121,7 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
     minus, *between, plus = (tuple(node) for node in forces)
     slopes, impulse = (), ()
     if inner:
-        slopes, impulse = _slopes_and_impulse(model, scheme, motion, lambda f, c: at(f, c, mean_controls(places, c)))
+        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, c: at(f, c, mean_controls(places, c)))
     return VariationalInterval(
         q=places,
         lagrangian=lagrangian,
@@ -129,7 +131,7 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
         path=distinct(path),
         integrals=tuple(integrals[1:]),
         inner=tuple(q for point in inner for q in point),
-        inner_places=tuple(c for c in scheme.nodes[1:-1] for _ in model.coordinates),
+        inner_places=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),
         slopes=slopes,
         impulse=impulse,

@@ -14,8 +14,7 @@ from sympy import Expr, Symbol
 from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.derivation.discrete_equations import in_time, inner_motion
 from codegen.checks.evaluation import DIGITS, function_of, random_points
-from codegen.discretise import STEP, at_nodes
-from codegen.schemes import Composition, DiscreteLagrangian
+from codegen.discretise import STEP, at_nodes, repeated
 from codegen.transcribe.program import ControlProgram
 
 _STEP = mpmath.mpf(10) ** -22
@@ -54,9 +53,7 @@ def _smooth_motion(context: Context, program: ControlProgram) -> tuple[dict[Symb
     model, place = program.model, dict[Symbol, Expr]()
     if program.method == "variational":
         states, rates = model.coordinates, list(model.rates)
-        scheme = context.scheme.base if isinstance(context.scheme, Composition) else context.scheme
-        assert isinstance(scheme, DiscreteLagrangian)
-        place |= inner_motion(model, scheme, before=False)
+        place |= inner_motion(model, repeated(context.scheme)[1].discrete_lagrangian(), before=False)
     else:
         states = (*model.coordinates, *model.rates)
         rates = [Symbol(f"rate_{x}", real=True) for x in states]
