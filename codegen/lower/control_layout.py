@@ -220,7 +220,8 @@ def bound_views(program: ControlProgram) -> tuple[Line, ...]:
 
 def views(program: ControlProgram) -> dict[str, Any]:
     """Code that reads positions, momenta, controls and multipliers out of the views of nodes and intervals."""
-    n, m, kept = len(program.model.coordinates), len(program.model.controls), len(program.interval)
+    n, kept = len(program.model.coordinates), len(program.interval)
+    m = len(program.controls) or len(program.model.controls)
     variational, nodal = program.method == "variational", program.nodal_controls
     rates = 2 * n if program.model.rates else n
     equations = sum(u.multiplier and u.meaning.startswith("multiplier of the step") for u in program.interval)

@@ -45,7 +45,7 @@ def check(context: Context) -> Iterator[Finding]:
 def _matching(context: Context, model: Model) -> Iterator[Finding]:
     """The emitted equation of a node against the gradient of the action of its two intervals."""
     _, scheme = repeated(context.scheme)
-    interval = variational_interval(model, scheme, context.choices.controls == "nodal")
+    interval = variational_interval(model, scheme, context.choices.controls)
     after, before = node_equations(context.program)
     left, right = _constraint_impulses(context.program, model)
     for i, q in enumerate(model.coordinates):
