@@ -70,7 +70,7 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("bodies", repr(program.bodies)),
         ("coordinates", repr(tuple(s.name for s in model.coordinates))),
         ("rates", repr(tuple(s.name for s in model.rates))),
-        ("control_names", repr(tuple(u.name for u in program.controls) or tuple(s.name for s in model.controls))),
+        ("control_names", repr(tuple(s.name for s in model.controls))),
         ("free_parameters", repr(tuple(p.symbol.name for p in model.free_parameters))),
         ("node", repr(tuple(u.name for u in program.node))),
         ("interval", repr(tuple(u.name for u in (*program.interval, *program.controls, *program.slacks)))),
@@ -80,8 +80,16 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
         *((("scale", repr({s.name: size for s, size in model.scales})),) if model.scales else ()),
+        *((("stage_places", repr(_stage_places(program))),) if program.controlled == "stages" else ()),
         *(_of_phases(program) if program.phases else ()),
     ]
+
+
+def _stage_places(program: ControlProgram) -> tuple[float, ...]:
+    """The fractions of an interval at which its controls are."""
+    scheme = schemes.find(program.scheme, program.method)
+    points = scheme.discrete_lagrangian().points if scheme.variational else scheme.step().points
+    return tuple(float(point.place) for point in points)
 
 
 def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:

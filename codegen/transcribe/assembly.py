@@ -120,11 +120,14 @@ def _laid_out(
 def _controls(model: Model, stages: int) -> tuple[Unknown, ...]:
     """The controls of an interval or a node, or of each stage of an interval, with their bounds."""
     once = _bounded([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
-    return tuple(
-        replace(u, name=f"{u.name}_stage{i}", meaning=f"{u.meaning} at stage {i}")
-        for i in range(1, stages + 1)
-        for u in once
-    ) or once
+    return (
+        tuple(
+            replace(u, name=f"{u.name}_stage{i}", meaning=f"{u.meaning} at stage {i}")
+            for i in range(1, stages + 1)
+            for u in once
+        )
+        or once
+    )
 
 
 def _with_shared(program: ControlProgram, shared: Shared) -> ControlProgram:

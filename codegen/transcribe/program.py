@@ -133,8 +133,8 @@ class ControlProgram:
     """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
 
     Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` live on intervals.
-    `controlled` says where the author's controls live: on the interval, at its stages (all of the first one, then of the
-    next), or at nodes (nodal).
+    `controlled` says where controls live: on the interval, at its stages (all of the first, then of the next), or at
+    nodes (nodal).
     The last `path_multipliers` of `interval` are those of path conditions. A slack belongs to the unknown of
     `interval` at the same place of `slack_multipliers`, and is not negative.
 
