@@ -19,7 +19,8 @@ class OneStepInterval:
     """Equations of one step in (q_k, p_k), inner stages and (q_k1, p_k1), each an expression that must vanish.
 
     The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
-    system has no momenta.
+    system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the
+    cost.
     """
 
     q: Sites
@@ -28,6 +29,7 @@ class OneStepInterval:
     equations: tuple[Expr, ...]
     cost: Expr
     path: tuple[PathValue, ...] = ()
+    integrals: tuple[Expr, ...] = ()
 
 
 def one_step_interval(model: Model, scheme: Scheme, nodal_controls: bool = False) -> OneStepInterval:
@@ -42,15 +44,17 @@ def one_step_interval(model: Model, scheme: Scheme, nodal_controls: bool = False
     inner = (at_nodes(states, f"_stage{n}") for n in range(1, len(step.places)))
     values = [(*q_sites.left, *p_sites.left), *inner, (*q_sites.right, *p_sites.right)]
 
-    field = (*_vector_field(model), model.cost or sympy.S.Zero)
-    rates, cost, path = list[list[Expr]](), sympy.S.Zero, list[PathValue]()
+    integrands = _integrands(model)
+    field = (*_vector_field(model), *integrands)
+    rates, integrals, path = list[list[Expr]](), [sympy.S.Zero] * len(integrands), list[PathValue]()
     for point in step.points:
         shares = [point.position] * dimension + [point.momentum] * len(model.rates)
         state = [_sum((share, values[n][x]) for n, share in own) for x, own in enumerate(shares)]
         at = (state[:dimension], state[dimension:], mean_controls(q_sites, point.place), point.place)
-        *field_there, cost_rate = (substitute(model, f, *at) for f in field)
-        rates.append(field_there)
-        cost += STEP * point.weight * cost_rate
+        there = [substitute(model, f, *at) for f in field]
+        rates.append(there[: len(states)])
+        densities = zip(integrals, there[len(states) :], strict=True)
+        integrals = [total + STEP * point.weight * density for total, density in densities]
         path += [PathValue(g, point.place, substitute(model, g.expression, *at)) for g in model.path]
 
     unknowns, equations = list[Symbol](), list[Expr]()
@@ -63,7 +67,8 @@ def one_step_interval(model: Model, scheme: Scheme, nodal_controls: bool = False
     stages = unknowns[: -len(states)]
     if step.is_chain:
         stages, equations = _without_idle_stages(values[1:-1], equations)
-    return OneStepInterval(q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path))
+    cost, *others = integrals
+    return OneStepInterval(q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others))
 
 
 def _sum(terms: Iterable[tuple[Expr, Expr]]) -> Expr:
@@ -78,6 +83,11 @@ def _vector_field(model: Model) -> tuple[Expr, ...]:
         *gradient(model.function, model.rates),
         *(f - slope for slope, f in zip(gradient(model.function, model.coordinates), model.force, strict=True)),
     )
+
+
+def _integrands(model: Model) -> tuple[Expr, ...]:
+    """What is integrated beside the motion: the cost, and what conditions on integrals are on."""
+    return (model.cost or sympy.S.Zero, *(integral.integrand for integral in model.integrals))
 
 
 def _without_idle_stages(

@@ -23,6 +23,7 @@ _LONG = 80
 class VariationalInterval:
     """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
 
+    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost.
     Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
     point after the other, at the fractions `inner_places` of the step, and is stationary there up to `force_inner`.
     Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
@@ -36,6 +37,7 @@ class VariationalInterval:
     force_plus: tuple[Expr, ...]
     cost: Expr
     path: tuple[PathValue, ...] = ()
+    integrals: tuple[Expr, ...] = ()
     inner: tuple[Symbol, ...] = ()
     inner_places: tuple[Expr, ...] = ()
     force_inner: tuple[Expr, ...] = ()
@@ -102,14 +104,16 @@ def variational_interval(model: Model, scheme: Scheme, nodal_controls: bool = Fa
             return (1 - c) * at(f, sympy.S.Zero, places.left_controls) + c * at(f, sympy.S.One, places.right_controls)
         return at(f, c, mean_controls(places, c))
 
-    lagrangian, cost = sympy.S.Zero, sympy.S.Zero
+    lagrangian = sympy.S.Zero
+    integrands = (model.cost or sympy.S.Zero, *(integral.integrand for integral in model.integrals))
+    integrals = [sympy.S.Zero] * len(integrands)
     path: list[PathValue] = []
     forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
     for point in rule.points:
         weight, c = STEP * point.weight, point.place
         controls = mean_controls(places, c)
         lagrangian += weight * at(model.function, c, controls)
-        cost += weight * at(model.cost or sympy.S.Zero, c, controls)
+        integrals = [total + weight * at(f, c, controls) for total, f in zip(integrals, integrands, strict=True)]
         path += [PathValue(g, c, at(g.expression, c, controls)) for g in model.path]
         for share, node in zip(motion.shares(c), forces, strict=True):
             for i, f in enumerate(model.force):
@@ -123,8 +127,9 @@ def variational_interval(model: Model, scheme: Scheme, nodal_controls: bool = Fa
         lagrangian=lagrangian,
         force_minus=minus,
         force_plus=plus,
-        cost=cost,
+        cost=integrals[0],
         path=distinct(path),
+        integrals=tuple(integrals[1:]),
         inner=tuple(q for point in inner for q in point),
         inner_places=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),

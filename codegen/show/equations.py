@@ -141,8 +141,14 @@ def _continuous(given: Model, method: str) -> Iterator[Block]:
 
 
 def _cost(model: Model) -> Iterator[Block]:
+    """The integrands: of the cost, and of conditions on integrals, with what their integrals are or do not exceed."""
     if model.cost is not None:
         yield Block("Rate of the cost, and duration", ((_named("C"), model.cost), (_named("T"), model.duration)))
+    for number, integral in enumerate(model.integrals, start=1):
+        heading = f"Integral over [0, T] that {'equals' if integral.equality else 'is at most'} c_{number}"
+        yield Block(
+            heading, ((_named(f"rate G_{number}"), integral.integrand), (_named(f"c_{number}"), integral.value))
+        )
 
 
 def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
@@ -165,13 +171,16 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
     if scheme.variational:
         interval = variational_interval(side, scheme, nodal)
         yield from _variational(side, interval)
-        cost = interval.cost
+        cost, quadratures = interval.cost, interval.integrals
     else:
         step = one_step_interval(side, scheme, nodal)
         yield _one_step(step)
-        cost = step.cost
+        cost, quadratures = step.cost, step.integrals
     if model.cost is not None:
         yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))
+    if isinstance(program, ControlProgram) and side.integrals:
+        rows = tuple((_named(f"Gd_{i}"), value) for i, value in enumerate(quadratures, start=1))
+        yield Block("Shares in integrals, whose sums over all intervals are those of the integrals", rows)
 
 
 def _composition(scheme: schemes.Scheme) -> Block:

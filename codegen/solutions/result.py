@@ -35,7 +35,7 @@ Watch: TypeAlias = Callable[[int, tuple[float, ...]], None]
 
 
 @dataclass(frozen=True)
-class Request:
+class Run:
     """What is asked of a driver.
 
     The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
@@ -111,7 +111,7 @@ class Level:
     seconds: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Result:
     """A solution with its residuals; arrays run over the nodes, `u` over the intervals unless controls are nodal.
 
@@ -130,18 +130,18 @@ class Result:
     steps: int
     status: str
     message: str
-    cost: float | None
+    cost: float | None = None
     residual: float
-    stationarity: float | None
+    stationarity: float | None = None
     iterations: int
     t: Vector = field(repr=False)
     q: Matrix = field(repr=False)
     p: Matrix = field(repr=False)
-    u: Matrix | None = field(repr=False)
-    multipliers: Matrix | None = field(repr=False)
-    energy: Vector | None = field(repr=False)
-    log: Matrix | None = field(repr=False)
-    unknowns: Vector | None = field(repr=False)
+    u: Matrix | None = field(default=None, repr=False)
+    multipliers: Matrix | None = field(default=None, repr=False)
+    energy: Vector | None = field(default=None, repr=False)
+    log: Matrix | None = field(default=None, repr=False)
+    unknowns: Vector | None = field(default=None, repr=False)
     names: dict[str, tuple[str, ...]]
     summary: dict[str, float]
     seconds_solve: float = float("nan")
@@ -158,8 +158,14 @@ class Result:
     @property
     def intervals(self) -> str:
         """How many steps were made, for people: `20 steps`, or `2 x 20 steps` in two phases."""
-        phases = (self.t.size - 1) // self.steps if self.task == "control" else 1
+        phases = (self.t.size - 1) // self.steps  # a simulation may have stored fewer
         return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
+
+
+def identity(metadata: Mapping[str, Any], driver: str, run: Run) -> dict[str, Any]:
+    """What a result says of where it comes from."""
+    names = ("problem", "title", "task", "method", "scheme")
+    return {name: metadata[name] for name in names} | {"driver": driver, "steps": run.steps}
 
 
 def other_driver(driver: str) -> str:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from codegen.errors import NumericsError
 from codegen.loading import ControlModule, Matrix, Vector
@@ -62,6 +61,8 @@ def _times(steps: int, place: float) -> Vector:
 def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
     if t.size == 1:
         return np.repeat(values, at.size, axis=1)
+    from scipy.interpolate import PchipInterpolator  # which takes long to import
+
     with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
         return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
 

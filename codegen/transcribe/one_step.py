@@ -144,6 +144,7 @@ def _motion(phase: Model, scheme: Scheme, method: str, nodal_controls: bool, gue
         element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
         cost=interval.cost,
         path=interval.path,
+        integrals=interval.integrals,
         equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
         node_guess=guesses,
         stage_guess=tuple(guesses[names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),

@@ -121,6 +121,7 @@ def _motion(model: Model, scheme: Scheme, nodal_controls: bool, constraints: Con
         element=interval.cost + interval.virtual_work(displacements, impulses),
         cost=interval.cost,
         path=interval.path,
+        integrals=interval.integrals,
         equations=_equations(names, interval),
         node_guess=guess,
         stage_guess=guess * (len(interval.inner) // len(names)),

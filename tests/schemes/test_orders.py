@@ -24,7 +24,7 @@ from codegen.errors import ArgumentError, SchemeError
 from codegen.naming import Choices
 from codegen.schemes.particles import PARTICLE_SCHEMES
 from codegen.schemes.step import Tableau
-from codegen.solutions.result import Request
+from codegen.solutions.result import Run
 from codegen.transcribe import transcribe
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -204,7 +204,7 @@ def test_inner_points_do_not_meet_holonomic_constraints() -> None:
 
 def test_fsolve_does_not_solve_compositions() -> None:
     with pytest.raises(ArgumentError, match="makes 3 steps of another scheme"):
-        fsolve(module_of("pendulum-hamiltonian", "hamiltonian", "yoshida-4-of-midpoint"), Request(5))
+        fsolve(module_of("pendulum-hamiltonian", "hamiltonian", "yoshida-4-of-midpoint"), Run(5))
 
 
 def test_a_composition_emits_its_base_once() -> None:

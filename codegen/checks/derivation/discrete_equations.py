@@ -78,7 +78,7 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
     if isinstance(program, ControlProgram):
         left = program.left_symbols[dimension : 2 * dimension]
         right = program.right_symbols[dimension : 2 * dimension]
-        after, before = ([_in_time(program, sympy.diff(program.element, m)) for m in side] for side in (left, right))
+        after, before = ([in_time(program, sympy.diff(program.element, m)) for m in side] for side in (left, right))
         return after, before
     # The last of the step's equations are p - (momentum as a function of both positions).
     momenta = [*program.left_symbols[dimension:], *program.right_symbols[dimension:]]
@@ -87,7 +87,7 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
     return [-value for value in values[:dimension]], values[dimension:]
 
 
-def _in_time(program: ControlProgram | StepProgram, expression: Expr) -> Expr:
+def in_time(program: ControlProgram | StepProgram, expression: Expr) -> Expr:
     """Undo that t and h are fractions of the duration."""
     if not (isinstance(program, ControlProgram) and program.scaled_time):
         return expression
@@ -187,7 +187,7 @@ def _stepwise(
         equal = {length: STEP / len(lengths) for length in lengths}
         equations = [equation for _, equation in program.equations]
     else:
-        equations = [_in_time(program, equation) for name, equation in program.equations if name == "0"]
+        equations = [in_time(program, equation) for name, equation in program.equations if name == "0"]
     size, places = len(states), scheme.step().places
     place: dict[Symbol, Expr] = _controls(model)
     suffixes = ("_k", *(f"_stage{n}" for n in range(1, len(places))), "_k1")
