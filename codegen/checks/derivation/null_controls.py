@@ -25,10 +25,7 @@ _ALLOWED = 0.1
 
 def check(context: Context) -> Iterator[Finding]:
     """Look for the alternating mode of nodal controls, and for free modes of interval controls, control by control."""
-    program = context.program
-    if not isinstance(program, ControlProgram):
-        yield does_not_apply("null controls", "a simulation has no controls to be found")
-        return
+    program = context.control
     if not program.model.controls:
         yield does_not_apply("null controls", "there are no controls")
         return
