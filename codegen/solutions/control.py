@@ -51,6 +51,7 @@ def control_result(
         log=attempt.log,
         unknowns=unknowns,
         names=component_names(metadata),
+        stage_places=metadata.get("stage_places", ()),
         summary={
             **({"maximum": -cost} if metadata.get("maximised") else {}),
             "duration": float(t[-1] - t[0]),

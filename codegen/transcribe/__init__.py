@@ -53,17 +53,17 @@ def transcribe(
     if model.phases:
         if controls != "interval":
             raise ArgumentError("a problem of several phases has its controls on intervals", "leave --controls out")
-        return phases.chained(model, lambda phase: _controlled(phase, found, method, False))
-    return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls == "nodal")))
+        return phases.chained(model, lambda phase: _controlled(phase, found, method, "interval"))
+    return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls)))
 
 
-def _controlled(model: Model, scheme: schemes.Scheme, method: str, nodal_controls: bool) -> ControlProgram:
+def _controlled(model: Model, scheme: schemes.Scheme, method: str, controls: str) -> ControlProgram:
     if scheme.variational:
-        return variational.variational(model, scheme, nodal_controls)
+        return variational.variational(model, scheme, controls)
     _require_short(scheme)
     if method == schemes.FIRST_ORDER:
-        return one_step.first_order(model, scheme, nodal_controls)
-    return one_step.hamiltonian(model, scheme, nodal_controls)
+        return one_step.first_order(model, scheme, controls)
+    return one_step.hamiltonian(model, scheme, controls)
 
 
 def _require_short(scheme: schemes.Scheme) -> None:

@@ -79,8 +79,8 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
 def _values(program: ControlProgram, scheme: Scheme, condition: Condition) -> Sequence[PathValue]:
     model = replace(program.model, path=(condition,))
     if scheme.variational:
-        return variational_interval(model, scheme, program.nodal_controls).path
-    return one_step_interval(model, scheme, program.nodal_controls).path
+        return variational_interval(model, scheme, program.controlled).path
+    return one_step_interval(model, scheme, program.controlled).path
 
 
 def _imposed(program: ControlProgram) -> Iterator[Expr]:

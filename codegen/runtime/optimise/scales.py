@@ -7,6 +7,7 @@ they are that already, it is solved as it is.
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 
 from codegen.runtime.stand_ins.example import (
     BODIES,
@@ -31,6 +32,7 @@ from codegen.runtime.optimise.verdict import VIOLATED, final_status, own_values
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
+WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -60,7 +62,7 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
 
     Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
-    that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
+    that fails, what was found is a solution only where all conditions nearly hold in the sizes that they have there.
     """
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
@@ -75,12 +77,22 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            holds = evaluate(finer, begin).residual <= VIOLATED
-            return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
+            found = ("solved", grid, start, point) if nearly_holds(finer, same) else (status, finer, begin, better)
+            return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
             break
     return "solved", grid, start, point, total
+
+
+def nearly_holds(grid, point):
+    """Whether equations hold but for VIOLATED, and stationarity too: slopes that no bound holds, beside multipliers."""
+    slope = np.where(grid.is_multiplier, 0.0, point.gradient)
+    if INEQUALITIES:
+        lower, upper = bounds_of(grid)
+        slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
+    mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
+    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
 
 
 def is_steeper(finer, grid):
@@ -99,7 +111,9 @@ def scaled_grid(grid, unknowns):
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
     if INEQUALITIES:
         bounds = variable_bounds(grid)
-    weight, is_scaled = fill_sizes(unknowns, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    slopes = evaluate(grid, primal).gradient
+    weight, is_scaled = fill_sizes(primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
     if not is_scaled:
         return grid._replace(bounds=bounds)
     if INEQUALITIES:
@@ -112,21 +126,26 @@ def scaled_grid(grid, unknowns):
 def corrected_cost(grid, point):
     """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
     if INEQUALITIES:
-        return float(lagrangian(grid, point) - remaining_gap(grid, point)) / grid.weight
+        gap = remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
+        return float(lagrangian(grid, point) - gap) / grid.weight
     else:
         return float(lagrangian(grid, point)) / grid.weight
 
 
 if INEQUALITIES:
 
-    def remaining_gap(grid, point):
+    @njit(cache=True, error_model="numpy")
+    def remaining_gap(unknowns, gradient, lower, upper):
         """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
         total = 0.0
-        for side, bound in zip((1.0, -1.0), bounds_of(grid), strict=True):
-            (place,) = np.isfinite(bound).nonzero()
-            dual, distance = side * point.gradient[place], side * (point.unknowns[place] - bound[place])
-            active = np.maximum(dual, 0.0) / (np.abs(dual) + np.abs(distance) + 1e-300)
-            total += (dual * distance) @ active
+        for i in range(unknowns.size):
+            if gradient[i] > 0.0 and lower[i] > -np.inf:
+                dual, distance = gradient[i], unknowns[i] - lower[i]
+            elif gradient[i] < 0.0 and upper[i] < np.inf:
+                dual, distance = -gradient[i], upper[i] - unknowns[i]
+            else:
+                continue
+            total += dual * distance * (dual / (dual + abs(distance) + 1e-300))
         return total
 
 
