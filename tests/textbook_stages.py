@@ -95,7 +95,7 @@ def _composed(system: System, scheme: Any, instant: float, length: float) -> lis
     assert scheme.base.name == "position-verlet"
     n, t = system.dimension, mpmath.mpf(instant)
     q, p = ([mpmath.mpf(x) for x in part] for part in (system.state[:n], system.state[n:]))
-    for row in scheme.fractions:
+    for row in scheme.parts:
         first, second = (mpmath.mpf(length) * mpmath.mpf(str(sympy.N(f, 25))) for f in row)
         q = [x + first * v for x, v in zip(q, field(system, q, p, t)[0], strict=True)]
         t += first

@@ -8,7 +8,7 @@ schemes needs to know the family.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sympy import Expr, Rational, Symbol
 
@@ -21,7 +21,11 @@ FIRST_ORDER = "one-step"
 
 @dataclass(frozen=True)
 class Scheme:
-    """Name, order of consistency, structural flags and source of a scheme."""
+    """Name, order of consistency, structural flags and source of a scheme.
+
+    Where it repeats another scheme, `parts` has a row for each time: the lengths of that one's step, or of each of its
+    substeps, in parts of h. `adaptive` is the name in scipy of a code that chooses its own steps.
+    """
 
     name: str
     order: int
@@ -29,6 +33,8 @@ class Scheme:
     symplectic: bool
     source: str
     summary: str
+    parts: tuple[tuple[Expr, ...], ...] = field(default=(), kw_only=True)
+    adaptive: str = field(default="", kw_only=True)
 
     @property
     def variational(self) -> bool:
@@ -39,16 +45,6 @@ class Scheme:
     def is_chain(self) -> bool:
         """Whether a step is a chain of substeps, so that no stages inside it depend on each other."""
         return self.step().is_chain
-
-    @property
-    def parts(self) -> tuple[tuple[Expr, ...], ...]:
-        """Of what repeats another scheme, the lengths of that one's steps or substeps, in parts of h; a row each."""
-        return ()
-
-    @property
-    def adaptive(self) -> str:
-        """The name in scipy of a code that chooses its own steps; empty where they are given."""
-        return ""
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
         """What is repeated: one step whose substeps have the given lengths instead of fractions of the step."""

@@ -23,14 +23,9 @@ from codegen.schemes.step import Step
 
 @dataclass(frozen=True)
 class Composition(Scheme):
-    """Steps of a base scheme, one after the other, whose lengths add up to h.
-
-    `fractions` has a row for each of them: the length of the base's step, or of each of the base's substeps, in parts
-    of h. Lengths may be negative.
-    """
+    """Steps of a base scheme, one after the other, whose lengths add up to h; they may be negative."""
 
     base: Scheme
-    fractions: tuple[tuple[Expr, ...], ...]
 
     @property
     def variational(self) -> bool:
@@ -42,11 +37,6 @@ class Composition(Scheme):
         """Whether steps of the base are."""
         return self.base.is_chain
 
-    @property
-    def parts(self) -> tuple[tuple[Expr, ...], ...]:
-        """The fractions."""
-        return self.fractions
-
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
         """The base, or the base with these lengths of its substeps."""
         if len(lengths) == 1:
@@ -57,7 +47,7 @@ class Composition(Scheme):
     def step(self) -> Step:
         """One chain of the substeps of all steps; SchemeError where the base is none, as with discrete Lagrangians."""
         base, substeps = self._base(), list[Substep]()
-        for row in self.fractions:
+        for row in self.parts:
             fractions = row if len(row) == len(base.substeps) else [row[0] * s.fraction for s in base.substeps]
             substeps += [replace(s, fraction=f) for s, f in zip(base.substeps, fractions, strict=True)]
         return replace(base, substeps=tuple(substeps)).step()
@@ -162,7 +152,7 @@ def _of(composition: _Symmetric, base: Scheme, name: str) -> Composition:
         source=composition.source,
         summary=f"{len(rows)} steps of {base.name}",
         base=base,
-        fractions=tuple(rows),
+        parts=tuple(rows),
     )
 
 
@@ -200,7 +190,7 @@ def _partitioned(name: str, order: int, source: str, drifts: tuple[Expr, ...], k
         source=source,
         summary=f"{len(rows)} steps of position-verlet, each of two unequal parts",
         base=_EXPLICIT,
-        fractions=tuple(rows),
+        parts=tuple(rows),
     )
 
 

@@ -16,14 +16,7 @@ from codegen.schemes.step import Step
 
 @dataclass(frozen=True)
 class Adaptive(Scheme):
-    """A code of scipy that chooses its steps by a tolerance; `code` is its name there."""
-
-    code: str
-
-    @property
-    def adaptive(self) -> str:
-        """The code."""
-        return self.code
+    """A code of scipy that chooses its steps by a tolerance."""
 
     def step(self) -> Step:
         """That of the classical Runge-Kutta method, which serves for derivatives alone."""
@@ -38,7 +31,7 @@ _ADAPTIVE = (
         symplectic=False,
         source="Hairer, Norsett and Wanner (1993), II.5 (scipy.integrate.DOP853)",
         summary="explicit Runge-Kutta method of order 8 with step-size control",
-        code="DOP853",
+        adaptive="DOP853",
     ),
     Adaptive(
         name="lsoda",
@@ -47,7 +40,7 @@ _ADAPTIVE = (
         symplectic=False,
         source="Petzold (1983), SIAM Journal on Scientific and Statistical Computing 4 (scipy.integrate.LSODA)",
         summary="multistep methods of Adams and backward differentiation formulas, order and step by error control",
-        code="LSODA",
+        adaptive="LSODA",
     ),
 )
 

@@ -23,11 +23,10 @@ _VANISHED = 1e-15
 
 def check(context: Context) -> Iterator[Finding]:
     """One finding for each condition, at random states."""
-    program = context.program
-    if not isinstance(program, ControlProgram) or not program.integrals:
+    if not context.model.integrals:
         yield does_not_apply("integrals", "there are no conditions on integrals")
         return
-    model = program.model
+    program, model = context.control, context.control.model
     place, rates = _smooth_motion(context, program)
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
     symbols += [free.symbol for free in model.free_parameters]

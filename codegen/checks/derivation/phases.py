@@ -14,11 +14,10 @@ from codegen.transcribe.program import ControlProgram
 
 def phase_contexts(context: Context) -> list[tuple[str, Context]]:
     """What to write before a subject, and the context of each phase; of a problem without phases its own context."""
-    program = context.program
-    if not isinstance(program, ControlProgram) or not program.phases:
+    if not context.model.phases:
         return [("", context)]
     models = enumerate(context.model.phases)
-    alone = [(model, phase_alone(program, context.model, place)) for place, model in models]
+    alone = [(model, phase_alone(context.control, context.model, place)) for place, model in models]
     return [
         (f"phase {number}: ", replace(context, model=model, program=program))
         for number, (model, program) in enumerate(alone, start=1)

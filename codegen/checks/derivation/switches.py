@@ -32,11 +32,10 @@ Numbers = dict[Symbol, float]
 
 def check(context: Context) -> Iterator[Finding]:
     """Evaluate conditions before every switch, and the equations of the interval after it."""
-    program = context.program
-    if not isinstance(program, ControlProgram) or not program.phases:
+    if not context.model.phases:
         yield does_not_apply("switches", "there is a single phase")
         return
-    solution = context.solution
+    program, solution = context.control, context.solution
     if solution.status != "solved":
         yield not_measured("switches", "all switches", solution.message)
         return
