@@ -10,7 +10,7 @@ from sympy import Expr, Symbol
 
 from codegen.discretise.polynomials import between
 from codegen.model import Condition, Model
-from codegen.schemes import Composition
+from codegen.schemes import Scheme
 
 STEP = Symbol("h", positive=True)
 """The length h of an interval."""
@@ -45,10 +45,11 @@ class PathValue:
     value: Expr
 
 
-def step_lengths(scheme: Composition) -> tuple[Symbol, ...]:
-    """The symbols for the lengths of one step of a composition's base."""
-    count = len(scheme.fractions[0])
-    return (STEP,) if count == 1 else LENGTHS[:count]
+def repeated(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
+    """What a step repeats, and the symbols for lengths in it: a composition's base, or the scheme with h alone."""
+    count = len(scheme.parts[0]) if scheme.parts else 1
+    lengths = (STEP,) if count == 1 else LENGTHS[:count]
+    return lengths, scheme.part(lengths, STEP)
 
 
 def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:

@@ -12,7 +12,8 @@ from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct,
 from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
 from codegen.model import Model
-from codegen.schemes import DiscreteLagrangian
+from codegen.schemes import Scheme
+from codegen.schemes.base import DiscreteLagrangian
 
 _LONG = 80
 """Operations from which on the variation of a discrete Lagrangian is taken as a whole."""
@@ -22,6 +23,7 @@ _LONG = 80
 class VariationalInterval:
     """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
 
+    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost.
     Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
     point after the other, at the fractions `inner_places` of the step, and is stationary there up to `force_inner`.
     Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
@@ -35,6 +37,7 @@ class VariationalInterval:
     force_plus: tuple[Expr, ...]
     cost: Expr
     path: tuple[PathValue, ...] = ()
+    integrals: tuple[Expr, ...] = ()
     inner: tuple[Symbol, ...] = ()
     inner_places: tuple[Expr, ...] = ()
     force_inner: tuple[Expr, ...] = ()
@@ -81,7 +84,7 @@ class VariationalInterval:
         return along + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
 
 
-def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool = False) -> VariationalInterval:
+def variational_interval(model: Model, scheme: Scheme, nodal_controls: bool = False) -> VariationalInterval:
     """Integrate L, the work of the forces and the cost over one interval by the scheme's quadrature rule.
 
     The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
@@ -89,8 +92,9 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
     controls in the cost, and along straight lines of the forces of both nodes.
     """
     places = sites(model, model.coordinates, nodal_controls)
-    inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(scheme.nodes) - 1)]
-    motion = PolynomialMotion(STEP, scheme.nodes, (places.left, *inner, places.right))
+    rule = scheme.discrete_lagrangian()
+    inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(rule.nodes) - 1)]
+    motion = PolynomialMotion(STEP, rule.nodes, (places.left, *inner, places.right))
 
     def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
         return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
@@ -100,14 +104,16 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
             return (1 - c) * at(f, sympy.S.Zero, places.left_controls) + c * at(f, sympy.S.One, places.right_controls)
         return at(f, c, mean_controls(places, c))
 
-    lagrangian, cost = sympy.S.Zero, sympy.S.Zero
+    lagrangian = sympy.S.Zero
+    integrands = (model.cost or sympy.S.Zero, *(integral.integrand for integral in model.integrals))
+    integrals = [sympy.S.Zero] * len(integrands)
     path: list[PathValue] = []
-    forces = [[sympy.S.Zero] * len(model.force) for _ in scheme.nodes]
-    for point in scheme.points:
+    forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
+    for point in rule.points:
         weight, c = STEP * point.weight, point.place
         controls = mean_controls(places, c)
         lagrangian += weight * at(model.function, c, controls)
-        cost += weight * at(model.cost or sympy.S.Zero, c, controls)
+        integrals = [total + weight * at(f, c, controls) for total, f in zip(integrals, integrands, strict=True)]
         path += [PathValue(g, c, at(g.expression, c, controls)) for g in model.path]
         for share, node in zip(motion.shares(c), forces, strict=True):
             for i, f in enumerate(model.force):
@@ -115,16 +121,17 @@ def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_control
     minus, *between, plus = (tuple(node) for node in forces)
     slopes, impulse = (), ()
     if inner:
-        slopes, impulse = _slopes_and_impulse(model, scheme, motion, lambda f, c: at(f, c, mean_controls(places, c)))
+        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, c: at(f, c, mean_controls(places, c)))
     return VariationalInterval(
         q=places,
         lagrangian=lagrangian,
         force_minus=minus,
         force_plus=plus,
-        cost=cost,
+        cost=integrals[0],
         path=distinct(path),
+        integrals=tuple(integrals[1:]),
         inner=tuple(q for point in inner for q in point),
-        inner_places=tuple(c for c in scheme.nodes[1:-1] for _ in model.coordinates),
+        inner_places=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),
         slopes=slopes,
         impulse=impulse,

@@ -32,6 +32,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("COUPLINGS", couplings),
         ("ROOT", program.bodies * own + shared - own + couplings),
         ("TIED", len(program.start.shared) + len(program.end.shared)),
+        ("SHARED_MULTIPLIERS", sum(u.multiplier for u in program.shared)),
         ("PHASES", len(program.phases)),
         ("INEQUALITIES", int(program.has_inequalities)),
         ("SCALED", int(not derivatives.linear_quadratic)),
@@ -59,6 +60,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
         *_size_lines(program, derivatives),
         Line("IS_MULTIPLIER", f"np.array({[u.multiplier for u in (*program.node, *inside)]})", "of node and interval"),
+        *_shared_multipliers(program),
         Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are given"),
         Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are given"),
         Line("ONLY_AT_ENDS", integers(program.only_at_ends), "unknowns that inner nodes do not have; zero there"),
@@ -81,6 +83,12 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         lines.append(Line("SLACKS", integers(slacks), "unknowns of an interval that take up an inequality's distance"))
         lines.append(Line("SLACK_MULTIPLIERS", integers(multipliers), "of the equations that define them"))
     return lines
+
+
+def _shared_multipliers(program: ControlProgram) -> list[Line]:
+    """Which shared unknowns are multipliers, where some are."""
+    table = [unknown.multiplier for unknown in program.shared]
+    return [Line("SHARED_IS_MULTIPLIER", f"np.array({table})", "of shared unknowns")] if any(table) else []
 
 
 def is_curved(derivatives: ControlDerivatives) -> bool:

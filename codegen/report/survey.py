@@ -10,7 +10,7 @@ from codegen import schemes
 from codegen.errors import CodegenError
 from codegen.model import Model
 from codegen.model.from_file import load_problem
-from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
+from codegen.schemes.particles import PARTICLE_SCHEMES
 
 
 def survey(path: Path, arguments: Mapping[str, str] | None = None) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def exact_cost(path: Path, arguments: Mapping[str, str] | None = None) -> float 
 def _rows(model: Any) -> list[tuple[str, schemes.Scheme]]:
     if not isinstance(model, Model):
         methods = ("stepping",) if model.task == "connect" else ("hamiltonian",)
-        kept = [s for s in PARTICLE_SCHEMES.values() if not isinstance(s, Adaptive)]
+        kept = [s for s in PARTICLE_SCHEMES.values() if not s.adaptive]
         rows = [(method, scheme) for method in methods for scheme in kept]
     elif model.form == "first-order":
         rows = [(schemes.FIRST_ORDER, scheme) for scheme in schemes.of_method(schemes.FIRST_ORDER)]

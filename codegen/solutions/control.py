@@ -58,6 +58,7 @@ def control_result(
             "largest_control": max_norm(u),
             "stationarity": stationarity,
             **_free_parameters(module, unknowns),
+            **_integral_multipliers(module, unknowns),
             **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.get("phases", 1))},
         },
         seconds_solve=seconds,
@@ -198,6 +199,13 @@ def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> fl
     equations = at_end[module.multiplier_unknowns(grid)]
     pinned = _pinned_error(module, grid, unknowns, np.ones(unknowns.size))
     return max(max_norm(pinned), max_norm(module.constraints(grid, unknowns)[equations]))
+
+
+def _integral_multipliers(module: ControlModule, unknowns: Vector) -> dict[str, float]:
+    """The multipliers of conditions on integrals: the rates at which the cost falls as their values grow."""
+    first = unknowns.size - module.ROOT
+    integrals = module.metadata.get("integrals", ())
+    return {f"multiplier of {name}": float(unknowns[first + place]) for name, place in integrals}
 
 
 def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:

@@ -8,7 +8,6 @@ from codegen import schemes
 from codegen.errors import ArgumentError, SchemeError
 from codegen.model import Model
 from codegen.model.pairwise import PairwiseModel
-from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta
 from codegen.transcribe import connect, one_step, phases, simulate, variational
 from codegen.transcribe.assembly import in_scaled_time
 from codegen.transcribe.connect import PairwiseProgram
@@ -59,26 +58,19 @@ def transcribe(
 
 
 def _controlled(model: Model, scheme: schemes.Scheme, method: str, nodal_controls: bool) -> ControlProgram:
-    if isinstance(scheme, DiscreteLagrangian):
+    if scheme.variational:
         return variational.variational(model, scheme, nodal_controls)
-    assert isinstance(scheme, OneStep | RungeKutta | Composition)
-    if isinstance(scheme, Composition):
-        _require_short(scheme)
+    _require_short(scheme)
     if method == schemes.FIRST_ORDER:
         return one_step.first_order(model, scheme, nodal_controls)
     return one_step.hamiltonian(model, scheme, nodal_controls)
 
 
-def _require_short(scheme: Composition) -> None:
+def _require_short(scheme: schemes.Scheme) -> None:
     """Refuse compositions that a control problem would have to write out over every interval."""
-    if isinstance(scheme.base, DiscreteLagrangian):
+    if len(scheme.parts) > MOST_PARTS:
         raise SchemeError(
-            f"scheme {scheme.name!r} composes discrete Lagrangians, which is possible in simulations only",
-            "use gauss-4 or gauss-6, or a composition with --method hamiltonian",
-        )
-    if len(scheme.fractions) > MOST_PARTS:
-        raise SchemeError(
-            f"scheme {scheme.name!r} has {len(scheme.fractions)} steps, each with unknowns on every interval of a "
+            f"scheme {scheme.name!r} has {len(scheme.parts)} steps, each with unknowns on every interval of a "
             "control problem",
             f"use gauss-4 or gauss-6, or a composition of at most {MOST_PARTS} steps such as suzuki-4",
         )

@@ -13,6 +13,7 @@ from codegen.model import Model
 from codegen.transcribe.decided import with_decisions
 from codegen.transcribe.ends import End, Ends
 from codegen.transcribe.guesses import at_guess, control_guess
+from codegen.transcribe.integrals import end_share, integral_equations, interval_share, own_unknowns
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.path_conditions import NodalTerms, interval_terms
 from codegen.transcribe.program import BoundaryValue, ControlProgram, EndElement, Unknown
@@ -35,6 +36,7 @@ class Motion:
     element: Expr
     cost: Expr
     path: tuple[PathValue, ...]
+    integrals: tuple[Expr, ...]
     equations: tuple[tuple[str, Expr], ...]
     node_guess: tuple[Expr, ...]
     stage_guess: tuple[Expr, ...] = ()
@@ -51,13 +53,15 @@ def assemble(
     names: Names,
 ) -> ControlProgram:
     """Lay out all unknowns, and add up the shares of the interval and of both ends."""
+    integrals = integral_equations(model, motion.integrals, names)
     ends = Ends(
         start + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.start_pins)),
-        end + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.end_pins)),
+        end + end_share(integrals) + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.end_pins)),
     )
     path = interval_terms(model, motion.path, len(motion.interval), names)
-    program = _laid_out(model, replace(motion, element=motion.element + path.element), boundary_values, nodal, ends)
-    program = _with_shared(program, shared)
+    motion = replace(motion, element=motion.element + path.element + interval_share(integrals))
+    program = _laid_out(model, motion, boundary_values, nodal, ends)
+    program = _with_shared(program, replace(shared, own=(*shared.own, *own_unknowns(integrals))))
     program = replace(
         program,
         interval=(*program.interval, *path.multipliers),
@@ -66,6 +70,7 @@ def assemble(
         start=ends.start_element(program.node, program.shared),
         end=ends.end_element(program.node, program.shared, _idle_controls(program)),
         path_multipliers=len(path.multipliers),
+        integrals=integrals,
         slacks=path.slacks,
         slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,
@@ -159,6 +164,7 @@ def in_scaled_time(program: ControlProgram) -> ControlProgram:
         element=program.element.xreplace(scales),
         cost=program.cost.xreplace(scales),
         equations=pairs(program.equations),
+        integrals=tuple(replace(i, quadrature=i.quadrature.xreplace(scales)) for i in program.integrals),
         start=end(program.start),
         end=end(program.end),
         scaled_time=True,

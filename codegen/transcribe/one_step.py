@@ -13,7 +13,7 @@ from sympy import Expr, S, Symbol
 
 from codegen.discretise import one_step_interval
 from codegen.model import Boundary, Model
-from codegen.schemes import FIRST_ORDER, OfSteps
+from codegen.schemes import FIRST_ORDER, Scheme
 from codegen.transcribe import holonomic, path_conditions
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
@@ -30,7 +30,7 @@ from codegen.transcribe.program import BoundaryValue, ControlProgram, Unknown
 from codegen.transcribe.shared import Shared, shared_unknowns
 
 
-def hamiltonian(model: Model, scheme: OfSteps, nodal_controls: bool) -> ControlProgram:
+def hamiltonian(model: Model, scheme: Scheme, nodal_controls: bool) -> ControlProgram:
     """Transcribe with unknowns q and p on nodes, stages, mu and u on intervals (or u on nodes).
 
     Raises what the Legendre transform raises, BoundaryError for conditions that do not fit together, and
@@ -41,7 +41,7 @@ def hamiltonian(model: Model, scheme: OfSteps, nodal_controls: bool) -> ControlP
     return _transcribed(model, in_momenta(model), scheme, "hamiltonian", nodal_controls, boundary_values)
 
 
-def first_order(model: Model, scheme: OfSteps, nodal_controls: bool) -> ControlProgram:
+def first_order(model: Model, scheme: Scheme, nodal_controls: bool) -> ControlProgram:
     """Transcribe x' = f(x, u, t) with unknowns x on nodes, stages, mu and u on intervals (or u on nodes).
 
     Raises BoundaryError for conditions that do not fit together, and ArgumentError for holonomic constraints.
@@ -54,7 +54,7 @@ def first_order(model: Model, scheme: OfSteps, nodal_controls: bool) -> ControlP
 def _transcribed(
     model: Model,
     phase: Model,
-    scheme: OfSteps,
+    scheme: Scheme,
     method: str,
     nodal_controls: bool,
     boundary_values: tuple[BoundaryValue, ...],
@@ -120,7 +120,7 @@ def _ends(
     return ends[0], ends[1]
 
 
-def _motion(phase: Model, scheme: OfSteps, method: str, nodal_controls: bool, guesses: tuple[Expr, ...]) -> Motion:
+def _motion(phase: Model, scheme: Scheme, method: str, nodal_controls: bool, guesses: tuple[Expr, ...]) -> Motion:
     """The equations of one step times their multipliers."""
     interval = one_step_interval(path_conditions.with_inner_path(phase), scheme, nodal_controls)
     names = [s.name for s in (*phase.coordinates, *phase.rates)]
@@ -144,6 +144,7 @@ def _motion(phase: Model, scheme: OfSteps, method: str, nodal_controls: bool, gu
         element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
         cost=interval.cost,
         path=interval.path,
+        integrals=interval.integrals,
         equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
         node_guess=guesses,
         stage_guess=tuple(guesses[names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from sympy import Expr, S, Symbol
 
-from codegen.model import Model
+from codegen.model import Integral, Model
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,24 @@ class Coupling:
 
 
 @dataclass(frozen=True)
+class IntegralEquation:
+    """A condition on an integral: the sum of `quadrature` over all intervals plus `excess` vanishes.
+
+    `multiplier` and, of an inequality, `slack` are shared unknowns.
+    """
+
+    condition: Integral
+    quadrature: Expr
+    multiplier: Symbol
+    slack: Symbol | None
+
+    @property
+    def excess(self) -> Expr:
+        """What is added to the sum: minus the value, and the slack."""
+        return -self.condition.value if self.slack is None else self.slack - self.condition.value
+
+
+@dataclass(frozen=True)
 class IntervalElement:
     """The share of an interval in the Lagrangian of the optimisation problem, and its discrete cost.
 
@@ -101,6 +119,7 @@ class Phase:
     switch_guess: tuple[tuple[int, Expr], ...]
     equations: tuple[tuple[str, Expr], ...]
     switch_equations: tuple[tuple[str, Expr], ...]
+    integrals: tuple[IntegralEquation, ...] = ()
 
     @property
     def elements(self) -> tuple[IntervalElement, ...]:
@@ -121,7 +140,8 @@ class ControlProgram:
     whole problem (static parameters). All `bodies` have the same elements; `body` is the symbol for a body's number,
     and it may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
     `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns; the redundant ones
-    (number from 1, name) follow from them and are left out.
+    (number from 1, name) follow from them and are left out. `integrals` are conditions on integrals over the duration,
+    of each body; of several phases they stand with the phase.
 
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
     unknowns that is already inside `element`.
@@ -166,6 +186,7 @@ class ControlProgram:
     couplings: tuple[Coupling, ...] = ()
     redundant_couplings: tuple[tuple[int, str], ...] = ()
     coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
+    integrals: tuple[IntegralEquation, ...] = ()
     scaled_time: bool = False
     phases: tuple[Phase, ...] = ()
 

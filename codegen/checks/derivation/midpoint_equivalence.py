@@ -47,8 +47,6 @@ def residuals(model: Model) -> list[tuple[str, Expr]]:
     phase = legendre.hamiltonian_form(model)
     map_ = schemes.METHODS["variational"]["midpoint"]
     rule = schemes.METHODS["hamiltonian"]["midpoint"]
-    assert isinstance(map_, schemes.DiscreteLagrangian)
-    assert isinstance(rule, schemes.OneStep)
     interval = variational_interval(legendre.lagrangian_form(model), map_)
     left, right = at_nodes(phase.rates, "_k"), at_nodes(phase.rates, "_k1")
     # Halves of sums of momenta are expanded first, where curvature terms cancel.
@@ -66,7 +64,6 @@ def _with_velocities(model: Model) -> list[tuple[str, Expr]]:
     v = (q_k1 - q_k)/h.
     """
     map_ = schemes.METHODS["variational"]["midpoint"]
-    assert isinstance(map_, schemes.DiscreteLagrangian)
     interval = variational_interval(model, map_)
     left, right = interval.left_momentum, interval.right_momentum
     ends = list(zip(interval.q.left, interval.q.right, strict=True))

@@ -20,7 +20,7 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.discretise import STEP, PathValue, one_step_interval, variational_interval
 from codegen.model import Condition, Model
-from codegen.schemes import DiscreteLagrangian, Scheme
+from codegen.schemes import Scheme
 from codegen.transcribe.assembly import scaled_in_time
 from codegen.transcribe.path_conditions import is_convex, nodal_conditions
 from codegen.transcribe.program import ControlProgram
@@ -81,9 +81,9 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
 
 def _values(program: ControlProgram, scheme: Scheme, condition: Condition) -> Sequence[PathValue]:
     model = replace(program.model, path=(condition,))
-    if isinstance(scheme, DiscreteLagrangian):
+    if scheme.variational:
         return variational_interval(model, scheme, program.nodal_controls).path
-    return one_step_interval(model, scheme, program.nodal_controls).path  # type: ignore[arg-type]
+    return one_step_interval(model, scheme, program.nodal_controls).path
 
 
 def _imposed(program: ControlProgram) -> Iterator[Expr]:
