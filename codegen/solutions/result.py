@@ -162,10 +162,18 @@ class Result:
         return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
 
 
-def identity(metadata: Mapping[str, Any], driver: str, run: Run) -> dict[str, Any]:
-    """What a result says of where it comes from."""
-    names = ("problem", "title", "task", "method", "scheme")
-    return {name: metadata[name] for name in names} | {"driver": driver, "steps": run.steps}
+Attempt: TypeAlias = ConnectAttempt | ControlAttempt | SimulateAttempt
+
+
+def origin(metadata: Mapping[str, Any], driver: str, run: Run, attempt: Attempt, seconds: float) -> dict[str, Any]:
+    """What a result says of where it comes from, whatever the task."""
+    own = {name: metadata[name] for name in ("problem", "title", "task", "method", "scheme")}
+    return {**own, "driver": driver, "steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
+
+
+def taken_back(driver: str, finding: str, remedy: str) -> tuple[str, str]:
+    """Status and message where a driver claims what is not so."""
+    return "inaccurate", f"{driver} reported success, but {finding}; {remedy}"
 
 
 def other_driver(driver: str) -> str:

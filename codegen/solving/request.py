@@ -71,6 +71,11 @@ class Request:
             raise ArgumentError(f"--scaling {self.scaling}", f"use one of {', '.join(SCALINGS)}")
         if self.warm is not None and self.guesses > 1:
             raise ArgumentError("several guesses beside a warm start", "leave one of them out")
+        for name in ("scheme", "method", "controls"):
+            if not isinstance(getattr(self, name), str | None):
+                raise ArgumentError(f"{_option(name)} {getattr(self, name)!r} is no name", "give one as text")
+        if not (self.points is None or isinstance(self.points, Path | str) or hasattr(self.points, "target")):
+            raise ArgumentError(f"--points {type(self.points).__name__}", "give a file, or a PointSet")
         if not isinstance(self.arguments, Mapping):
             raise ArgumentError(f"arguments are {self.arguments!r}", 'give names and values, such as {"craft": 3}')
         self._require_problem()
