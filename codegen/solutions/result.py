@@ -98,19 +98,6 @@ class SimulateAttempt:
     tolerance: float
 
 
-@dataclass(frozen=True)
-class Level:
-    """How the solution on one grid of a refinement ended."""
-
-    steps: int
-    status: str
-    message: str
-    cost: float | None
-    residual: float
-    iterations: int
-    seconds: float
-
-
 @dataclass(frozen=True, kw_only=True)
 class Result:
     """A solution with its residuals; arrays run over the nodes, `u` over the intervals unless controls are nodal.
@@ -148,7 +135,7 @@ class Result:
     seconds_first: float = float("nan")
     compiled: bool = False
     attempts: tuple[str, ...] = ()
-    levels: tuple[Level, ...] = ()
+    levels: tuple[Result, ...] = ()
 
     @property
     def solved(self) -> bool:

@@ -87,7 +87,7 @@ class Request:
             raise ArgumentError(f"a solve begins with a problem, not with {what}", "give its path, or a loaded module")
         given = next(filter(self._is_given, _OF_BUILDS), None)
         if given and self.is_built:
-            finding = f"{_option(given)} is a choice of a build, and {self._name} is a generated module"
+            finding = f"{_option(given)} is a choice of a build, and the problem is a generated module already"
             raise ArgumentError(finding, "leave it out, or give the problem file")
 
     @property
@@ -100,10 +100,6 @@ class Request:
             return False
         with path.open("rb") as file:
             return file.read(len(_GENERATED)) == _GENERATED
-
-    @property
-    def _name(self) -> str:
-        return str(self.problem) if isinstance(self.problem, Path | str) else str(self.problem.metadata["problem"])
 
     def driver_for(self, module: GeneratedModule) -> Driver:
         """The driver, if it and all options that are given mean something for a module's task, else ArgumentError."""
