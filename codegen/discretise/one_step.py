@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, mean_controls, sites, substitute
+from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, sites, substitute
 from codegen.expressions.tangents import gradient
 from codegen.model import Model
 from codegen.schemes import Scheme
@@ -32,25 +32,25 @@ class OneStepInterval:
     integrals: tuple[Expr, ...] = ()
 
 
-def one_step_interval(model: Model, scheme: Scheme, nodal_controls: bool = False) -> OneStepInterval:
+def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") -> OneStepInterval:
     """Write the equations of a scheme's `Step`, those that lead to inner states first.
 
     The model is of Hamiltonian form, with forced Hamilton's equations, or of first-order form x' = f(x, u, t). The cost
     is integrated like a further state, so that it has the scheme's order.
     """
     step, states, dimension = scheme.step(), (*model.coordinates, *model.rates), len(model.coordinates)
-    q_sites = sites(model, model.coordinates, nodal_controls)
-    p_sites = sites(model, model.rates, nodal_controls)
+    q_sites = sites(model, model.coordinates, controls, len(step.points))
+    p_sites = sites(model, model.rates, controls, len(step.points))
     inner = (at_nodes(states, f"_stage{n}") for n in range(1, len(step.places)))
     values = [(*q_sites.left, *p_sites.left), *inner, (*q_sites.right, *p_sites.right)]
 
     integrands = _integrands(model)
     field = (*_vector_field(model), *integrands)
     rates, integrals, path = list[list[Expr]](), [sympy.S.Zero] * len(integrands), list[PathValue]()
-    for point in step.points:
+    for i, point in enumerate(step.points):
         shares = [point.position] * dimension + [point.momentum] * len(model.rates)
         state = [_sum((share, values[n][x]) for n, share in own) for x, own in enumerate(shares)]
-        at = (state[:dimension], state[dimension:], mean_controls(q_sites, point.place), point.place)
+        at = (state[:dimension], state[dimension:], q_sites.controls_at(i, point.place), point.place)
         there = [substitute(model, f, *at) for f in field]
         rates.append(there[: len(states)])
         densities = zip(integrals, there[len(states) :], strict=True)

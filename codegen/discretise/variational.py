@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, mean_controls, sites, substitute
+from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, sites, substitute
 from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
 from codegen.model import Model
@@ -84,44 +84,44 @@ class VariationalInterval:
         return along + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
 
 
-def variational_interval(model: Model, scheme: Scheme, nodal_controls: bool = False) -> VariationalInterval:
+def variational_interval(model: Model, scheme: Scheme, controls: str = "interval") -> VariationalInterval:
     """Integrate L, the work of the forces and the cost over one interval by the scheme's quadrature rule.
 
     The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
     is shared out between the ends and the inner points. With controls on nodes the thesis's averages are taken: of the
     controls in the cost, and along straight lines of the forces of both nodes.
     """
-    places = sites(model, model.coordinates, nodal_controls)
     rule = scheme.discrete_lagrangian()
+    places = sites(model, model.coordinates, controls, len(rule.points))
     inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(rule.nodes) - 1)]
     motion = PolynomialMotion(STEP, rule.nodes, (places.left, *inner, places.right))
 
     def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
         return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
 
-    def force_at(f: Expr, c: Expr) -> Expr:
+    def force_at(f: Expr, i: int, c: Expr) -> Expr:
         if places.nodal and not inner:
             return (1 - c) * at(f, sympy.S.Zero, places.left_controls) + c * at(f, sympy.S.One, places.right_controls)
-        return at(f, c, mean_controls(places, c))
+        return at(f, c, places.controls_at(i, c))
 
     lagrangian = sympy.S.Zero
     integrands = (model.cost or sympy.S.Zero, *(integral.integrand for integral in model.integrals))
     integrals = [sympy.S.Zero] * len(integrands)
     path: list[PathValue] = []
     forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
-    for point in rule.points:
+    for number, point in enumerate(rule.points):
         weight, c = STEP * point.weight, point.place
-        controls = mean_controls(places, c)
-        lagrangian += weight * at(model.function, c, controls)
-        integrals = [total + weight * at(f, c, controls) for total, f in zip(integrals, integrands, strict=True)]
-        path += [PathValue(g, c, at(g.expression, c, controls)) for g in model.path]
+        here = places.controls_at(number, c)
+        lagrangian += weight * at(model.function, c, here)
+        integrals = [total + weight * at(f, c, here) for total, f in zip(integrals, integrands, strict=True)]
+        path += [PathValue(g, c, at(g.expression, c, here)) for g in model.path]
         for share, node in zip(motion.shares(c), forces, strict=True):
             for i, f in enumerate(model.force):
-                node[i] += weight * share * force_at(f, c)
+                node[i] += weight * share * force_at(f, number, c)
     minus, *between, plus = (tuple(node) for node in forces)
     slopes, impulse = (), ()
     if inner:
-        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, c: at(f, c, mean_controls(places, c)))
+        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, i, c: at(f, c, places.controls_at(i, c)))
     return VariationalInterval(
         q=places,
         lagrangian=lagrangian,
@@ -142,7 +142,7 @@ def _slopes_and_impulse(
     model: Model,
     scheme: DiscreteLagrangian,
     motion: PolynomialMotion,
-    at: Callable[[Expr, Expr], Expr],
+    at: Callable[[Expr, int, Expr], Expr],
 ) -> tuple[tuple[Expr, ...], tuple[Expr, ...]]:
     """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i.
 
@@ -151,13 +151,13 @@ def _slopes_and_impulse(
     slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
     impulse = [sympy.S.Zero] * len(model.coordinates)
     of_position, of_velocity = gradient(model.function, model.coordinates), gradient(model.function, model.rates)
-    for point in scheme.points:
+    for number, point in enumerate(scheme.points):
         weight, c = point.weight, point.place
-        by_position = [at(slope, c) for slope in of_position]
-        by_velocity = [at(slope, c) for slope in of_velocity]
+        by_position = [at(slope, number, c) for slope in of_position]
+        by_velocity = [at(slope, number, c) for slope in of_velocity]
         for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
             for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
                 node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
         for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
-            impulse[i] += weight * STEP * (force + at(f, c))
+            impulse[i] += weight * STEP * (force + at(f, number, c))
     return tuple(slope for node in slopes for slope in node), tuple(impulse)

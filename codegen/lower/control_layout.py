@@ -220,7 +220,10 @@ def bound_views(program: ControlProgram) -> tuple[Line, ...]:
 
 def views(program: ControlProgram) -> dict[str, Any]:
     """Code that reads positions, momenta, controls and multipliers out of the views of nodes and intervals."""
-    n, m, kept = len(program.model.coordinates), len(program.model.controls), len(program.interval)
+    n, kept = len(program.model.coordinates), len(program.interval)
+    m, of_interval = len(program.model.controls), f"intervals[:, :, {kept}:{kept + len(program.controls)}]"
+    if program.controlled == "stages":
+        of_interval += f".reshape(BODIES, -1, {m})"
     variational, nodal = program.method == "variational", program.nodal_controls
     rates = 2 * n if program.model.rates else n
     equations = sum(u.multiplier and u.meaning.startswith("multiplier of the step") for u in program.interval)
@@ -229,12 +232,15 @@ def views(program: ControlProgram) -> dict[str, Any]:
     return {
         "positions": f"nodes[:, :, :{n}]",
         "momenta": "discrete_momenta(grid, unknowns)" if variational else f"nodes[:, :, {n}:{rates}]",
-        "controls": f"nodes[:, :, {last_node - m}:]" if nodal else f"intervals[:, :, {kept}:{kept + m}]",
+        "controls": f"nodes[:, :, {last_node - m}:]" if nodal else of_interval,
         "multipliers": f"nodes[:, :, {n}:{2 * n}]"
         if variational
         else f"intervals[:, :, {steps_first}:{steps_first + equations}]",
-        "control_place": "at nodes" if nodal else "on intervals" if m else "none",
+        "control_place": _CONTROL_PLACES[program.controlled] if m else "none",
     }
+
+
+_CONTROL_PLACES = {"interval": "on intervals", "nodal": "at nodes", "stages": "at the stages of all intervals"}
 
 
 def integers(values: Sequence[int]) -> str:

@@ -46,6 +46,9 @@ def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> C
         lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
         lambda: module.move_duals(duals, duals, 1.0, distance, 1.0, result),
         lambda: module.move(unknowns, step, 0.0, *places, np.empty_like(step), result),
+        lambda: module.push_inside(*module.variable_bounds(grid), unknowns, 0.1),
+        lambda: module.prescribed_beyond(grid, unknowns),
+        lambda: module.remaining_gap(unknowns, gradient, *module.variable_bounds(grid)),
     ]
 
 

@@ -20,6 +20,16 @@ def zero_matrix(rows, columns):
 
 
 @njit(error_model="numpy", forceinline=True)
+def copy_part(values, first, part):
+    """Fill `part` with the values from `first` on.
+
+    A loop that hands slices to functions counts references to them, by locked instructions, in every round.
+    """
+    for i in range(part.size):
+        part[i] = values[first + i]
+
+
+@njit(error_model="numpy", forceinline=True)
 def clear(matrix):
     """Make all entries of a matrix zero."""
     for i in range(matrix.shape[0]):

@@ -67,6 +67,14 @@ def find(name: str, method: str) -> Scheme:
     raise SchemeError(f"there is no scheme {name!r}", hint)
 
 
+def is_known(name: str, method: str) -> bool:
+    """Whether `find` finds it."""
+    try:
+        return bool(find(name, method))
+    except SchemeError:
+        return False
+
+
 def of_method(method: str) -> tuple[Scheme, ...]:
     """Every scheme of a method by itself, without families and aliases."""
     return tuple(_ALL[method].values())

@@ -163,17 +163,17 @@ def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
 
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
     side, scheme = _side(model, program.method), schemes.find(program.scheme, program.method)
-    nodal = isinstance(program, ControlProgram) and program.nodal_controls
+    controls = program.controlled if isinstance(program, ControlProgram) else "interval"
     if scheme.parts:
         yield _composition(scheme)
     if isinstance(program, StepProgram):
         _, scheme = repeated(scheme)
     if scheme.variational:
-        interval = variational_interval(side, scheme, nodal)
+        interval = variational_interval(side, scheme, controls)
         yield from _variational(side, interval)
         cost, quadratures = interval.cost, interval.integrals
     else:
-        step = one_step_interval(side, scheme, nodal)
+        step = one_step_interval(side, scheme, controls)
         yield _one_step(step)
         cost, quadratures = step.cost, step.integrals
     if model.cost is not None:
@@ -221,7 +221,8 @@ def _one_interval_earlier(model: Model, interval: VariationalInterval) -> dict[S
     shift: dict[Symbol, Expr] = dict(zip(places.left, at_nodes(model.coordinates, "_k-1"), strict=True))
     shift |= dict(zip(places.right, places.left, strict=True))
     shift |= dict(zip(interval.inner, at_nodes(interval.inner, "_k-1"), strict=True))
-    shift |= dict(zip(places.left_controls, at_nodes(model.controls, "_k-1"), strict=True))
+    of_before = [Symbol(f"{u.name}-1", real=True) for u in places.of_interval]
+    shift |= dict(zip(places.of_interval, of_before, strict=True))
     if places.nodal:
         shift |= dict(zip(places.right_controls, places.left_controls, strict=True))
     shift[model.time] = model.time - STEP

@@ -55,7 +55,7 @@ def control_result(
     return Result(
         **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
         stationarity=stationarity, t=t, q=q, p=p, u=u, multipliers=multipliers, log=attempt.log, unknowns=unknowns,
-        names=component_names(metadata), summary=summary,
+        names=component_names(metadata), stage_places=metadata.get("stage_places", ()), summary=summary,
     )  # fmt: skip
 
 

@@ -100,7 +100,7 @@ class SimulateAttempt:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """A solution with its residuals; arrays run over the nodes, `u` over the intervals unless controls are nodal.
+    """A solution with its residuals; arrays run over the nodes, `u` over intervals, nodes or stages.
 
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
     evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
@@ -136,11 +136,41 @@ class Result:
     compiled: bool = False
     attempts: tuple[str, ...] = ()
     levels: tuple[Result, ...] = ()
+    stage_places: tuple[float, ...] = ()
 
     @property
     def solved(self) -> bool:
         """Whether the numerics succeeded."""
         return self.status == "solved"
+
+    @property
+    def control_times(self) -> Vector:
+        """The times of the rows of `u`: nodes, stages of all intervals, or the middles of intervals."""
+        assert self.u is not None, "a simulation has no controls"
+        if not self.stage_places and len(self.u) == self.t.size:
+            return self.t
+        places = np.array(self.stage_places or (0.5,))
+        return np.asarray((self.t[:-1, None] + np.diff(self.t)[:, None] * places).ravel())
+
+    def controls_at(self, times: Vector) -> Matrix:
+        """The controls at any times, a row for each: constant on intervals, linear between nodes, else polynomials.
+
+        On every interval the polynomial goes through the values at its stages, through the mean of those at one place.
+        """
+        assert self.u is not None, "a simulation has no controls"
+        if not self.stage_places and len(self.u) == self.t.size:
+            return np.column_stack([np.interp(times, self.t, column) for column in self.u.T])
+        interval = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, self.t.size - 2)
+        stages = np.array(self.stage_places or (0.5,))
+        places = np.unique(stages)
+        same = stages == places[:, None]
+        values = (same / same.sum(axis=1)[:, None]) @ self.u.reshape(self.t.size - 1, stages.size, -1)
+        fractions = (times - self.t[interval]) / np.diff(self.t)[interval]
+        shares = np.ones((times.size, places.size))
+        for i, own in enumerate(places):
+            for other in places[places != own]:
+                shares[:, i] *= (fractions - other) / (own - other)
+        return np.asarray(np.einsum("ti,tij->tj", shares, values[interval]))
 
     @property
     def intervals(self) -> str:

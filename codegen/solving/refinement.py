@@ -102,10 +102,10 @@ def order_of_optima(module: ControlModule) -> int:
     """The order at which costs converge: the scheme's own, but 2 at most where there are controls.
 
     A control that is constant on each interval, or linear between nodes, approximates a smooth one at order 2, and the
-    cost at its minimum no better, whatever the scheme of the motion.
+    cost at its minimum no better, whatever the scheme of the motion. With controls at stages it has the scheme's order.
     """
-    order = int(module.metadata["order"])
-    return min(order, 2) if module.metadata["control_names"] else order
+    order, metadata = int(module.metadata["order"]), module.metadata
+    return min(order, 2) if metadata["control_names"] and metadata["controls"] != "stages" else order
 
 
 def _estimates(module: ControlModule, costs: list[float]) -> dict[str, float]:

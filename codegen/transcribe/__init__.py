@@ -43,7 +43,7 @@ def transcribe(
         if controls != "interval":
             raise ArgumentError("particles have no controls", "leave --controls out")
         return connect.pairwise(model, scheme, method)
-    method = method or _default_method(model, scheme)
+    method = method or (methods_for(model)[0] if model.task == "control" else method_with(model, scheme))
     _require_method(model, method)
     found = schemes.find(scheme or DEFAULT_SCHEME, method)
     if model.task == "simulate":
@@ -53,17 +53,17 @@ def transcribe(
     if model.phases:
         if controls != "interval":
             raise ArgumentError("a problem of several phases has its controls on intervals", "leave --controls out")
-        return phases.chained(model, lambda phase: _controlled(phase, found, method, False))
-    return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls == "nodal")))
+        return phases.chained(model, lambda phase: _controlled(phase, found, method, "interval"))
+    return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls)))
 
 
-def _controlled(model: Model, scheme: schemes.Scheme, method: str, nodal_controls: bool) -> ControlProgram:
+def _controlled(model: Model, scheme: schemes.Scheme, method: str, controls: str) -> ControlProgram:
     if scheme.variational:
-        return variational.variational(model, scheme, nodal_controls)
+        return variational.variational(model, scheme, controls)
     _require_short(scheme)
     if method == schemes.FIRST_ORDER:
-        return one_step.first_order(model, scheme, nodal_controls)
-    return one_step.hamiltonian(model, scheme, nodal_controls)
+        return one_step.first_order(model, scheme, controls)
+    return one_step.hamiltonian(model, scheme, controls)
 
 
 def _require_short(scheme: schemes.Scheme) -> None:
@@ -78,7 +78,7 @@ def _require_short(scheme: schemes.Scheme) -> None:
 
 def _require_method(model: Model, method: str) -> None:
     """Refuse a method that does not exist, or that belongs to the other kind of dynamics."""
-    usable = (schemes.FIRST_ORDER,) if model.form == "first-order" else tuple(schemes.METHODS)
+    usable = methods_for(model)
     if method in usable:
         return
     if method in (schemes.FIRST_ORDER, *schemes.METHODS):
@@ -88,14 +88,14 @@ def _require_method(model: Model, method: str) -> None:
     raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
 
 
-def _default_method(model: Model, scheme: str | None) -> str:
-    """Variational for control, one-step where there is no other; for a simulation the side on which it is written."""
+def methods_for(model: Model) -> tuple[str, ...]:
+    """The methods that fit a model: first that of the side on which it is written, and for control the variational."""
     if model.form == "first-order":
-        return schemes.FIRST_ORDER
-    on_lagrangian_side = model.task == "control" or model.form == "lagrangian"
-    preferred = "variational" if on_lagrangian_side else "hamiltonian"
-    base = (scheme or "").rpartition("-of-")[2]
-    if scheme is None or base in schemes.METHODS[preferred] or (preferred, base) in schemes.ALIASES:
-        return preferred
-    others = [method for method, names in schemes.METHODS.items() if base in names or (method, base) in schemes.ALIASES]
-    return others[0] if others and model.task == "simulate" else preferred
+        return (schemes.FIRST_ORDER,)
+    return tuple(sorted(schemes.METHODS, reverse=model.task == "control" or model.form == "lagrangian"))
+
+
+def method_with(model: Model, scheme: str | None) -> str:
+    """The first method that fits a model and has the scheme, or fits it at all."""
+    methods = methods_for(model)
+    return next((method for method in methods if scheme is None or schemes.is_known(scheme, method)), methods[0])

@@ -88,21 +88,21 @@ def _laid_out(
 ) -> ControlProgram:
     """The unknowns of nodes and intervals and the share of an interval; the ends' own shares are still empty."""
     before = _bounded((*motion.node, *(unknown for terms in nodal for unknown in terms.unknowns)), model)
-    controls = _bounded([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
     on_nodes = motion.controls.nodal
+    controls = _controls(model, len(motion.controls.stage_controls))
     node = (*before, *ends.extra, *(controls if on_nodes else ()))
     empty = EndElement((), S.Zero, ())
     return ControlProgram(
         model=model,
         method=motion.method,
         scheme=motion.scheme,
-        nodal_controls=on_nodes,
+        controlled=motion.controls.controlled,
         node=node,
         interval=motion.interval,
         controls=() if on_nodes else controls,
         left_symbols=symbols([unknown.name for unknown in node], "_k"),
         interval_symbols=motion.interval_symbols,
-        control_symbols=() if on_nodes else motion.controls.left_controls,
+        control_symbols=() if on_nodes else motion.controls.of_interval,
         right_symbols=symbols([unknown.name for unknown in node], "_k1"),
         element=motion.element + sum((terms.element for terms in nodal), S.Zero) + ends.filling(),
         cost=motion.cost,
@@ -110,10 +110,23 @@ def _laid_out(
         boundary_values=boundary_values,
         node_guess=motion.node_guess,
         stage_guess=motion.stage_guess,
-        control_guess=control_guess(model),
+        control_guess=control_guess(model) * max(1, len(motion.controls.stage_controls)),
         only_at_ends=tuple(range(len(before), len(before) + len(ends.extra))),
         start=empty,
         end=empty,
+    )
+
+
+def _controls(model: Model, stages: int) -> tuple[Unknown, ...]:
+    """The controls of an interval or a node, or of each stage of an interval, with their bounds."""
+    once = _bounded([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
+    return (
+        tuple(
+            replace(u, name=f"{u.name}_stage{i}", meaning=f"{u.meaning} at stage {i}")
+            for i in range(1, stages + 1)
+            for u in once
+        )
+        or once
     )
 
 

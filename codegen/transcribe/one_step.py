@@ -30,7 +30,7 @@ from codegen.transcribe.program import BoundaryValue, ControlProgram, Unknown
 from codegen.transcribe.shared import Shared, shared_unknowns
 
 
-def hamiltonian(model: Model, scheme: Scheme, nodal_controls: bool) -> ControlProgram:
+def hamiltonian(model: Model, scheme: Scheme, controls: str) -> ControlProgram:
     """Transcribe with unknowns q and p on nodes, stages, mu and u on intervals (or u on nodes).
 
     Raises what the Legendre transform raises, BoundaryError for conditions that do not fit together, and
@@ -38,17 +38,17 @@ def hamiltonian(model: Model, scheme: Scheme, nodal_controls: bool) -> ControlPr
     """
     holonomic.refuse(model, "hamiltonian")
     model, boundary_values = with_symbolic_boundaries(model)
-    return _transcribed(model, in_momenta(model), scheme, "hamiltonian", nodal_controls, boundary_values)
+    return _transcribed(model, in_momenta(model), scheme, "hamiltonian", controls, boundary_values)
 
 
-def first_order(model: Model, scheme: Scheme, nodal_controls: bool) -> ControlProgram:
+def first_order(model: Model, scheme: Scheme, controls: str) -> ControlProgram:
     """Transcribe x' = f(x, u, t) with unknowns x on nodes, stages, mu and u on intervals (or u on nodes).
 
     Raises BoundaryError for conditions that do not fit together, and ArgumentError for holonomic constraints.
     """
     holonomic.refuse(model, FIRST_ORDER)
     model, boundary_values = with_symbolic_boundaries(model)
-    return _transcribed(model, model, scheme, FIRST_ORDER, nodal_controls, boundary_values)
+    return _transcribed(model, model, scheme, FIRST_ORDER, controls, boundary_values)
 
 
 def _transcribed(
@@ -56,7 +56,7 @@ def _transcribed(
     phase: Model,
     scheme: Scheme,
     method: str,
-    nodal_controls: bool,
+    controls: str,
     boundary_values: tuple[BoundaryValue, ...],
 ) -> ControlProgram:
     """Boundary values are those of `model`; dynamics, conditions and terminal cost those of `phase`."""
@@ -72,7 +72,7 @@ def _transcribed(
     equalities = path_conditions.nodal_conditions(phase, equality=True)
     return assemble(
         phase,
-        _motion(phase, scheme, method, nodal_controls, guesses),
+        _motion(phase, scheme, method, controls, guesses),
         boundary_values,
         (path_conditions.nodal_equalities(placed, equalities, "y", names),),
         start + End(aliases=periodic.start_aliases),
@@ -120,9 +120,9 @@ def _ends(
     return ends[0], ends[1]
 
 
-def _motion(phase: Model, scheme: Scheme, method: str, nodal_controls: bool, guesses: tuple[Expr, ...]) -> Motion:
+def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: tuple[Expr, ...]) -> Motion:
     """The equations of one step times their multipliers."""
-    interval = one_step_interval(path_conditions.with_inner_path(phase), scheme, nodal_controls)
+    interval = one_step_interval(path_conditions.with_inner_path(phase), scheme, controls)
     names = [s.name for s in (*phase.coordinates, *phase.rates)]
     stage_names = [s.name for s in interval.stages]
     equation_names = [*stage_names, *names]

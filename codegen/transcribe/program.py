@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from sympy import Expr, S, Symbol
 
+from codegen.discretise import at_nodes
 from codegen.model import Integral, Model
 
 
@@ -132,6 +133,8 @@ class ControlProgram:
     """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
 
     Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` live on intervals.
+    `controlled` says where controls live: on the interval, at its stages (all of the first, then of the next), or at
+    nodes (nodal).
     The last `path_multipliers` of `interval` are those of path conditions. A slack belongs to the unknown of
     `interval` at the same place of `slack_multipliers`, and is not negative.
 
@@ -155,7 +158,7 @@ class ControlProgram:
     model: Model
     method: str
     scheme: str
-    nodal_controls: bool
+    controlled: str
     node: tuple[Unknown, ...]
     interval: tuple[Unknown, ...]
     controls: tuple[Unknown, ...]
@@ -189,6 +192,17 @@ class ControlProgram:
     integrals: tuple[IntegralEquation, ...] = ()
     scaled_time: bool = False
     phases: tuple[Phase, ...] = ()
+
+    @property
+    def nodal_controls(self) -> bool:
+        """Whether controls live on nodes."""
+        return self.controlled == "nodal"
+
+    def controls_of(self, control: Symbol) -> tuple[Symbol, ...]:
+        """The symbols that stand for one of the author's controls: of the interval, its stages, or both nodes."""
+        if self.nodal_controls:
+            return at_nodes([control], "_k") + at_nodes([control], "_k1")
+        return self.control_symbols[self.model.controls.index(control) :: len(self.model.controls)]
 
     @property
     def element_symbols(self) -> tuple[Symbol, ...]:

@@ -24,9 +24,6 @@ def check(context: Context) -> Iterator[Finding]:
 
     Compositions are left out, whose determinant is a product of those of their base.
     """
-    if context.model.form == "first-order":
-        yield does_not_apply("area preservation", "a first-order system has no phase plane of q and p")
-        return
     if len(context.model.coordinates) != 1:
         yield does_not_apply("area preservation", "there is more than one coordinate")
         return

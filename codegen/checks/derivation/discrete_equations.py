@@ -146,7 +146,7 @@ def _nodal(
     left, right = at_nodes(q, "_k"), at_nodes(q, "_k1")
     earlier = [x - STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
     later = [x + STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
-    controls = _controls(model)
+    controls = constant_controls(program)
     controls |= {
         site: force
         for suffix in ("_k", "_k1")
@@ -189,7 +189,7 @@ def _stepwise(
     else:
         equations = [in_time(program, equation) for name, equation in program.equations if name == "0"]
     size, places = len(states), scheme.step().places
-    place: dict[Symbol, Expr] = _controls(model)
+    place: dict[Symbol, Expr] = constant_controls(program)
     suffixes = ("_k", *(f"_stage{n}" for n in range(1, len(places))), "_k1")
     for suffix, c in zip(suffixes, (S.Zero, *places), strict=True):
         sites = zip(at_nodes(states, suffix), states, rates, strict=True)
@@ -212,10 +212,8 @@ def _accelerations(model: Model) -> list[Symbol]:
     return [Symbol(f"acceleration_{q}", real=True) for q in model.coordinates]
 
 
-def _controls(model: Model) -> dict[Symbol, Expr]:
+def constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Expr]:
     """Constant controls, wherever they live."""
-    return {
-        site: u
-        for suffix in ("_k", "_k1")
-        for site, u in zip(at_nodes(model.controls, suffix), model.controls, strict=True)
-    }
+    if isinstance(program, StepProgram):
+        return {}
+    return {site: u for u in program.model.controls for site in program.controls_of(u)}

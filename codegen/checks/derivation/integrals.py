@@ -12,7 +12,7 @@ import mpmath
 from sympy import Expr, Symbol
 
 from codegen.checks.base import Context, Finding, does_not_apply
-from codegen.checks.derivation.discrete_equations import in_time, inner_motion
+from codegen.checks.derivation.discrete_equations import constant_controls, in_time, inner_motion
 from codegen.checks.evaluation import DIGITS, function_of, random_points
 from codegen.discretise import STEP, at_nodes, repeated
 from codegen.transcribe.program import ControlProgram
@@ -61,6 +61,4 @@ def _smooth_motion(context: Context, program: ControlProgram) -> tuple[dict[Symb
         place |= {s: stages[s.name.rpartition("_stage")[0]] for s in program.interval_symbols if "_stage" in s.name}
     place |= dict(zip(at_nodes(states, "_k"), states, strict=True))
     place |= {site: x + STEP * v for site, x, v in zip(at_nodes(states, "_k1"), states, rates, strict=True)}
-    for suffix in ("_k", "_k1"):
-        place |= dict(zip(at_nodes(model.controls, suffix), model.controls, strict=True))
-    return place, rates
+    return place | constant_controls(program), rates

@@ -23,9 +23,6 @@ def check(context: Context) -> Iterator[Finding]:
     if context.scheme.name != "midpoint":
         yield does_not_apply("midpoint equivalence", f"the scheme is {context.scheme.name}")
         return
-    if context.model.form == "first-order":
-        yield does_not_apply("midpoint equivalence", "a first-order system has no discrete Lagrangian")
-        return
     try:
         found = residuals(context.model)
     except DegenerateError:

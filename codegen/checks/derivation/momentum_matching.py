@@ -16,7 +16,7 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
-from codegen.checks.derivation.discrete_equations import constraint_multipliers, node_equations
+from codegen.checks.derivation.discrete_equations import constant_controls, constraint_multipliers, node_equations
 from codegen.checks.derivation.one_step import without_boundaries
 from codegen.checks.derivation.phases import phase_contexts
 from codegen.checks.evaluation import DIGITS, function_of, random_points, vanishing
@@ -45,7 +45,7 @@ def check(context: Context) -> Iterator[Finding]:
 def _matching(context: Context, model: Model) -> Iterator[Finding]:
     """The emitted equation of a node against the gradient of the action of its two intervals."""
     _, scheme = repeated(context.scheme)
-    interval = variational_interval(model, scheme, context.choices.controls == "nodal")
+    interval = variational_interval(model, scheme, context.choices.controls)
     after, before = node_equations(context.program)
     left, right = _constraint_impulses(context.program, model)
     for i, q in enumerate(model.coordinates):
@@ -85,7 +85,7 @@ def _limits(context: Context, model: Model) -> Iterator[Finding]:
     nodes = repeated(context.scheme)[1].discrete_lagrangian().nodes
     for i, c in enumerate(nodes[1:-1], start=1):
         arrival |= {site: x + c * STEP * w for site, x, w in zip(at_nodes(q, f"_stage{i}"), q, v, strict=True)}
-    arrival |= {Symbol(f"{u}{end}", real=True): u for u in model.controls for end in ("_k", "_k1")}
+    arrival |= constant_controls(context.program)
     free = [parameter.symbol for parameter in model.free_parameters]
     forces = [s for suffix in ("_k", "_k1") for s in constraint_multipliers(context.program, suffix)]
     symbols = [*q, *v, *model.controls, *model.parameters, *free, *forces, model.time]

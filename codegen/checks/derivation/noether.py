@@ -22,9 +22,6 @@ from codegen.schemes import Scheme
 def check(context: Context) -> Iterator[Finding]:
     """Prove conservation for every coordinate that the Lagrangian or Hamiltonian does not hold."""
     model = context.model
-    if model.form == "first-order":
-        yield does_not_apply("discrete Noether", "a first-order system has no momenta")
-        return
     cyclic = [i for i, q in enumerate(model.coordinates) if not model.function.has(q)]
     if not cyclic:
         yield does_not_apply("discrete Noether", f"no coordinate is cyclic in the {model.form.capitalize()}")

@@ -34,10 +34,7 @@ _FALLS = 0.75
 
 def check(context: Context) -> Iterator[Finding]:
     """Say for every condition on states where it holds; where it need not hold, measure it at two solutions."""
-    program = context.program
-    if not isinstance(program, ControlProgram):
-        yield does_not_apply(_NAME, "a simulation has no path conditions")
-        return
+    program = context.control
     conditions = _conditions(program.model)
     if program.phases or not conditions:
         reason = "there are several phases" if program.phases else "there are no conditions on states alone"
@@ -82,8 +79,8 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
 def _values(program: ControlProgram, scheme: Scheme, condition: Condition) -> Sequence[PathValue]:
     model = replace(program.model, path=(condition,))
     if scheme.variational:
-        return variational_interval(model, scheme, program.nodal_controls).path
-    return one_step_interval(model, scheme, program.nodal_controls).path
+        return variational_interval(model, scheme, program.controlled).path
+    return one_step_interval(model, scheme, program.controlled).path
 
 
 def _imposed(program: ControlProgram) -> Iterator[Expr]:

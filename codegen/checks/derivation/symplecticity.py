@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import mpmath
 import sympy
 
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding
 from codegen.checks.derivation.one_step import (
     StepEquations,
     generic_model,
@@ -40,9 +40,6 @@ _SHORTER = 6
 def check(context: Context) -> Iterator[Finding]:
     """Prove or refute the identity for the chosen scheme, forces left out."""
     scheme = context.scheme
-    if context.model.form == "first-order":
-        yield does_not_apply("symplecticity", "a first-order system has no symplectic form")
-        return
     if not scheme.symplectic:
         defect = defect_at_random_points(generic_model_without_forces(), scheme_step(context, generic=True))
         detail = f"not claimed, and violated by a generic system: |S^T J S - J| = {defect:.2g}"

@@ -41,11 +41,11 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 
 
 @njit(error_model="numpy", inline="always")
-def scatter(hessian, gradient, element, coupling):
+def scatter(hessian, gradient, k, element, coupling):
     """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
-    There, too, the right-hand side is a column if it is carried along: minus what `gradient`, that by the interval's
-    node and interval unknowns, has for those to eliminate.
+    There, too, the right-hand side is a column if it is carried along: minus what the body's `gradient`
+    has for those that interval k eliminates.
     """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
@@ -53,7 +53,7 @@ def scatter(hessian, gradient, element, coupling):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
     if CARRIED:
         for a in range(CONDENSED):
-            coupling[a, RIGHT] = -gradient[BLOCK + a]
+            coupling[a, RIGHT] = -gradient[k * STRIDE + BLOCK + a]
 
 
 @njit(error_model="numpy", inline="always")

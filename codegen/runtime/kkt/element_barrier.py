@@ -9,7 +9,7 @@ from numba import njit
 
 from codegen.runtime.kkt.condensation import ENTRIES, scatter, subtract_condensed
 from codegen.runtime.kkt.elements import BLOCK, WIDTH
-from codegen.runtime.stand_ins.example import BODIES, CONDENSED
+from codegen.runtime.stand_ins.example import BODIES, CONDENSED, STRIDE
 from codegen.runtime.kkt.inverse import invert_positive_definite
 
 INSIDE, INSIDE_ROWS, INSIDE_COLUMNS = ENTRIES[2]
@@ -33,15 +33,14 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix; False when C is not positive definite.
 
-    `diagonal` and `gradient` are those of the interval's node and interval unknowns; inverse(C) and B are kept for the
-    recovery.
+    `diagonal` and `gradient` are those of the body; inverse(C) and B are kept for the recovery.
     """
     block = inverses[k + 1]
-    scatter(hessian, gradient, element, couplings[k])
+    scatter(hessian, gradient, k, element, couplings[k])
     for a in range(CONDENSED):
         for b in range(CONDENSED):
             block[a, b] = 0.0
-        block[a, a] = diagonal[BLOCK + a]
+        block[a, a] = diagonal[k * STRIDE + BLOCK + a]
     for j in range(INSIDE.size):
         block[INSIDE_ROWS[j], INSIDE_COLUMNS[j]] += hessian[INSIDE[j]]
         if INSIDE_ROWS[j] != INSIDE_COLUMNS[j]:

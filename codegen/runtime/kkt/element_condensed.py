@@ -38,6 +38,6 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
-    scatter(hessian, gradient, element, couplings[k])
+    scatter(hessian, gradient, k, element, couplings[k])
     subtract_condensed(couplings[k], inverses[1], element)
     return True

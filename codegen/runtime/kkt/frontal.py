@@ -17,7 +17,7 @@ that are still to come it has at most as many (Cauchy's interlacing theorem).
 import numpy as np
 from numba import njit
 
-from codegen.runtime.arrays import clear, zero_matrix, zero_vector
+from codegen.runtime.arrays import clear, copy_part, zero_matrix, zero_vector
 from codegen.runtime.kkt.element_condensed import add_element, allocate_condensed, prepare_condensed
 from codegen.runtime.kkt.elements import (
     BLOCK,
@@ -89,19 +89,19 @@ def eliminate_body(
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
-    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
+    local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
-        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
-        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
+        copy_part(unknowns, k * STRIDE, local)
+        interval_hessian(local, k * h, h, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]
         clear(element)
-        if not add_element(hessian, here, slope, inverses, couplings, k, element):
+        if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
-            element[i, i] += here[i]
+            element[i, i] += diagonal[k * STRIDE + i]
         if CARRIED:
             add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:

@@ -47,14 +47,21 @@ def relaxation(mu):
     return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu))
 
 
+@njit(cache=True, error_model="numpy")
 def push_inside(lower, upper, unknowns, push):
     """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
-    width = push * (upper - lower)
-    with np.errstate(invalid="ignore"):
-        least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
-        greatest = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), width)
-    least, greatest = np.where(lower > -np.inf, least, -np.inf), np.where(upper < np.inf, greatest, np.inf)
-    return np.minimum(np.maximum(unknowns, least), greatest)
+    inside = unknowns.copy()
+    for i in range(inside.size):
+        width = push * (upper[i] - lower[i])
+        if lower[i] > -np.inf:
+            least = lower[i] + min(push * max(1.0, abs(lower[i])), width)
+            if inside[i] < least:
+                inside[i] = least
+        if upper[i] < np.inf:
+            greatest = upper[i] - min(push * max(1.0, abs(upper[i])), width)
+            if inside[i] > greatest:
+                inside[i] = greatest
+    return inside
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,9 +1,9 @@
 """Which unknowns lie on their bounds, and which prescribed values beyond them."""
 
 import numpy as np
+from numba import njit
 
-from codegen.runtime.stand_ins.example import metadata, variable_bounds
-from codegen.runtime.unknowns.frame import views
+from codegen.runtime.stand_ins.example import BODIES, NODE, STRIDE, metadata, variable_bounds
 
 LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
 END_NAMES = "start", "end"
@@ -33,27 +33,39 @@ def prescribed_beyond(grid, unknowns):
     Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
     within the first interval.
     """
-    steps, units = grid.steps, units_of(grid)
-    nodes, intervals = views(grid, unknowns / units)
-    if steps == 1:
+    if grid.steps == 1:
         return ""
-    (low, least), (high, _) = (views(grid, bound) for bound in bounds_of(grid))
-    ends, inner = np.s_[:, ::steps], np.s_[:, 1 : steps : max(1, steps - 2)]
-    given, margin = nodes[ends], 1e-9 * np.maximum(1.0, np.abs(nodes[ends]))
-    beyond = (given < low[inner] - margin) | (given > high[inner] + margin)
-    if beyond.any():
-        beyond &= np.isinf(low[ends]) & np.isinf(high[ends])
-        for body, end, i in np.argwhere(beyond)[:1]:
-            unit, k = views(grid, units)[0][body, 0, i], (1, -2)[end]
-            limits = f"{unit * low[body, k, i]:g} to {unit * high[body, k, i]:g}"
-            value = f"{metadata['node'][i]} is prescribed as {unit * given[body, end, i]:g}"
-            return f"{value} at the {END_NAMES[end]}, beyond its bounds {limits}"
-    ends, inner = np.s_[:, :: steps - 1], np.s_[:, 1 : steps - 1 : max(1, steps - 3)] if steps > 2 else np.s_[:, ::-1]
-    violated = intervals[ends] < least[inner] - LEAST_SLACK
-    if violated.any():
-        violated &= least[ends] < least[inner]  # a slack of what is prescribed has no bound there
-        for _, end, i in np.argwhere(violated)[:1]:
-            name = metadata["interval"][i]
-            condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
-            return f"what is prescribed at the {END_NAMES[end]} violates {condition}"
-    return ""
+    units, (lower, upper) = units_of(grid), bounds_of(grid)
+    place, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
+    if place < 0:
+        return ""
+    local = place % (grid.steps * STRIDE + NODE)
+    end, i = END_NAMES[local >= STRIDE], local % STRIDE
+    if i < NODE:
+        limits = f"{units[place] * lower[inner]:g} to {units[place] * upper[inner]:g}"
+        return f"{metadata['node'][i]} is prescribed as {unknowns[place]:g} at the {end}, beyond its bounds {limits}"
+    name = metadata["interval"][i - NODE]
+    condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+    return f"what is prescribed at the {end} violates {condition}"
+
+
+@njit(cache=True, error_model="numpy")
+def first_beyond(unknowns, units, lower, upper, steps):
+    """Places of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
+
+    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both places are -1
+    where there is no such unknown.
+    """
+    for body in range(BODIES):
+        for i in range(STRIDE):
+            start = body * (steps * STRIDE + NODE) + i
+            end = start + (steps if i < NODE else steps - 1) * STRIDE
+            for place, inner in ((start, start + STRIDE), (end, end - STRIDE)):
+                value, least, greatest = unknowns[place] / units[place], lower[inner], upper[inner]
+                margin = 1e-9 * max(1.0, abs(value)) if i < NODE else LEAST_SLACK
+                is_below = lower[place] < least and value < least - margin
+                is_above = upper[place] > greatest and value > greatest + margin
+                is_given = lower[place] == -np.inf and upper[place] == np.inf
+                if (i < NODE and is_given and (is_below or is_above)) or (i >= NODE and is_below):
+                    return place, inner
+    return -1, -1

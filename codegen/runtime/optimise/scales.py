@@ -7,6 +7,7 @@ they are that already, it is solved as it is.
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 
 from codegen.runtime.stand_ins.example import (
     BODIES,
@@ -110,7 +111,9 @@ def scaled_grid(grid, unknowns):
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
     if INEQUALITIES:
         bounds = variable_bounds(grid)
-    weight, is_scaled = fill_sizes(unknowns, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    slopes = evaluate(grid, primal).gradient
+    weight, is_scaled = fill_sizes(primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
     if not is_scaled:
         return grid._replace(bounds=bounds)
     if INEQUALITIES:
@@ -123,21 +126,26 @@ def scaled_grid(grid, unknowns):
 def corrected_cost(grid, point):
     """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
     if INEQUALITIES:
-        return float(lagrangian(grid, point) - remaining_gap(grid, point)) / grid.weight
+        gap = remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
+        return float(lagrangian(grid, point) - gap) / grid.weight
     else:
         return float(lagrangian(grid, point)) / grid.weight
 
 
 if INEQUALITIES:
 
-    def remaining_gap(grid, point):
+    @njit(cache=True, error_model="numpy")
+    def remaining_gap(unknowns, gradient, lower, upper):
         """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
         total = 0.0
-        for side, bound in zip((1.0, -1.0), bounds_of(grid), strict=True):
-            (place,) = np.isfinite(bound).nonzero()
-            dual, distance = side * point.gradient[place], side * (point.unknowns[place] - bound[place])
-            active = np.maximum(dual, 0.0) / (np.abs(dual) + np.abs(distance) + 1e-300)
-            total += (dual * distance) @ active
+        for i in range(unknowns.size):
+            if gradient[i] > 0.0 and lower[i] > -np.inf:
+                dual, distance = gradient[i], unknowns[i] - lower[i]
+            elif gradient[i] < 0.0 and upper[i] < np.inf:
+                dual, distance = -gradient[i], upper[i] - unknowns[i]
+            else:
+                continue
+            total += dual * distance * (dual / (dual + abs(distance) + 1e-300))
         return total
 
 

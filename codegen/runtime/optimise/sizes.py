@@ -30,7 +30,6 @@ from codegen.runtime.stand_ins.example import (
     TIED,
     metadata,
 )
-from codegen.runtime.unknowns.lagrangian import lagrangian_gradient
 from codegen.runtime.optimise.steepness import KIND_IS_MULTIPLIER, KINDS, add_entry, measure_intervals
 
 SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
@@ -52,18 +51,17 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
-    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one."""
+def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes):
+    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
+
+    `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
+    """
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
-    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
-    for i in range(kinds.size):
-        if not KIND_IS_MULTIPLIER[kinds[i]]:
-            primal[i] = unknowns[i]
-            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
-    lagrangian_gradient(primal, steps, h, parameters, slopes)
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
             rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+        else:
+            size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, parameters, tables)
     if COUPLINGS:

@@ -7,7 +7,7 @@ the stationarity of the optimum.
 
 from numba import njit
 
-from codegen.runtime.arrays import zero_vector
+from codegen.runtime.arrays import copy_part, zero_vector
 from codegen.runtime.unknowns.coupling import add_coupling_gradient
 from codegen.runtime.stand_ins.example import (
     BODIES,
@@ -34,24 +34,25 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
-    part = zero_vector(ELEMENT + SHARED)
+    local, part = zero_vector(ELEMENT), zero_vector(ELEMENT + SHARED)
     at_end = zero_vector(NODE + SHARED)
     cost = 0.0
     for body in range(BODIES):
-        first, last = body * chain, (body + 1) * chain - NODE
+        first, last, own = body * chain, (body + 1) * chain - NODE, parameters[body]
         if SHARED:
             read_shared(unknowns, body, parameters)
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += start_gradient(unknowns[first : first + NODE], 0.0, parameters[body], at_end)
+        cost += start_gradient(unknowns[first : first + NODE], 0.0, own, at_end)
         add_end(at_end, first, NODE, body, gradient)
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += end_gradient(unknowns[last : last + NODE], steps * h, parameters[body], at_end)
+        cost += end_gradient(unknowns[last : last + NODE], steps * h, own, at_end)
         add_end(at_end, last, NODE, body, gradient)
         for k in range(steps):
             here = first + k * STRIDE
-            cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            copy_part(unknowns, here, local)
+            cost += interval_gradient(local, k * h, h, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         if TIED:
             release_tied(gradient, first, last, body, gradient[gradient.size - ROOT :])
