@@ -47,7 +47,7 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
     of a step are not of a known kind, and what the Legendre transforms raise.
     """
     model = _bare(model)
-    phase = model if model.form == "first-order" else legendre.hamiltonian_form(model)
+    phase = legendre.hamiltonian_form(model)
     step = _Variational(model, phase, scheme) if scheme.variational else _OneStep(phase, scheme)
     expand = step.expanded
     variables = (*phase.coordinates, *phase.rates, phase.time)
@@ -67,13 +67,7 @@ def _bare(model: Model) -> Model:
     Sums of products of sines and cosines in denominators would have no normal form.
     """
     function, dynamics = _gathered(model.function), tuple(map(_gathered, model.dynamics))
-    return replace(without_ends(model), function=function, dynamics=dynamics)
-
-
-def without_ends(model: Model) -> Model:
-    """The model with free ends and no cost, whose Legendre transforms cannot fail for their sake."""
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    return replace(model, cost=None, path=(), start=free, end=free if model.end else None)
+    return replace(model.with_free_ends, cost=None, path=(), function=function, dynamics=dynamics)
 
 
 def _gathered(function: Expr) -> Expr:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import sympy
 
@@ -138,6 +138,12 @@ class Model:
     jumps: tuple[tuple[tuple[sympy.Symbol, sympy.Expr], ...], ...] = ()
     scales: tuple[tuple[sympy.Symbol, float], ...] = ()
     unused: tuple[str, ...] = ()
+
+    @property
+    def with_free_ends(self) -> Model:
+        """The same model with nothing given at its ends, where a Legendre transform could fail for their sake."""
+        free = Boundary((None,) * len(self.coordinates), (None,) * len(self.rates))
+        return replace(self, start=free, end=free if self.end else None)
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:

@@ -20,7 +20,7 @@ from codegen.discretise import (
     repeated,
     variational_interval,
 )
-from codegen.model import Boundary, Model, legendre
+from codegen.model import Model, legendre
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
 from codegen.model.values import prescribed
@@ -103,11 +103,8 @@ def _switch(model: Model, number: int) -> Block:
 
 def _side(model: Model, method: str) -> Model:
     """The model on the side of mechanics where the method works, without boundaries."""
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    model = replace(model, start=free, end=free)
-    if model.form == "first-order":
-        return model
-    return legendre.lagrangian_form(model) if method == "variational" else legendre.hamiltonian_form(model)
+    transform = legendre.lagrangian_form if method == "variational" else legendre.hamiltonian_form
+    return transform(model.with_free_ends)
 
 
 def _named(name: str) -> Symbol:

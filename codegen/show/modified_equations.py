@@ -10,7 +10,6 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen import schemes, transcribe
-from codegen.analysis.flow_series import without_ends
 from codegen.analysis.modified_equations import ModifiedEquations, modified_equations
 from codegen.author.problem_file import split_points
 from codegen.errors import ArgumentError
@@ -50,7 +49,7 @@ def analysis(
     model = _analysable(load_problem(Path(path), split_points(path, arguments or {})[0]))
     found = _scheme(model, scheme or transcribe.DEFAULT_SCHEME, method)
     result = modified_equations(model, found, order)
-    side = model if model.form == "first-order" else legendre.hamiltonian_form(without_ends(model))
+    side = legendre.hamiltonian_form(model.with_free_ends)
     notation = Notation.of(side, latex=latex)
     blocks = [*_equations(result, model, notation), *_structure(result, notation)]
     return written(f"{found.name} on {model.name}: {_conclusion(result, latex)}", blocks, notation)

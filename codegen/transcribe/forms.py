@@ -27,8 +27,7 @@ def in_velocities(model: Model) -> Model:
 
 def in_momenta(model: Model) -> Model:
     """The model in Hamiltonian form without its boundary values, which may be velocities; its conditions too."""
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    return rewritten(model, legendre.hamiltonian_form(replace(model, start=free, end=free)))
+    return rewritten(model, legendre.hamiltonian_form(model.with_free_ends))
 
 
 def rewritten(original: Model, transformed: Model) -> Model:

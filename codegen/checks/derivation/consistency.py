@@ -23,7 +23,6 @@ from codegen.checks.derivation.one_step import (
     jacobians,
     solved_step,
     step_equations,
-    without_boundaries,
 )
 from codegen.checks.evaluation import Function, function_of
 from codegen.discretise import STEP
@@ -61,7 +60,7 @@ def check(context: Context) -> Iterator[Finding]:
 
 def measured_order(scheme: Scheme) -> tuple[float, float]:
     """The order of the error of one step by two short lengths, and the smaller of both errors."""
-    model = without_boundaries(generic_model())
+    model = generic_model().with_free_ends
     step = step_equations(model, scheme)
     known = [model.time, *step.lengths, *step.left]
     residual = function_of([*known, *step.unknowns], step.equations)
@@ -89,7 +88,7 @@ def _state_after(step: StepEquations, residual: Function, jacobian: Function, le
 @cache
 def _flow_after(divisions: int) -> list[mpmath.mpf]:
     """The exact flow of the generic system over a fraction of the unit of time, by mpmath's Taylor series."""
-    phase = legendre.hamiltonian_form(without_boundaries(generic_model()))
+    phase = legendre.hamiltonian_form(generic_model().with_free_ends)
     rates = function_of([phase.time, *phase.coordinates, *phase.rates], _vector_field(phase))
     with mpmath.workdps(_DIGITS):
         start = [mpmath.mpf(x.p) / x.q for x in _STATE]
@@ -102,7 +101,7 @@ def first_difference(scheme: Scheme, highest: int) -> tuple[int, Expr]:
 
     Zero when they agree up to the highest power.
     """
-    model = without_boundaries(generic_model())
+    model = generic_model().with_free_ends
     step = _step_series(model, scheme, highest)
     flow = _flow_series(model, highest)
     for power in range(1, highest + 1):

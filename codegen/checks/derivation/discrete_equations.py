@@ -15,7 +15,6 @@ import sympy
 from sympy import Expr, S, Symbol
 
 from codegen.checks.base import Context, Finding
-from codegen.checks.derivation.one_step import without_boundaries
 from codegen.checks.evaluation import DIGITS, function_of, random_points
 from codegen.discretise import STEP, at_nodes, repeated
 from codegen.model import Model, legendre
@@ -29,7 +28,7 @@ _VANISHED = 1e-15
 
 def check(context: Context) -> Iterator[Finding]:
     """Compare both sides at random states, one finding for each equation."""
-    model, program = without_boundaries(context.model), context.program
+    model, program = context.model.with_free_ends, context.program
     forces: list[Symbol] = []
     if program.method == "variational":
         model = legendre.lagrangian_form(model)
@@ -41,7 +40,7 @@ def check(context: Context) -> Iterator[Finding]:
         continuous = _euler_lagrange(model, forces)
         rates: list[Symbol] = [*model.rates, *_accelerations(model), *forces]
     else:
-        model = model if model.form == "first-order" else legendre.hamiltonian_form(model)
+        model = legendre.hamiltonian_form(model)
         names = [f"step of {x}" for x in (*model.coordinates, *model.rates)]
         rates = [Symbol(f"rate_{x}", real=True) for x in (*model.coordinates, *model.rates)]
         discrete = _stepwise(model, program, rates, context.scheme)

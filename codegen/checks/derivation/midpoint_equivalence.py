@@ -9,7 +9,6 @@ from sympy import Expr, S, Symbol
 
 from codegen import schemes
 from codegen.checks.base import Context, Finding, does_not_apply
-from codegen.checks.derivation.one_step import without_boundaries
 from codegen.checks.evaluation import vanishing
 from codegen.discretise import STEP, at_nodes, one_step_interval, variational_interval
 from codegen.discretise.polynomials import between
@@ -38,7 +37,7 @@ def check(context: Context) -> Iterator[Finding]:
 
 def residuals(model: Model) -> list[tuple[str, Expr]]:
     """What the discrete Hamiltonian map leaves of the equations of the midpoint rule, by coordinate and momentum."""
-    model = without_boundaries(model)
+    model = model.with_free_ends
     if phase_functions(model):
         return _with_velocities(model)
     phase = legendre.hamiltonian_form(model)

@@ -17,7 +17,6 @@ from sympy import Expr, Symbol
 
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.checks.derivation.discrete_equations import constant_controls, constraint_multipliers, node_equations
-from codegen.checks.derivation.one_step import without_boundaries
 from codegen.checks.derivation.phases import phase_contexts
 from codegen.checks.evaluation import DIGITS, function_of, random_points, vanishing
 from codegen.checks.solution.solutions import free_values
@@ -35,7 +34,7 @@ def check(context: Context) -> Iterator[Finding]:
         yield does_not_apply("momentum matching", f"the {program.method} method has no discrete Lagrangian")
         return
     for phase, own in phase_contexts(context):
-        model = legendre.lagrangian_form(without_boundaries(own.model))
+        model = legendre.lagrangian_form(own.model.with_free_ends)
         for finding in (*_matching(own, model), *_limits(own, model)):
             yield replace(finding, subject=f"{phase}{finding.subject}")
     if isinstance(program, ControlProgram):

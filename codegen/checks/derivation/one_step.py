@@ -15,7 +15,7 @@ from codegen.author.symbols import coordinate, time
 from codegen.checks.evaluation import Function
 from codegen.discretise import STEP, at_nodes, one_step_interval, repeated, variational_interval
 from codegen.errors import NumericsError
-from codegen.model import Boundary, Model, legendre, normalise
+from codegen.model import Model, legendre, normalise
 from codegen.schemes import Scheme
 
 _MOST_ITERATIONS = 60
@@ -59,7 +59,7 @@ def step_equations(model: Model, scheme: Scheme) -> StepEquations:
 
     Raises what the Legendre transforms raise.
     """
-    model = without_boundaries(model)
+    model = model.with_free_ends
     lengths, part = repeated(scheme)
     if not part.variational:
         phase = legendre.hamiltonian_form(model)
@@ -95,12 +95,6 @@ def solved_step(residual: Function, jacobian: Function, given: Sequence[Any], st
         if max(abs(x) for x in change) <= least * (1 + max(abs(x) for x in y)):
             return y
     raise NumericsError("the equations of a step could not be solved", "check the scheme")
-
-
-def without_boundaries(model: Model) -> Model:
-    """The model with both ends free, whose Legendre transforms cannot fail for the sake of an end."""
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    return replace(model, start=free, end=free)
 
 
 def without_forces(model: Model) -> Model:
