@@ -95,11 +95,11 @@ class Request:
         """Whether the problem is a generated module, loaded or in a file."""
         if not isinstance(self.problem, Path | str):
             return True
-        path = Path(self.problem)
-        if not path.is_file():
+        try:
+            with Path(self.problem).open("rb") as file:
+                return file.read(len(_GENERATED)) == _GENERATED
+        except OSError:  # what is wrong with it is said where it is read
             return False
-        with path.open("rb") as file:
-            return file.read(len(_GENERATED)) == _GENERATED
 
     def driver_for(self, module: GeneratedModule) -> Driver:
         """The driver, if it and all options that are given mean something for a module's task, else ArgumentError."""

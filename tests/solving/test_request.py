@@ -129,6 +129,8 @@ def test_threads_build_and_solve_at_once(tmp_path, monkeypatch):
 REFUSED = {
     "driver": (EFFORT, {"driver": "newtn"}, ArgumentError, "did you mean newton"),
     "no-driver": (EFFORT, {"driver": 3}, ArgumentError, "no driver 3; use one of newton"),
+    "two-drivers": (EFFORT, {"driver": ["newton", "fmin"]}, ArgumentError, "no driver .*; use one of newton"),
+    "folder": (PROBLEMS, {}, ProblemFileError, "is a directory"),
     "option": (EFFORT, {"step": 10}, ArgumentError, "no option step; did you mean steps"),
     "other-option": (EFFORT, {"xyz": 10}, ArgumentError, "no option xyz; use one of problem, driver, arguments"),
     "scheme": (EFFORT, {"scheme": "midpont"}, CodegenError, "did you mean midpoint"),
