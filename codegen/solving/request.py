@@ -105,8 +105,8 @@ class Request:
         """The driver, if it and all options that are given mean something for a module's task, else ArgumentError."""
         task = task_of(module)
         driver = find(self.driver, task.name)
-        for name in filter(self._is_given, _options_of_tasks()):
-            if name not in task.options and not driver.takes(task.name, name):
+        for name in filter(self._is_given, _DEFAULTS):
+            if name not in task.options and not driver.takes(task.name, name) and _is_of_tasks(name):
                 raise _meaningless(name, task, driver)
         return driver
 
@@ -127,9 +127,9 @@ def require_known(names: Iterable[str]) -> None:
             raise ArgumentError(f"codegen.solve has no option {name}", remedy)
 
 
-def _options_of_tasks() -> list[str]:
-    """Options that mean something for some tasks only."""
-    return [name for name in _DEFAULTS if any(_takers(name, task) for task in TASKS.values())]
+def _is_of_tasks(name: str) -> bool:
+    """Whether an option means something for some tasks, or drivers, only."""
+    return any(_takers(name, task) for task in TASKS.values())
 
 
 def _takers(name: str, task: Task) -> list[str]:
