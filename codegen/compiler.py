@@ -75,13 +75,15 @@ def build(
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
     store = cache.place_of(path, settings, choices)
-    is_new = not cache.kept_text(store)
+    text = cache.kept_text(store)
+    is_new = not text
     if is_new:
         with _DERIVING:
-            is_new = not cache.kept_text(store)  # another thread may have derived it meanwhile
+            text = cache.kept_text(store)  # another thread may have derived it meanwhile
+            is_new = not text
             if is_new:
-                _keep(store, generate(path, settings, choices, time_limit))
-    text = cache.kept_text(store)
+                text = generate(path, settings, choices, time_limit)
+                _keep(store, text)
     target, written = _placed(store, text, out) if out is not None else (_found(store, text), is_new)
     return Build(target, store.stem, time.perf_counter() - begin, not is_new, written)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +15,7 @@ from codegen.errors import one_line
 from codegen.terminal import console, working
 
 if TYPE_CHECKING:
-    from codegen.compiler import Build
+    from codegen.naming import Choices
 
 
 def check(
@@ -26,6 +28,7 @@ def check(
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of all checks.")] = CHECK,
 ) -> None:
     """Check the derivation and the generated code; exit status 1 if a check fails."""
+    from codegen import naming
     from codegen.author.problem_file import parse_arguments
     from codegen.solutions import output
 
@@ -33,25 +36,13 @@ def check(
         output.require_folder(out, "--out")
     arguments = parse_arguments(set_, problem)
     with working("Checking"):
-        from codegen import checks, compiler, naming
+        from codegen import checks
 
-        # A module that someone keeps is checked as it stands, never rebuilt: it may have been changed by hand.
-        choices = naming.chosen(scheme, method, controls.value)
-        kept = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
-        made = (
-            kept
-            if kept.is_file()
-            else _compiled(compiler.build(problem, arguments, scheme=scheme, method=method, controls=controls.value))
-        )
+        made = _module(problem, arguments, naming.chosen(scheme, method, controls.value), out)
         findings = checks.run(
-            problem,
-            arguments,
-            scheme=scheme,
-            method=method,
-            controls=controls.value,
-            module=made,
+            problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made,
             time_limit=time_limit,
-        )
+        )  # fmt: skip
     console().print(output.findings_table(findings))
     failed = [finding for finding in findings if not finding.passed]
     if failed:
@@ -60,11 +51,16 @@ def check(
         raise typer.Exit(1)
 
 
-def _compiled(made: Build) -> Path:
-    """The path of a module, compiled by the processes that are quick at it, not function by function when called."""
+def _module(problem: Path, arguments: Mapping[str, str], choices: Choices, out: Path | None) -> Path:
+    """The module that someone keeps, as it stands, since it may have been changed by hand; else one of the cache."""
+    from codegen import compiler, naming
     from codegen.loading import load
     from codegen.machine_code import ahead
 
-    for line in ahead.require(made.path, load(made.path), made.written, working)[1]:
+    kept = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
+    if kept.is_file():
+        return kept
+    made = compiler.build(problem, arguments, scheme=choices.scheme, method=choices.method, controls=choices.controls)
+    for line in ahead.require(made.path, load(made.path), made.written, nullcontext)[1]:
         typer.echo(line, err=True)
     return made.path

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import shutil
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from codegen.model import Model
     from codegen.model.pairwise import PairwiseModel
     from codegen.solutions.result import Result
+    from codegen.solving.request import Request
 
 PLOTS = (".png", ".pdf", ".svg")
 ANIMATIONS = (".gif", ".mp4")
@@ -68,11 +69,11 @@ class Pictures:
             animate.save(film, title, temporary, _with_progress)
 
 
-def requested(problem: Path, arguments: Mapping[str, str], plot: Path | None, animation: Path | None) -> Pictures:
+def requested(request: Request, plot: Path | None, animation: Path | None) -> Pictures:
     """Check, before anything is solved, that the wanted pictures can be drawn.
 
-    `arguments` are those of problem(). Raises ArgumentError for files that cannot be written, for
-    a film of type .mp4 without ffmpeg and for a film of a problem without a drawing; what the problem file raises.
+    Raises ArgumentError for files that cannot be written, for a film of type .mp4 without ffmpeg and for a film of a
+    problem without a drawing, as a generated module is; what the problem file raises.
     """
     if plot is not None:
         require_writable(plot, PLOTS, "--plot")
@@ -83,10 +84,12 @@ def requested(problem: Path, arguments: Mapping[str, str], plot: Path | None, an
             raise ArgumentError(finding, "install ffmpeg, or let the file end in .gif")
     if plot is None and animation is None:
         return Pictures()
+    from codegen.author.problem_file import split_points
     from codegen.model.from_file import load_problem
 
-    model = load_problem(problem, arguments)
-    if animation is not None and not model.drawing:
+    problem = Path(str(request.problem))
+    model = None if request.is_built else load_problem(problem, split_points(problem, request.arguments)[0])
+    if animation is not None and not (model and model.drawing):
         finding = f"--animate {animation}: {problem} says nothing about how to draw it"
         raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
     return Pictures(plot, animation, model, _unit(problem))

@@ -77,17 +77,17 @@ def solve(
     from codegen.solving.outcome import outcome_of
     from codegen.solving.request import Request
 
-    arguments = parse_arguments(set_, problem)
     request = Request(
-        problem, driver, arguments=arguments, scheme=scheme, method=method, controls=controls.value, out=out,
-        steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings, guesses=guesses, tolerance=tolerance,
-        max_iterations=max_iterations, time_limit=time_limit, scaling=scaling, log=log,
+        problem, driver, arguments=parse_arguments(set_, problem), scheme=scheme, method=method,
+        controls=controls.value, out=out, steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings,
+        guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
+        log=log,
     )  # fmt: skip
     if save is not None:
         output.require_writable(save, output.ARCHIVES, "--save")
     if out is not None:
         output.require_folder(out, "--out", may_be_made=True)
-    wanted = pictures.requested(problem, arguments, plot, animate)
+    wanted = pictures.requested(request, plot, animate)
     outcome = with_options(outcome_of(request, working, following))
     if save is not None:
         output.save(outcome.result, outcome.record, save)

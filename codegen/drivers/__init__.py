@@ -69,7 +69,7 @@ DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
 
 def find(name: str, task: str | None = None) -> Driver:
     """The driver of that name, which must apply to the task; ArgumentError tells which do."""
-    if name not in DRIVERS:
+    if not isinstance(name, str) or name not in DRIVERS:
         close = difflib.get_close_matches(str(name), DRIVERS, 1)
         remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(DRIVERS)}"
         raise ArgumentError(f"there is no driver {name!r}", remedy)

@@ -7,7 +7,7 @@ MINPACK-1.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from scipy.optimize import fsolve
@@ -62,17 +62,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
     Raises ArgumentError when the scheme is explicit for this problem, and for particles.
     """
-    if module.metadata.get("separable") is not None:
-        raise ArgumentError(
-            "driver fsolve does not solve the steps of particles, whose module has its own Newton method", "use newton"
-        )
-    if module.metadata.get("parts"):
-        raise ArgumentError(
-            f"driver fsolve solves one system in each step, and {module.metadata['scheme']} makes "
-            f"{module.metadata['parts']} steps of another scheme",
-            "use newton",
-        )
-    if not is_implicit(module):
+    if not _is_stepwise(module):
         raise ArgumentError(
             f"driver fsolve has nothing to solve: {module.metadata['scheme']} is explicit for this problem",
             "use newton, or a scheme that is implicit for it",
@@ -104,6 +94,21 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
         residual=module.path_residual(grid, path) if steps else float("nan"),
         tolerance=TOLERANCE,
     )
+
+
+def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:
+    """Whether a step is one system of equations; ArgumentError where it is several, or its module's own."""
+    if module.metadata.get("separable") is not None:
+        raise ArgumentError(
+            "driver fsolve does not solve the steps of particles, whose module has its own Newton method", "use newton"
+        )
+    if module.metadata.get("parts"):
+        raise ArgumentError(
+            f"driver fsolve solves one system in each step, and {module.metadata['scheme']} makes "
+            f"{module.metadata['parts']} steps of another scheme",
+            "use newton",
+        )
+    return is_implicit(module)
 
 
 def _solve_step(module: ImplicitModule, grid: StepGrid, state: Vector, t: float) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import Any
 
 from codegen.drivers.connect import newton as connect
@@ -19,31 +20,18 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     warm = run.guess is not None and run.near
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **_stops(run))
-    return ControlAttempt(
-        status=solution.status,
-        message=solution.message,
-        iterations=solution.iterations,
-        unknowns=solution.unknowns,
-        tolerance=tolerance,
-        log=solution.log,
-    )
+    return ControlAttempt(**_claimed(ControlAttempt, solution), tolerance=tolerance)
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
     """Call the module's `solve`."""
     solution = module.solve(steps=run.steps, every=run.every, **_stops(run))
-    return SimulateAttempt(
-        status=solution.status,
-        message=solution.message,
-        iterations=solution.iterations,
-        t=solution.t,
-        q=solution.q,
-        p=solution.p,
-        energy=solution.energy,
-        steps=solution.steps,
-        residual=solution.residual,
-        tolerance=TOLERANCE,
-    )
+    return SimulateAttempt(**_claimed(SimulateAttempt, solution), tolerance=TOLERANCE)
+
+
+def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:
+    """What an attempt takes from a module's solution, which calls it the same."""
+    return {f.name: getattr(solution, f.name) for f in fields(attempt) if f.name != "tolerance"}
 
 
 def _stops(run: Run) -> dict[str, Any]:

@@ -51,14 +51,9 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
         # Where a barrier keeps unknowns off their bounds, the method itself may know better which are held there.
         nu = min(found.v[0], problem.multipliers(found.x), key=lambda nu: problem.unbalanced(found.x, nu))
         unknowns = problem.unknowns(found.x, nu)
-    if not np.isfinite(found.fun):
-        status = "non-finite"
-    elif found.status in (_GRADIENT_SMALL, _STEP_SMALL):
-        # A vanishing trust region is how the method ends at rounding level; where it ends elsewhere, the
-        # residuals evaluated afterwards tell.
-        status = "solved"
-    else:
-        status = "iteration limit"
+    # A vanishing trust region is how the method ends at rounding level; where it ends elsewhere, the residuals tell.
+    status = "solved" if found.status in (_GRADIENT_SMALL, _STEP_SMALL) else "iteration limit"
+    status = status if np.isfinite(found.fun) else "non-finite"
     message = (
         f"trust-constr found a local minimum in {found.nit} iterations"
         if status == "solved"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from codegen.errors import FileError
     from codegen.loading import GeneratedModule
 
-_COMPILING = threading.Lock()
+_COMPILING: dict[Path, threading.Lock] = {}
 """Threads that want the same module wait for the first of them, and find what it has made."""
 
 
@@ -25,7 +25,7 @@ def require(
     """Have a module compiled that has no machine code; return the seconds, and what there is to say about it."""
     from codegen.loading import has_machine_code
 
-    with _COMPILING:
+    with _COMPILING.setdefault(path.resolve(), threading.Lock()):
         if not is_new and not vars(module)["DAMAGED"] and has_machine_code(path, module):
             return 0.0, []
         with working("Compiling"), compilers() as processes:

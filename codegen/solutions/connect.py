@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import PointsError
-from codegen.loading import ConnectModule
+from codegen.loading import ConnectModule, Vector
 from codegen.solutions.crossings import crossings
-from codegen.solutions.result import ConnectAttempt, Result, Run, identity, max_norm, other_driver
+from codegen.solutions.result import ConnectAttempt, Result, Run, max_norm, origin, other_driver, taken_back
 
 TOLERANCE = 1e-12
 
@@ -21,58 +21,50 @@ def connect_result(
 ) -> Result:
     """Re-evaluate every step and the arrival, and downgrade a false claim of success."""
     metadata, case, path = module.metadata, case_of(module, run), attempt.path
-    finite = bool(np.isfinite(path).all())
-    errors, end = module.path_errors(case, path) if finite else (np.full(1, np.nan), np.full(1, np.nan))
-    arrival = np.abs(end).reshape(case.start.shape) if finite else np.full(case.start.shape, np.nan)
     energy = np.array([module.hamiltonian(np.ascontiguousarray(z), case.own, case.parameters) for z in path])
-    if metadata["adaptive"]:
-        # The steps are the integrator's own; what remains to be checked is where it arrives.
-        residual = max_norm(end)
-        cost = float(2.0 * case.duration * energy[:-1].mean())
-    else:
-        residual = max(max_norm(errors.ravel()), max_norm(end))
-        cost = float(module.path_cost(case, path)) if finite else float("nan")
+    residual, cost, arrival = _measured(module, case, path, energy)
     status, message = attempt.status, attempt.message
     if status == "solved" and not residual <= 10.0 * attempt.tolerance:
-        status = "inaccurate"
-        message = f"{driver} reported success, but the equations have residual {residual:.1e}; {other_driver(driver)}"
+        status, message = taken_back(driver, f"the equations have residual {residual:.1e}", other_driver(driver))
     crossed = crossings(case.start, case.target)
     if status != "solved" and crossed:
         one, other = crossed[0]
         message += f"; the straight ways of {len(crossed)} pairs of points cross, first those of {one} and {other}"
-    margin = min(float(module.domain_margin(np.ascontiguousarray(z))) for z in path)
-    count = case.start.shape[0]
-    names = {
-        key: tuple(f"{name}_{i + 1}" for i in range(count) for name in metadata[group])
-        for key, group in (("q", "coordinates"), ("p", "rates"))
+    summary = {
+        "particles": float(case.start.shape[0]),
+        "largest_arrival_error": float(arrival.max()),
+        "mean_arrival_error": float(arrival.mean()),
+        "largest_miss": float(np.abs(path[-1, 0] - case.target).max()),
+        "condition_number": condition_number(module, case),
+        "crossings": float(len(crossed)),
+        "energy_drift": float(np.abs(energy - energy[0]).max()),
+        "domain_margin": min(float(module.domain_margin(np.ascontiguousarray(z))) for z in path),
+        "attempts": float(max(1, len(attempt.attempts))),
+        "tangents": float(attempt.tangents),
     }
     return Result(
-        **identity(metadata, driver, run),
-        status=status,
-        message=message,
-        cost=cost,
-        residual=float(residual),
-        iterations=attempt.iterations,
-        t=case.duration / case.steps * np.arange(case.steps + 1),
-        q=path[:, 0].reshape(case.steps + 1, -1),
-        p=path[:, 1].reshape(case.steps + 1, -1),
-        energy=energy,
-        names={**names, "u": ()},
-        summary={
-            "particles": float(count),
-            "largest_arrival_error": float(arrival.max()),
-            "mean_arrival_error": float(arrival.mean()),
-            "largest_miss": float(np.abs(path[-1, 0] - case.target).max()),
-            "condition_number": condition_number(module, case),
-            "crossings": float(len(crossed)),
-            "energy_drift": float(np.abs(energy - energy[0]).max()),
-            "domain_margin": margin,
-            "attempts": float(max(1, len(attempt.attempts))),
-            "tangents": float(attempt.tangents),
-        },
-        attempts=attempt.attempts,
-        seconds_solve=seconds,
-    )
+        **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
+        t=case.duration / case.steps * np.arange(case.steps + 1), q=path[:, 0].reshape(case.steps + 1, -1),
+        p=path[:, 1].reshape(case.steps + 1, -1), energy=energy, names=_names(metadata, case.start.shape[0]),
+        summary=summary, attempts=attempt.attempts,
+    )  # fmt: skip
+
+
+def _measured(module: ConnectModule, case: Any, path: Any, energy: Vector) -> tuple[float, float, Vector]:
+    """The residual of all equations, the cost, and by how much each point misses its target; NaN where nothing is."""
+    finite = bool(np.isfinite(path).all())
+    errors, end = module.path_errors(case, path) if finite else (np.full(1, np.nan), np.full(case.start.size, np.nan))
+    arrival: Vector = np.abs(end).reshape(case.start.shape)
+    if module.metadata["adaptive"]:
+        # The steps are the integrator's own; what remains to be checked is where it arrives.
+        return max_norm(end), float(2.0 * case.duration * energy[:-1].mean()), arrival
+    cost = float(module.path_cost(case, path)) if finite else math.nan
+    return max(max_norm(errors.ravel()), max_norm(end)), cost, arrival
+
+
+def _names(metadata: Mapping[str, Any], count: int) -> dict[str, tuple[str, ...]]:
+    groups = {"q": metadata["coordinates"], "p": metadata["rates"], "u": ()}
+    return {key: tuple(f"{name}_{i + 1}" for i in range(count) for name in group) for key, group in groups.items()}
 
 
 def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:

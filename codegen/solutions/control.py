@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from codegen.loading import ControlModule, Entries, Grid, Vector
-from codegen.solutions.result import ControlAttempt, Result, Run, component_names, identity, max_norm, other_driver
+from codegen.solutions.result import (
+    ControlAttempt,
+    Result,
+    Run,
+    component_names,
+    max_norm,
+    origin,
+    other_driver,
+    taken_back,
+)
 
 LARGE_MULTIPLIERS = 100.0
 """Mean multipliers above it make the optimality conditions' tolerance relative."""
@@ -20,14 +29,12 @@ def control_result(
 ) -> Result:
     """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
     metadata, unknowns, grid = module.metadata, attempt.unknowns, module.make_grid(run.steps)
-    status, message, scaled = attempt.status, attempt.message, _scaled_grid(module, grid, run)
+    scaled = _scaled_grid(module, grid, run)
     residual, stationarity = _errors(module, scaled, unknowns, np.ones(unknowns.size), 1.0)
+    status, message = attempt.status, attempt.message
     if status == "solved" and not _is_accurate(module, scaled, attempt):
-        status = "inaccurate"
-        message = (
-            f"{driver} reported success, but the discrete equations have residual {residual:.1e} and the optimality "
-            f"conditions {stationarity:.1e}; {other_driver(driver)}"
-        )
+        conditions = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
+        status, message = taken_back(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status != "solved" and driver != "newton":
@@ -35,35 +42,21 @@ def control_result(
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
     cost = _cost(module, scaled, unknowns) if status == "solved" else float(module.cost(grid, unknowns))
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
+    summary = {
+        **({"maximum": -cost} if metadata.get("maximised") else {}),
+        "duration": float(t[-1] - t[0]),
+        "final_state_miss": _final_state_miss(module, grid, unknowns),
+        "largest_control": max_norm(u),
+        "stationarity": stationarity,
+        **_free_parameters(module, unknowns),
+        **_integral_multipliers(module, unknowns),
+        **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.get("phases", 1))},
+    }
     return Result(
-        **identity(metadata, driver, run),
-        status=status,
-        message=message,
-        cost=cost,
-        residual=residual,
-        stationarity=stationarity,
-        iterations=attempt.iterations,
-        t=t,
-        q=q,
-        p=p,
-        u=u,
-        multipliers=multipliers,
-        log=attempt.log,
-        unknowns=unknowns,
-        names=component_names(metadata),
-        stage_places=metadata.get("stage_places", ()),
-        summary={
-            **({"maximum": -cost} if metadata.get("maximised") else {}),
-            "duration": float(t[-1] - t[0]),
-            "final_state_miss": _final_state_miss(module, grid, unknowns),
-            "largest_control": max_norm(u),
-            "stationarity": stationarity,
-            **_free_parameters(module, unknowns),
-            **_integral_multipliers(module, unknowns),
-            **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.get("phases", 1))},
-        },
-        seconds_solve=seconds,
-    )
+        **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
+        stationarity=stationarity, t=t, q=q, p=p, u=u, multipliers=multipliers, log=attempt.log, unknowns=unknowns,
+        names=component_names(metadata), stage_places=metadata.get("stage_places", ()), summary=summary,
+    )  # fmt: skip
 
 
 def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:

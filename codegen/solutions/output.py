@@ -6,7 +6,6 @@ import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from codegen.checks import Finding
-    from codegen.solutions.result import Level, Result
+    from codegen.solutions.result import Result
 
 ARCHIVES = (".npz",)
 
@@ -62,9 +61,11 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
     }
 
 
-def _level(level: Level) -> dict[str, Any]:
-    numbers = {name: _finite(getattr(level, name)) for name in ("cost", "residual", "seconds")}
-    return {**asdict(level), **numbers}
+def _level(level: Result) -> dict[str, Any]:
+    """How the solution on one grid of a refinement ended."""
+    words = {name: getattr(level, name) for name in ("steps", "status", "message", "iterations")}
+    numbers = {"cost": level.cost, "residual": level.residual, "seconds": level.seconds_solve}
+    return words | {name: _finite(number) for name, number in numbers.items()}
 
 
 def as_json(record: Mapping[str, Any]) -> str:

@@ -98,19 +98,6 @@ class SimulateAttempt:
     tolerance: float
 
 
-@dataclass(frozen=True)
-class Level:
-    """How the solution on one grid of a refinement ended."""
-
-    steps: int
-    status: str
-    message: str
-    cost: float | None
-    residual: float
-    iterations: int
-    seconds: float
-
-
 @dataclass(frozen=True, kw_only=True)
 class Result:
     """A solution with its residuals; arrays run over the nodes, `u` over intervals, nodes or stages.
@@ -148,7 +135,7 @@ class Result:
     seconds_first: float = float("nan")
     compiled: bool = False
     attempts: tuple[str, ...] = ()
-    levels: tuple[Level, ...] = ()
+    levels: tuple[Result, ...] = ()
     stage_places: tuple[float, ...] = ()
 
     @property
@@ -192,10 +179,18 @@ class Result:
         return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
 
 
-def identity(metadata: Mapping[str, Any], driver: str, run: Run) -> dict[str, Any]:
-    """What a result says of where it comes from."""
-    names = ("problem", "title", "task", "method", "scheme")
-    return {name: metadata[name] for name in names} | {"driver": driver, "steps": run.steps}
+Attempt: TypeAlias = ConnectAttempt | ControlAttempt | SimulateAttempt
+
+
+def origin(metadata: Mapping[str, Any], driver: str, run: Run, attempt: Attempt, seconds: float) -> dict[str, Any]:
+    """What a result says of where it comes from, whatever the task."""
+    own = {name: metadata[name] for name in ("problem", "title", "task", "method", "scheme")}
+    return {**own, "driver": driver, "steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
+
+
+def taken_back(driver: str, finding: str, remedy: str) -> tuple[str, str]:
+    """Status and message where a driver claims what is not so."""
+    return "inaccurate", f"{driver} reported success, but {finding}; {remedy}"
 
 
 def other_driver(driver: str) -> str:

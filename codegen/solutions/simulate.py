@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.loading import Matrix, SimulateModule
-from codegen.solutions.result import Result, Run, SimulateAttempt, component_names, identity, max_norm
+from codegen.solutions.result import Result, Run, SimulateAttempt, component_names, max_norm, origin, taken_back
 
 UNITS = 1e4
 """How many times larger than rounding errors the changes are by which their effect is measured."""
@@ -27,30 +27,21 @@ def simulate_result(
             rounding = max(rounding, 10.0 * rounding_level(module, run.steps, attempt.q, attempt.p))
     status, message = attempt.status, attempt.message
     if status == "solved" and not residual <= max(attempt.tolerance, rounding):
-        status = "inaccurate"
-        message = f"{driver} reported success, but the scheme's equations have residual {residual:.1e}; try more steps"
+        finding = f"the scheme's equations have residual {residual:.1e}"
+        status, message = taken_back(driver, finding, "try more steps")
     names = component_names(metadata)
     drift = np.abs(attempt.energy - attempt.energy[0])
     final = zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True)
+    summary = {
+        "duration": float(attempt.t[-1]),
+        **{f"final_{name}": float(value) for name, value in final},
+        "energy_drift": float(drift.max()),
+        "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
+    }
     return Result(
-        **identity(metadata, driver, run),
-        status=status,
-        message=message,
-        residual=float(residual),
-        iterations=attempt.iterations,
-        t=attempt.t,
-        q=attempt.q,
-        p=attempt.p,
-        energy=attempt.energy,
-        names=names,
-        summary={
-            "duration": float(attempt.t[-1]),
-            **{f"final_{name}": float(value) for name, value in final},
-            "energy_drift": float(drift.max()),
-            "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
-        },
-        seconds_solve=seconds,
-    )
+        **origin(metadata, driver, run, attempt, seconds), status=status, message=message, residual=float(residual),
+        t=attempt.t, q=attempt.q, p=attempt.p, energy=attempt.energy, names=names, summary=summary,
+    )  # fmt: skip
 
 
 def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:

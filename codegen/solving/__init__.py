@@ -57,7 +57,7 @@ def solve(*positional: Any, **options: Any) -> Result:
     The result's `t` has shape (M + 1,), and `q`, `p`, `u` a row for each time (`u` for each interval), with a column
     for each of `names`; `status` is "solved" only if all equations hold when they are evaluated again outside the
     driver, and numerical failure is a status with its reason in `message`, not an exception. All quantities are in the
-    units of the problem file. Calls from several threads are safe; derivation and compilation take turns.
+    units of the problem file. Calls from several threads are safe; derivations take turns.
 
     Raises ArgumentError for an option, driver, scheme or argument that does not exist or does not apply, NumericsError
     for an unusable number, and another kind of CodegenError when the problem cannot be read, derived or stored. Source:

@@ -13,7 +13,7 @@ import numpy as np
 
 from codegen.errors import NumericsError
 from codegen.loading import ControlModule, Matrix, Vector
-from codegen.solutions.result import Level, Result
+from codegen.solutions.result import Result
 
 
 def transferred(module: ControlModule, unknowns: Vector, steps: int) -> Vector:
@@ -89,21 +89,13 @@ def refine(
     costs = [result.cost for result in _solved_to_the_end(results) if result.cost is not None]
     # What the first solve alone knows, such as how many guesses it tried, stays.
     summary = {**results[0].summary, **results[-1].summary, **_estimates(module, costs)}
-    levels = tuple(map(_level, results))
-    return replace(results[-1], summary=summary, attempts=results[0].attempts, levels=levels)
+    return replace(results[-1], summary=summary, attempts=results[0].attempts, levels=tuple(results))
 
 
 def _solved_to_the_end(results: Sequence[Result]) -> Sequence[Result]:
     """Those behind the last failure."""
     failed = [place for place, result in enumerate(results) if not result.solved]
     return results[failed[-1] + 1 if failed else 0 :]
-
-
-def _level(result: Result) -> Level:
-    return Level(
-        result.steps, result.status, result.message, result.cost, result.residual, result.iterations,
-        result.seconds_solve,
-    )  # fmt: skip
 
 
 def order_of_optima(module: ControlModule) -> int:

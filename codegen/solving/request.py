@@ -71,6 +71,11 @@ class Request:
             raise ArgumentError(f"--scaling {self.scaling}", f"use one of {', '.join(SCALINGS)}")
         if self.warm is not None and self.guesses > 1:
             raise ArgumentError("several guesses beside a warm start", "leave one of them out")
+        for name in ("scheme", "method", "controls"):
+            if not isinstance(getattr(self, name), str | None):
+                raise ArgumentError(f"{_option(name)} {getattr(self, name)!r} is no name", "give one as text")
+        if not (self.points is None or isinstance(self.points, Path | str) or hasattr(self.points, "target")):
+            raise ArgumentError(f"--points {type(self.points).__name__}", "give a file, or a PointSet")
         if not isinstance(self.arguments, Mapping):
             raise ArgumentError(f"arguments are {self.arguments!r}", 'give names and values, such as {"craft": 3}')
         self._require_problem()
@@ -82,7 +87,7 @@ class Request:
             raise ArgumentError(f"a solve begins with a problem, not with {what}", "give its path, or a loaded module")
         given = next(filter(self._is_given, _OF_BUILDS), None)
         if given and self.is_built:
-            finding = f"{_option(given)} is a choice of a build, and {self._name} is a generated module"
+            finding = f"{_option(given)} is a choice of a build, and the problem is a generated module already"
             raise ArgumentError(finding, "leave it out, or give the problem file")
 
     @property
@@ -90,22 +95,18 @@ class Request:
         """Whether the problem is a generated module, loaded or in a file."""
         if not isinstance(self.problem, Path | str):
             return True
-        path = Path(self.problem)
-        if not path.is_file():
+        try:
+            with Path(self.problem).open("rb") as file:
+                return file.read(len(_GENERATED)) == _GENERATED
+        except OSError:  # what is wrong with it is said where it is read
             return False
-        with path.open("rb") as file:
-            return file.read(len(_GENERATED)) == _GENERATED
-
-    @property
-    def _name(self) -> str:
-        return str(self.problem) if isinstance(self.problem, Path | str) else str(self.problem.metadata["problem"])
 
     def driver_for(self, module: GeneratedModule) -> Driver:
         """The driver, if it and all options that are given mean something for a module's task, else ArgumentError."""
         task = task_of(module)
         driver = find(self.driver, task.name)
-        for name in filter(self._is_given, _options_of_tasks()):
-            if name not in task.options and not driver.takes(task.name, name):
+        for name in filter(self._is_given, _DEFAULTS):
+            if name not in task.options and not driver.takes(task.name, name) and _is_of_tasks(name):
                 raise _meaningless(name, task, driver)
         return driver
 
@@ -126,9 +127,9 @@ def require_known(names: Iterable[str]) -> None:
             raise ArgumentError(f"codegen.solve has no option {name}", remedy)
 
 
-def _options_of_tasks() -> list[str]:
-    """Options that mean something for some tasks only."""
-    return [name for name in _DEFAULTS if any(_takers(name, task) for task in TASKS.values())]
+def _is_of_tasks(name: str) -> bool:
+    """Whether an option means something for some tasks, or drivers, only."""
+    return any(_takers(name, task) for task in TASKS.values())
 
 
 def _takers(name: str, task: Task) -> list[str]:

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def start_of(warm: Vector | Path | str | None) -> Callable[[GeneratedModule], Ve
     if warm is None:
         return lambda module: None
     if not isinstance(warm, Path | str):
-        unknowns = np.asarray(warm, dtype=float)
+        unknowns = _vector("--warm", warm, "give the unknowns of a result")
         return lambda module: unknowns
     saved = read_start(Path(warm))
     return lambda module: fitting(saved, module)
@@ -53,16 +53,25 @@ def read_start(path: Path) -> SavedStart:
         with np.load(path, allow_pickle=False) as archive:
             if "unknowns" not in archive:
                 raise ArgumentError(f"--warm {path} holds no unknowns of an optimisation", _REMEDY)
-            unknowns = np.asarray(archive["unknowns"], dtype=float)
+            unknowns = _vector(f"--warm {path}: its unknowns", archive["unknowns"], _REMEDY)
             named = [name for name in ("q", "u") if f"{name}_names" in archive]
             names = {name: tuple(map(str, archive[f"{name}_names"])) for name in named}
             nodes = archive["t"].size if "t" in archive else None
     except (OSError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         reason = " ".join(f"{error}".split())
         raise ArgumentError(f"--warm {path} cannot be read ({reason})", _REMEDY) from None
-    if unknowns.ndim != 1 or not np.isfinite(unknowns).all():
-        raise ArgumentError(f"--warm {path}: its unknowns are no vector of finite numbers", _REMEDY)
     return SavedStart(path, unknowns, names, nodes)
+
+
+def _vector(what: str, values: Any, remedy: str) -> Vector:
+    """Values as a vector; ArgumentError says what is none."""
+    try:
+        vector = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.empty((0, 0))
+    if vector.ndim != 1 or not np.isfinite(vector).all():
+        raise ArgumentError(f"{what}: no vector of finite numbers", remedy)
+    return vector
 
 
 def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -10,8 +12,9 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from codegen import drivers, solving
+from codegen.drivers import scaled
 from codegen.drivers.newton import control as newton
-from codegen.drivers.scaled import ScaledProblem
+from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError, NumericsError
 from codegen.solutions.control import control_result
 from codegen.solutions.result import STATUSES, Run
@@ -174,6 +177,28 @@ def test_scaled_derivatives_against_differences(orbital_transfer):
         2 * problem.hessian(x, nu) @ step,
         atol=1e-12,
     )
+
+
+def test_threads_that_use_scipy_at_once_leave_warnings_and_blas_as_they_were(monkeypatch):
+    """Whichever thread ends first."""
+    limits = [4]
+
+    class Libraries:
+        @contextmanager
+        def limit(self, limits: int, threads=limits):
+            before, threads[0] = threads[0], limits
+            yield
+            threads[0] = before
+
+    monkeypatch.setattr(scaled, "_libraries", Libraries)
+    filters = list(warnings.filters)
+    first, second = quiet_single_thread(), quiet_single_thread()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert (limits, warnings.filters[0][0]) == ([1], "ignore")
+    second.__exit__(None, None, None)
+    assert (limits, warnings.filters) == ([4], filters)
 
 
 def test_unknown_driver_is_refused(orbital_transfer):

@@ -16,6 +16,8 @@ from codegen.cli import main, pictures
 from codegen.drawing import Mass, Scene, Trail
 from codegen.errors import ArgumentError
 from codegen.plots import animation as animate
+from codegen.solving.outcome import outcome_of
+from codegen.solving.request import Request
 
 SWING = '''"""Let a pendulum swing. All quantities are nondimensional."""
 from sympy import cos, sin
@@ -155,7 +157,7 @@ class TestMp4:
         with pytest.raises(ArgumentError, match=r"needs the program ffmpeg.*\.gif"):
             animate.save(short(), "A disc moves.", tmp_path / "a.mp4")
         with pytest.raises(ArgumentError, match=r"--animate .*a.mp4 needs the program ffmpeg.*\.gif"):
-            pictures.requested(tmp_path / "none.py", [], None, tmp_path / "a.mp4")
+            pictures.requested(Request(tmp_path / "none.py"), None, tmp_path / "a.mp4")
 
 
 class TestCommand:
@@ -190,7 +192,7 @@ class TestCommand:
         ],
     )
     def test_what_cannot_be_drawn_is_refused_before_anything_is_solved(self, folder, monkeypatch, words, fragments):
-        monkeypatch.setattr("codegen.cli.solve.build_module", pytest.fail)
+        monkeypatch.setattr("codegen.compiler.build", pytest.fail)
         before = {path.name for path in folder.iterdir()}
         result = self.run(*words.split())
         assert result.exit_code == 2
@@ -210,12 +212,22 @@ class TestCommand:
         assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 
     def test_unit(self, folder):
-        assert pictures.requested(folder / "swing.py", [], folder / "a.png", None).unit == "nondimensional"
+        assert pictures.requested(Request(folder / "swing.py"), folder / "a.png", None).unit == "nondimensional"
         (folder / "swing.py").write_text(SWING.replace("All quantities are nondimensional.", ""))
-        assert pictures.requested(folder / "swing.py", [], folder / "a.png", None).unit == ""
+        assert pictures.requested(Request(folder / "swing.py"), folder / "a.png", None).unit == ""
 
     def test_nothing_wanted_reads_nothing(self, folder):
-        assert pictures.requested(folder / "none.py", [], None, None) == pictures.Pictures()
+        assert pictures.requested(Request(folder / "none.py"), None, None) == pictures.Pictures()
+
+
+def test_a_generated_module_is_drawn_as_far_as_it_knows_how(tmp_path, pendulum):
+    """It has no drawing, which is written in the problem file alone."""
+    request = Request(pendulum.__file__, steps=20)
+    wanted = pictures.requested(request, tmp_path / "a.png", None)
+    wanted.save(pendulum, outcome_of(request).result)
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ArgumentError, match="says nothing about how to draw it"):
+        pictures.requested(request, None, tmp_path / "a.gif")
 
 
 def test_no_progress_bar_without_a_terminal():

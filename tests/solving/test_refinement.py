@@ -99,7 +99,7 @@ class TestSavedStarts:
         [
             ({"q": np.zeros(3)}, "holds no unknowns"),
             ({"unknowns": np.array([0.0, np.nan])}, "no vector of finite numbers"),
-            ({"unknowns": np.array(["text"])}, "cannot be read"),
+            ({"unknowns": np.array(["text"])}, "no vector of finite numbers"),
         ],
     )
     def test_files_without_a_solution(self, tmp_path, arrays, fragment):
