@@ -19,6 +19,7 @@ _HOMES = {
     **dict.fromkeys(["together"], "codegen.author.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
     **dict.fromkeys(["load"], "codegen.loading"),
+    **dict.fromkeys(["solve"], "codegen.solving"),
 }
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "parameters",
     "particle",
     "particles",
+    "solve",
     "state",
     "states",
     "time",
@@ -70,6 +72,7 @@ if TYPE_CHECKING:
     )
     from codegen.compiler import build
     from codegen.loading import load
+    from codegen.solving import solve
 
 
 def __getattr__(name: str) -> Any:

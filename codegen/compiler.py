@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import gc
 import math
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -50,7 +51,7 @@ class Build:
 
 def build(
     path: Path | str,
-    arguments: Mapping[str, str] | None = None,
+    arguments: Mapping[str, object] | None = None,
     *,
     scheme: str | None = None,
     method: str | None = None,
@@ -61,35 +62,54 @@ def build(
 ) -> Build:
     """Derive, emit and write the module of a problem file into the folder `out`.
 
-    Without `out` the module stays in the user's cache, unless ./generated already holds the very same text: then that
-    file is used, and with it the machine code that numba keeps beside it. A derivation may take `time_limit` seconds of
-    processor time; what takes longer is a SizeError, which names the stage and what is large. Raises a kind of
-    CodegenError when the problem or a choice is unusable; then nothing is written.
+    `arguments` are those of problem(), as values or as the text that `--set` takes. Without `out` the module stays in
+    the user's cache, unless ./generated already holds the very same text: then that file is used, and with it the
+    machine code that numba keeps beside it. A derivation may take `time_limit` seconds of processor time; what takes
+    longer is a SizeError, which names the stage and what is large. Raises a kind of CodegenError when the problem or a
+    choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
-    path = Path(path)
-    arguments = split_points(path, arguments or {})[0]
-    for key, value in arguments.items():
+    path, choices = Path(path), chosen(scheme, method, controls, general)
+    settings = split_points(path, arguments or {})[0]
+    for key, value in settings.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
-    choices = chosen(scheme, method, controls, general)
-    store = cache.place_of(path, arguments, choices)
-    kept_text = cache.kept_text(store)
-    name, cached, text = store.stem, bool(kept_text), kept_text or generate(path, arguments, choices, time_limit)
-    if not cached:
-        try:
-            emit.write(store, text)
-        except FileError as error:
-            raise FileError(error.finding, "make room there, or let CODEGEN_CACHE_DIR name another folder") from error
-    if out is None:
-        kept = GENERATED / f"{name}.py"
-        target = kept if kept.is_file() and kept.read_bytes() == text.encode() else store
-        return Build(target, name, time.perf_counter() - begin, cached, not cached)
-    target = Path(out) / f"{name}.py"
+    store = cache.place_of(path, settings, choices)
+    is_new = not cache.kept_text(store)
+    if is_new:
+        with _DERIVING:
+            is_new = not cache.kept_text(store)  # another thread may have derived it meanwhile
+            if is_new:
+                _keep(store, generate(path, settings, choices, time_limit))
+    text = cache.kept_text(store)
+    target, written = _placed(store, text, out) if out is not None else (_found(store, text), is_new)
+    return Build(target, store.stem, time.perf_counter() - begin, not is_new, written)
+
+
+_DERIVING = threading.Lock()
+"""Problem files are run with their folder on the path and their output redirected, which threads cannot do at once."""
+
+
+def _keep(store: Path, text: str) -> None:
+    try:
+        emit.write(store, text)
+    except FileError as error:
+        raise FileError(error.finding, "make room there, or let CODEGEN_CACHE_DIR name another folder") from error
+
+
+def _found(store: Path, text: str) -> Path:
+    """The file in ./generated that holds the very same text, else the one in the cache."""
+    kept = GENERATED / store.name
+    return kept if kept.is_file() and kept.read_bytes() == text.encode() else store
+
+
+def _placed(store: Path, text: str, out: Path | str) -> tuple[Path, bool]:
+    """The file in a folder that was asked for, and whether it had to be written."""
+    target = Path(out) / store.name
     written = emit.write(target, text)
     with suppress(OSError):  # where it may not be removed, Python may not have written it either
         remove_partial_bytecode(cache_from_source(target))  # type: ignore[no-untyped-call]
-    return Build(target, name, time.perf_counter() - begin, cached, written)
+    return target, written
 
 
 def stored(path: Path, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:

@@ -48,7 +48,7 @@ def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Ori
     words = ["codegen build", shlex.quote(path.name), *(f"--set {setting}" for setting in settings)]
     for option in ("scheme", "method"):
         words += [f"--{option} {value}" for value in (getattr(choices, option),) if value]
-    words += ["--controls nodal"] if choices.controls == "nodal" else []
+    words += [f"--controls {choices.controls}"] if choices.controls != "interval" else []
     words += ["(in the general form, for measurements)"] if choices.general else []
     inputs = input_digest(path, arguments, *choice_texts(choices), *versions())
     return Origin(path.name, " ".join(words), inputs, versions())
@@ -80,7 +80,7 @@ def versions() -> tuple[str, ...]:
 
 
 def choice_texts(choices: Choices) -> tuple[str, ...]:
-    """The choices as a digest takes them; ArgumentError where controls live neither on intervals nor at nodes."""
-    if choices.controls not in ("interval", "nodal"):
-        raise ArgumentError(f"controls is {choices.controls!r}", "use interval or nodal")
+    """The choices as a digest takes them; ArgumentError where controls live nowhere."""
+    if choices.controls not in ("interval", "nodal", "stages"):
+        raise ArgumentError(f"controls is {choices.controls!r}", "use interval, stages or nodal")
     return (choices.scheme or "", choices.method or "", choices.controls, *(["general"] if choices.general else []))

@@ -86,6 +86,7 @@ import os
 import pickletools
 import sys
 from functools import lru_cache
+from threading import Lock
 from time import perf_counter
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -142,6 +143,7 @@ COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 3  # unknowns that no node owns, with the conditions' multipliers
 CARRIED = 1  # columns of right-hand sides that take part in the elimination
 IS_MULTIPLIER = np.array([False, False, True, True, False, False, True, True, False, False])  # of node and interval
+SHARED_IS_MULTIPLIER = np.array([True, False, False])  # of shared unknowns
 START_PINNED = np.array([0, 1], dtype=np.int64)  # unknowns of the first node that are given
 END_PINNED = np.array([0, 1], dtype=np.int64)  # unknowns of the last node that are given
 ONLY_AT_ENDS = np.zeros(0, np.int64)  # unknowns that inner nodes do not have; zero there
@@ -151,7 +153,6 @@ EQUATIONS = np.arange(2, 4)  # multipliers of the equations of motion in a node
 PHASES = 2  # phases, each of equally many intervals
 PHASE_LACKS = np.array([[True, True, True, True, False, False], [True, True, True, True, False, False]])  # unknowns of an interval, by phase
 SWITCH_LACKS = np.array([[False, False, False, False, False, False]])  # the same of the first interval after each switch
-SHARED_IS_MULTIPLIER = np.array([True, False, False], dtype=bool)
 
 
 # ---- Kernels: everything that is special about this problem ----
@@ -677,19 +678,28 @@ def end_gradient(unknowns, t, parameters, gradient):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
-# at once, one may leave the option as another had set it, which changes no result.
+# percent less time. Machine code that is on the disk already is as it was compiled. The option is one for all threads and
+# modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
+
+# Of all modules together, and so kept beside the option: how many blocks run, and what it was before them.
+PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
 @contextmanager
 def packed_operations():
     """Have operations packed in whatever numba compiles while the block runs."""
-    before = getattr(config, "SLP_VECTORIZE", 0)
-    config.SLP_VECTORIZE = 1
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
     try:
         yield
     finally:
-        config.SLP_VECTORIZE = before
+        with PACKING["lock"]:
+            PACKING["blocks"] -= 1
+            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+                config.SLP_VECTORIZE = PACKING["before"]
 
 
 # Arrays that compiled functions make and clear for themselves.
@@ -707,6 +717,16 @@ def zero_vector(size):
 def zero_matrix(rows, columns):
     """A matrix of zeros."""
     return np.zeros((rows, columns))
+
+
+@njit(error_model="numpy", forceinline=True)
+def copy_part(values, first, part):
+    """Fill `part` with the values from `first` on.
+
+    A loop that hands slices to functions counts references to them, by locked instructions, in every round.
+    """
+    for i in range(part.size):
+        part[i] = values[first + i]
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -799,23 +819,24 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
-    part = zero_vector(ELEMENT + SHARED)
+    local, part = zero_vector(ELEMENT), zero_vector(ELEMENT + SHARED)
     at_end = zero_vector(NODE + SHARED)
     cost = 0.0
     for body in range(BODIES):
-        first, last = body * chain, (body + 1) * chain - NODE
+        first, last, own = body * chain, (body + 1) * chain - NODE, parameters[body]
         read_shared(unknowns, body, parameters)
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += start_gradient(unknowns[first : first + NODE], 0.0, parameters[body], at_end)
+        cost += start_gradient(unknowns[first : first + NODE], 0.0, own, at_end)
         add_end(at_end, first, NODE, body, gradient)
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += end_gradient(unknowns[last : last + NODE], steps * h, parameters[body], at_end)
+        cost += end_gradient(unknowns[last : last + NODE], steps * h, own, at_end)
         add_end(at_end, last, NODE, body, gradient)
         for k in range(steps):
             here = first + k * STRIDE
-            cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            copy_part(unknowns, here, local)
+            cost += interval_gradient(local, k * h, h, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         for i in START_PINNED:
             gradient[first + i] = 0.0
@@ -996,6 +1017,11 @@ def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, el
 @njit(error_model="numpy")
 def note_ends(unknowns, body, steps, h, parameters, tables):
     """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
+
+
+@njit(error_model="numpy", inline="always")
+def add_end_terms(unknowns, body, steps, h, parameters, sums):
+    """Add the absolute terms of the ends' own shares: there are none."""
 
 
 def end_entries(grid, unknowns):
@@ -1293,19 +1319,19 @@ def eliminate_body(
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
-    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
+    local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
-        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
-        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
+        copy_part(unknowns, k * STRIDE, local)
+        interval_hessian(local, k * h, h, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]
         clear(element)
-        if not add_element(hessian, here, slope, inverses, couplings, k, element):
+        if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
-            element[i, i] += here[i]
+            element[i, i] += diagonal[k * STRIDE + i]
         add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
             close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
@@ -1639,6 +1665,7 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])
+        add_end_terms(unknowns, body, steps, h, parameters[body], sums)
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if sizes.size:
@@ -2161,7 +2188,9 @@ def layout(steps):
     chains = is_multiplier[: BODIES * chain].reshape(BODIES, chain)
     chains[:, :-NODE].reshape(BODIES, steps, STRIDE)[:] = IS_MULTIPLIER
     chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
-    is_multiplier[BODIES * chain :] = SHARED_IS_MULTIPLIER
+    first = BODIES * (chain)
+    is_multiplier[BODIES * chain : first].reshape(BODIES, OWN)[:] = SHARED_IS_MULTIPLIER[:OWN]
+    is_multiplier[first : is_multiplier.size - COUPLINGS] = SHARED_IS_MULTIPLIER[OWN:]
     chains = is_free[: BODIES * chain].reshape(BODIES, chain)
     for i in ONLY_AT_ENDS:
         chains[:, i + STRIDE : -NODE : STRIDE] = False
@@ -2777,18 +2806,17 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
-    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one."""
+def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes):
+    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
+
+    `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
+    """
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
-    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
-    for i in range(kinds.size):
-        if not KIND_IS_MULTIPLIER[kinds[i]]:
-            primal[i] = unknowns[i]
-            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
-    lagrangian_gradient(primal, steps, h, parameters, slopes)
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
             rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+        else:
+            size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, parameters, tables)
     forget_dust(size, tables[1])
@@ -2941,6 +2969,7 @@ def change_of_cost(slopes, kinds, size, curvature):
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
+WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -2970,7 +2999,7 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
 
     Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
-    that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
+    that fails, what was found is a solution only where all conditions nearly hold in the sizes that they have there.
     """
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
@@ -2985,12 +3014,19 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            holds = evaluate(finer, begin).residual <= VIOLATED
-            return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
+            found = ("solved", grid, start, point) if nearly_holds(finer, same) else (status, finer, begin, better)
+            return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
             break
     return "solved", grid, start, point, total
+
+
+def nearly_holds(grid, point):
+    """Whether equations hold but for VIOLATED, and stationarity too: slopes that no bound holds, beside multipliers."""
+    slope = np.where(grid.is_multiplier, 0.0, point.gradient)
+    mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
+    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
 
 
 def is_steeper(finer, grid):
@@ -3007,7 +3043,9 @@ def in_parts(grid, unknowns):
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
-    weight, is_scaled = fill_sizes(unknowns, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    slopes = evaluate(grid, primal).gradient
+    weight, is_scaled = fill_sizes(primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
     if not is_scaled:
         return grid._replace(bounds=bounds)
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
@@ -3335,7 +3373,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_7859a15639f89e80"
+_IDENTITY = "codegen_bouncing_ball_78bbfe5c18520f5d"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -60,6 +60,7 @@ import os
 import pickletools
 import sys
 from functools import lru_cache
+from threading import Lock
 from time import perf_counter
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -317,19 +318,28 @@ def end_gradient(unknowns, t, parameters, gradient):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
-# at once, one may leave the option as another had set it, which changes no result.
+# percent less time. Machine code that is on the disk already is as it was compiled. The option is one for all threads and
+# modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
+
+# Of all modules together, and so kept beside the option: how many blocks run, and what it was before them.
+PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
 @contextmanager
 def packed_operations():
     """Have operations packed in whatever numba compiles while the block runs."""
-    before = getattr(config, "SLP_VECTORIZE", 0)
-    config.SLP_VECTORIZE = 1
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
     try:
         yield
     finally:
-        config.SLP_VECTORIZE = before
+        with PACKING["lock"]:
+            PACKING["blocks"] -= 1
+            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+                config.SLP_VECTORIZE = PACKING["before"]
 
 
 # Arrays that compiled functions make and clear for themselves.
@@ -347,6 +357,16 @@ def zero_vector(size):
 def zero_matrix(rows, columns):
     """A matrix of zeros."""
     return np.zeros((rows, columns))
+
+
+@njit(error_model="numpy", forceinline=True)
+def copy_part(values, first, part):
+    """Fill `part` with the values from `first` on.
+
+    A loop that hands slices to functions counts references to them, by locked instructions, in every round.
+    """
+    for i in range(part.size):
+        part[i] = values[first + i]
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -399,22 +419,23 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
-    part = zero_vector(ELEMENT)
+    local, part = zero_vector(ELEMENT), zero_vector(ELEMENT)
     at_end = zero_vector(NODE)
     cost = 0.0
     for body in range(BODIES):
-        first, last = body * chain, (body + 1) * chain - NODE
+        first, last, own = body * chain, (body + 1) * chain - NODE, parameters[body]
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += start_gradient(unknowns[first : first + NODE], 0.0, parameters[body], at_end)
+        cost += start_gradient(unknowns[first : first + NODE], 0.0, own, at_end)
         add_end(at_end, first, NODE, body, gradient)
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += end_gradient(unknowns[last : last + NODE], steps * h, parameters[body], at_end)
+        cost += end_gradient(unknowns[last : last + NODE], steps * h, own, at_end)
         add_end(at_end, last, NODE, body, gradient)
         for k in range(steps):
             here = first + k * STRIDE
-            cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            copy_part(unknowns, here, local)
+            cost += interval_gradient(local, k * h, h, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         for i in START_PINNED:
             gradient[first + i] = 0.0
@@ -593,6 +614,11 @@ def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, el
 @njit(error_model="numpy")
 def note_ends(unknowns, body, steps, h, parameters, tables):
     """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
+
+
+@njit(error_model="numpy", inline="always")
+def add_end_terms(unknowns, body, steps, h, parameters, sums):
+    """Add the absolute terms of the ends' own shares: there are none."""
 
 
 def end_entries(grid, unknowns):
@@ -844,18 +870,18 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 
 
 @njit(error_model="numpy", inline="always")
-def scatter(hessian, gradient, element, coupling):
+def scatter(hessian, gradient, k, element, coupling):
     """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
-    There, too, the right-hand side is a column if it is carried along: minus what `gradient`, that by the interval's
-    node and interval unknowns, has for those to eliminate.
+    There, too, the right-hand side is a column if it is carried along: minus what the body's `gradient`
+    has for those that interval k eliminates.
     """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
     for j in range(COUPLED.size):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
     for a in range(CONDENSED):
-        coupling[a, RIGHT] = -gradient[BLOCK + a]
+        coupling[a, RIGHT] = -gradient[k * STRIDE + BLOCK + a]
 
 
 @njit(error_model="numpy", inline="always")
@@ -933,15 +959,14 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix; False when C is not positive definite.
 
-    `diagonal` and `gradient` are those of the interval's node and interval unknowns; inverse(C) and B are kept for the
-    recovery.
+    `diagonal` and `gradient` are those of the body; inverse(C) and B are kept for the recovery.
     """
     block = inverses[k + 1]
-    scatter(hessian, gradient, element, couplings[k])
+    scatter(hessian, gradient, k, element, couplings[k])
     for a in range(CONDENSED):
         for b in range(CONDENSED):
             block[a, b] = 0.0
-        block[a, a] = diagonal[BLOCK + a]
+        block[a, a] = diagonal[k * STRIDE + BLOCK + a]
     for j in range(INSIDE.size):
         block[INSIDE_ROWS[j], INSIDE_COLUMNS[j]] += hessian[INSIDE[j]]
         if INSIDE_ROWS[j] != INSIDE_COLUMNS[j]:
@@ -1004,19 +1029,19 @@ def eliminate_body(
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
-    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
+    local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
-        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
-        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
+        copy_part(unknowns, k * STRIDE, local)
+        interval_hessian(local, k * h, h, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]
         clear(element)
-        if not add_element(hessian, here, slope, inverses, couplings, k, element):
+        if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
-            element[i, i] += here[i]
+            element[i, i] += diagonal[k * STRIDE + i]
         add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
             close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
@@ -1296,6 +1321,7 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])
+        add_end_terms(unknowns, body, steps, h, parameters[body], sums)
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if sizes.size:
@@ -1463,14 +1489,21 @@ def relaxation(mu):
     return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu))
 
 
+@njit(cache=True, error_model="numpy")
 def push_inside(lower, upper, unknowns, push):
     """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
-    width = push * (upper - lower)
-    with np.errstate(invalid="ignore"):
-        least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
-        greatest = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), width)
-    least, greatest = np.where(lower > -np.inf, least, -np.inf), np.where(upper < np.inf, greatest, np.inf)
-    return np.minimum(np.maximum(unknowns, least), greatest)
+    inside = unknowns.copy()
+    for i in range(inside.size):
+        width = push * (upper[i] - lower[i])
+        if lower[i] > -np.inf:
+            least = lower[i] + min(push * max(1.0, abs(lower[i])), width)
+            if inside[i] < least:
+                inside[i] = least
+        if upper[i] < np.inf:
+            greatest = upper[i] - min(push * max(1.0, abs(upper[i])), width)
+            if inside[i] > greatest:
+                inside[i] = greatest
+    return inside
 
 
 @njit(cache=True, error_model="numpy")
@@ -1824,11 +1857,12 @@ def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     length = step.longest
     while length > shortest:
         trial = moved(search, iterate, step.primal, length)
-        if not is_better(trial, iterate, step, length, mu, small_violation, filtered):
-            worse = length == step.longest and trial[0].violation >= iterate.point.violation
-            trial = corrected(search, iterate, step, mu, trial, small_violation, filtered) if worse else None
-        if trial is not None:
+        if is_better(trial, iterate, step, length, mu, small_violation, filtered):
             return with_duals(trial, iterate, step, mu), length
+        if length == step.longest and trial[0].violation >= iterate.point.violation:
+            better = corrected(search, iterate, step, mu, trial, small_violation, filtered)
+            if better is not None:
+                return better, length
         length *= 0.5
     return None, length
 
@@ -1873,9 +1907,12 @@ def moved(search, iterate, step, length):
 
 
 def corrected(search, iterate, step, mu, trial, small_violation, filtered):
-    """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
+    """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
+
+    Duals follow the corrected step: those of the step that was refused belong to other distances.
+    """
     grid, bounds, system, *_ = search
-    right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
+    right, correction, dual = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
     barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
     for _ in range(CORRECTIONS):
@@ -1884,10 +1921,11 @@ def corrected(search, iterate, step, mu, trial, small_violation, filtered):
         solve_kkt(grid, system, right, correction)
         if not np.isfinite(correction).all():
             return None
-        _, length, _ = measure_step(iterate.point.unknowns, right, correction, *barrier, max(0.99, 1.0 - mu), unused)
+        tau = max(0.99, 1.0 - mu)
+        _, length, dual_length = measure_step(iterate.point.unknowns, right, correction, *barrier, tau, dual)
         trial = moved(search, iterate, correction, length)
         if is_better(trial, iterate, step, step.longest, mu, small_violation, filtered):
-            return trial
+            return with_duals(trial, iterate, step._replace(dual=dual, dual_length=dual_length), mu)
         if not trial[0].violation < 0.99 * last:
             return None
         last = trial[0].violation
@@ -2426,30 +2464,42 @@ def prescribed_beyond(grid, unknowns):
     Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
     within the first interval.
     """
-    steps, units = grid.steps, units_of(grid)
-    nodes, intervals = views(grid, unknowns / units)
-    if steps == 1:
+    if grid.steps == 1:
         return ""
-    (low, least), (high, _) = (views(grid, bound) for bound in bounds_of(grid))
-    ends, inner = np.s_[:, ::steps], np.s_[:, 1 : steps : max(1, steps - 2)]
-    given, margin = nodes[ends], 1e-9 * np.maximum(1.0, np.abs(nodes[ends]))
-    beyond = (given < low[inner] - margin) | (given > high[inner] + margin)
-    if beyond.any():
-        beyond &= np.isinf(low[ends]) & np.isinf(high[ends])
-        for body, end, i in np.argwhere(beyond)[:1]:
-            unit, k = views(grid, units)[0][body, 0, i], (1, -2)[end]
-            limits = f"{unit * low[body, k, i]:g} to {unit * high[body, k, i]:g}"
-            value = f"{metadata['node'][i]} is prescribed as {unit * given[body, end, i]:g}"
-            return f"{value} at the {END_NAMES[end]}, beyond its bounds {limits}"
-    ends, inner = np.s_[:, :: steps - 1], np.s_[:, 1 : steps - 1 : max(1, steps - 3)] if steps > 2 else np.s_[:, ::-1]
-    violated = intervals[ends] < least[inner] - LEAST_SLACK
-    if violated.any():
-        violated &= least[ends] < least[inner]  # a slack of what is prescribed has no bound there
-        for _, end, i in np.argwhere(violated)[:1]:
-            name = metadata["interval"][i]
-            condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
-            return f"what is prescribed at the {END_NAMES[end]} violates {condition}"
-    return ""
+    units, (lower, upper) = units_of(grid), bounds_of(grid)
+    place, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
+    if place < 0:
+        return ""
+    local = place % (grid.steps * STRIDE + NODE)
+    end, i = END_NAMES[local >= STRIDE], local % STRIDE
+    if i < NODE:
+        limits = f"{units[place] * lower[inner]:g} to {units[place] * upper[inner]:g}"
+        return f"{metadata['node'][i]} is prescribed as {unknowns[place]:g} at the {end}, beyond its bounds {limits}"
+    name = metadata["interval"][i - NODE]
+    condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+    return f"what is prescribed at the {end} violates {condition}"
+
+
+@njit(cache=True, error_model="numpy")
+def first_beyond(unknowns, units, lower, upper, steps):
+    """Places of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
+
+    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both places are -1
+    where there is no such unknown.
+    """
+    for body in range(BODIES):
+        for i in range(STRIDE):
+            start = body * (steps * STRIDE + NODE) + i
+            end = start + (steps if i < NODE else steps - 1) * STRIDE
+            for place, inner in ((start, start + STRIDE), (end, end - STRIDE)):
+                value, least, greatest = unknowns[place] / units[place], lower[inner], upper[inner]
+                margin = 1e-9 * max(1.0, abs(value)) if i < NODE else LEAST_SLACK
+                is_below = lower[place] < least and value < least - margin
+                is_above = upper[place] > greatest and value > greatest + margin
+                is_given = lower[place] == -np.inf and upper[place] == np.inf
+                if (i < NODE and is_given and (is_below or is_above)) or (i >= NODE and is_below):
+                    return place, inner
+    return -1, -1
 
 
 # The direction along which the cost curves downwards most while the equations hold to first order.
@@ -2959,18 +3009,17 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
-    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one."""
+def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes):
+    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
+
+    `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
+    """
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
-    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
-    for i in range(kinds.size):
-        if not KIND_IS_MULTIPLIER[kinds[i]]:
-            primal[i] = unknowns[i]
-            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
-    lagrangian_gradient(primal, steps, h, parameters, slopes)
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
             rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+        else:
+            size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, parameters, tables)
     forget_dust(size, tables[1])
@@ -3123,6 +3172,7 @@ def change_of_cost(slopes, kinds, size, curvature):
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
+WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -3152,7 +3202,7 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
 
     Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
-    that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
+    that fails, what was found is a solution only where all conditions nearly hold in the sizes that they have there.
     """
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
@@ -3167,12 +3217,21 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            holds = evaluate(finer, begin).residual <= VIOLATED
-            return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
+            found = ("solved", grid, start, point) if nearly_holds(finer, same) else (status, finer, begin, better)
+            return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
             break
     return "solved", grid, start, point, total
+
+
+def nearly_holds(grid, point):
+    """Whether equations hold but for VIOLATED, and stationarity too: slopes that no bound holds, beside multipliers."""
+    slope = np.where(grid.is_multiplier, 0.0, point.gradient)
+    lower, upper = bounds_of(grid)
+    slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
+    mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
+    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
 
 
 def is_steeper(finer, grid):
@@ -3190,7 +3249,9 @@ def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
     bounds = variable_bounds(grid)
-    weight, is_scaled = fill_sizes(unknowns, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    slopes = evaluate(grid, primal).gradient
+    weight, is_scaled = fill_sizes(primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
     if not is_scaled:
         return grid._replace(bounds=bounds)
     units = np.where(IS_SLACK[kinds], 1.0, sizes)
@@ -3200,17 +3261,22 @@ def scaled_grid(grid, unknowns):
 
 def corrected_cost(grid, point):
     """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
-    return float(lagrangian(grid, point) - remaining_gap(grid, point)) / grid.weight
+    gap = remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
+    return float(lagrangian(grid, point) - gap) / grid.weight
 
 
-def remaining_gap(grid, point):
+@njit(cache=True, error_model="numpy")
+def remaining_gap(unknowns, gradient, lower, upper):
     """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
     total = 0.0
-    for side, bound in zip((1.0, -1.0), bounds_of(grid), strict=True):
-        (place,) = np.isfinite(bound).nonzero()
-        dual, distance = side * point.gradient[place], side * (point.unknowns[place] - bound[place])
-        active = np.maximum(dual, 0.0) / (np.abs(dual) + np.abs(distance) + 1e-300)
-        total += (dual * distance) @ active
+    for i in range(unknowns.size):
+        if gradient[i] > 0.0 and lower[i] > -np.inf:
+            dual, distance = gradient[i], unknowns[i] - lower[i]
+        elif gradient[i] < 0.0 and upper[i] < np.inf:
+            dual, distance = -gradient[i], upper[i] - unknowns[i]
+        else:
+            continue
+        total += dual * distance * (dual / (dual + abs(distance) + 1e-300))
     return total
 
 
@@ -3537,7 +3603,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_e8e517734246168c"
+_IDENTITY = "codegen_cart_pole_7adaf27217dc796c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

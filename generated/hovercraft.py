@@ -80,6 +80,7 @@ import os
 import pickletools
 import sys
 from functools import lru_cache
+from threading import Lock
 from time import perf_counter
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -396,19 +397,28 @@ def coupling_5(values, parameters, slopes, curvatures):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
-# at once, one may leave the option as another had set it, which changes no result.
+# percent less time. Machine code that is on the disk already is as it was compiled. The option is one for all threads and
+# modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
+
+# Of all modules together, and so kept beside the option: how many blocks run, and what it was before them.
+PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
 @contextmanager
 def packed_operations():
     """Have operations packed in whatever numba compiles while the block runs."""
-    before = getattr(config, "SLP_VECTORIZE", 0)
-    config.SLP_VECTORIZE = 1
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
     try:
         yield
     finally:
-        config.SLP_VECTORIZE = before
+        with PACKING["lock"]:
+            PACKING["blocks"] -= 1
+            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+                config.SLP_VECTORIZE = PACKING["before"]
 
 
 # Arrays that compiled functions make and clear for themselves.
@@ -426,6 +436,16 @@ def zero_vector(size):
 def zero_matrix(rows, columns):
     """A matrix of zeros."""
     return np.zeros((rows, columns))
+
+
+@njit(error_model="numpy", forceinline=True)
+def copy_part(values, first, part):
+    """Fill `part` with the values from `first` on.
+
+    A loop that hands slices to functions counts references to them, by locked instructions, in every round.
+    """
+    for i in range(part.size):
+        part[i] = values[first + i]
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -608,23 +628,24 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
-    part = zero_vector(ELEMENT + SHARED)
+    local, part = zero_vector(ELEMENT), zero_vector(ELEMENT + SHARED)
     at_end = zero_vector(NODE + SHARED)
     cost = 0.0
     for body in range(BODIES):
-        first, last = body * chain, (body + 1) * chain - NODE
+        first, last, own = body * chain, (body + 1) * chain - NODE, parameters[body]
         read_shared(unknowns, body, parameters)
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += start_gradient(unknowns[first : first + NODE], 0.0, parameters[body], at_end)
+        cost += start_gradient(unknowns[first : first + NODE], 0.0, own, at_end)
         add_end(at_end, first, NODE, body, gradient)
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += end_gradient(unknowns[last : last + NODE], steps * h, parameters[body], at_end)
+        cost += end_gradient(unknowns[last : last + NODE], steps * h, own, at_end)
         add_end(at_end, last, NODE, body, gradient)
         for k in range(steps):
             here = first + k * STRIDE
-            cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            copy_part(unknowns, here, local)
+            cost += interval_gradient(local, k * h, h, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         release_tied(gradient, first, last, body, gradient[gradient.size - ROOT :])
         for i in START_PINNED:
@@ -808,6 +829,11 @@ def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, el
 @njit(error_model="numpy")
 def note_ends(unknowns, body, steps, h, parameters, tables):
     """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
+
+
+@njit(error_model="numpy", inline="always")
+def add_end_terms(unknowns, body, steps, h, parameters, sums):
+    """Add the absolute terms of the ends' own shares: there are none."""
 
 
 def end_entries(grid, unknowns):
@@ -1059,18 +1085,18 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 
 
 @njit(error_model="numpy", inline="always")
-def scatter(hessian, gradient, element, coupling):
+def scatter(hessian, gradient, k, element, coupling):
     """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
-    There, too, the right-hand side is a column if it is carried along: minus what `gradient`, that by the interval's
-    node and interval unknowns, has for those to eliminate.
+    There, too, the right-hand side is a column if it is carried along: minus what the body's `gradient`
+    has for those that interval k eliminates.
     """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
     for j in range(COUPLED.size):
         coupling[COUPLED_ROWS[j], COUPLED_COLUMNS[j]] = hessian[COUPLED[j]]
     for a in range(CONDENSED):
-        coupling[a, RIGHT] = -gradient[BLOCK + a]
+        coupling[a, RIGHT] = -gradient[k * STRIDE + BLOCK + a]
 
 
 @njit(error_model="numpy", inline="always")
@@ -1157,7 +1183,7 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
-    scatter(hessian, gradient, element, couplings[k])
+    scatter(hessian, gradient, k, element, couplings[k])
     subtract_condensed(couplings[k], inverses[1], element)
     return True
 
@@ -1214,19 +1240,19 @@ def eliminate_body(
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
-    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
+    local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
-        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
-        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
+        copy_part(unknowns, k * STRIDE, local)
+        interval_hessian(local, k * h, h, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]
         clear(element)
-        if not add_element(hessian, here, slope, inverses, couplings, k, element):
+        if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
-            element[i, i] += here[i]
+            element[i, i] += diagonal[k * STRIDE + i]
         add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
             close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
@@ -1577,6 +1603,7 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])
+        add_end_terms(unknowns, body, steps, h, parameters[body], sums)
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if sizes.size:
@@ -2680,18 +2707,17 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(unknowns, lower, upper, kinds, steps, h, parameters, sizes):
-    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one."""
+def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes):
+    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
+
+    `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
+    """
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
-    primal, slopes = np.zeros(kinds.size), np.empty(kinds.size)
-    for i in range(kinds.size):
-        if not KIND_IS_MULTIPLIER[kinds[i]]:
-            primal[i] = unknowns[i]
-            size[kinds[i]] = max(size[kinds[i]], abs(unknowns[i]))
-    lagrangian_gradient(primal, steps, h, parameters, slopes)
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
             rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+        else:
+            size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, parameters, tables)
     matrix = zero_matrix(ROOT, ROOT)
@@ -2867,6 +2893,7 @@ def change_of_cost(slopes, kinds, size, curvature):
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
+WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -2896,7 +2923,7 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
 
     Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
-    that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
+    that fails, what was found is a solution only where all conditions nearly hold in the sizes that they have there.
     """
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
@@ -2911,12 +2938,19 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            holds = evaluate(finer, begin).residual <= VIOLATED
-            return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
+            found = ("solved", grid, start, point) if nearly_holds(finer, same) else (status, finer, begin, better)
+            return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
             break
     return "solved", grid, start, point, total
+
+
+def nearly_holds(grid, point):
+    """Whether equations hold but for VIOLATED, and stationarity too: slopes that no bound holds, beside multipliers."""
+    slope = np.where(grid.is_multiplier, 0.0, point.gradient)
+    mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
+    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
 
 
 def is_steeper(finer, grid):
@@ -2933,7 +2967,9 @@ def in_parts(grid, unknowns):
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
-    weight, is_scaled = fill_sizes(unknowns, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    slopes = evaluate(grid, primal).gradient
+    weight, is_scaled = fill_sizes(primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
     if not is_scaled:
         return grid._replace(bounds=bounds)
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
@@ -3275,7 +3311,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_1160ea6149ae1c26"
+_IDENTITY = "codegen_hovercraft_4e1fa206b9623ceb"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -48,6 +48,7 @@ import os
 import pickletools
 import sys
 from functools import lru_cache
+from threading import Lock
 from time import perf_counter
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -165,19 +166,28 @@ def end_gradient(unknowns, t, parameters, gradient):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
-# at once, one may leave the option as another had set it, which changes no result.
+# percent less time. Machine code that is on the disk already is as it was compiled. The option is one for all threads and
+# modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
+
+# Of all modules together, and so kept beside the option: how many blocks run, and what it was before them.
+PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
 @contextmanager
 def packed_operations():
     """Have operations packed in whatever numba compiles while the block runs."""
-    before = getattr(config, "SLP_VECTORIZE", 0)
-    config.SLP_VECTORIZE = 1
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
     try:
         yield
     finally:
-        config.SLP_VECTORIZE = before
+        with PACKING["lock"]:
+            PACKING["blocks"] -= 1
+            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+                config.SLP_VECTORIZE = PACKING["before"]
 
 
 # Arrays that compiled functions make and clear for themselves.
@@ -195,6 +205,16 @@ def zero_vector(size):
 def zero_matrix(rows, columns):
     """A matrix of zeros."""
     return np.zeros((rows, columns))
+
+
+@njit(error_model="numpy", forceinline=True)
+def copy_part(values, first, part):
+    """Fill `part` with the values from `first` on.
+
+    A loop that hands slices to functions counts references to them, by locked instructions, in every round.
+    """
+    for i in range(part.size):
+        part[i] = values[first + i]
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -244,22 +264,23 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
-    part = zero_vector(ELEMENT)
+    local, part = zero_vector(ELEMENT), zero_vector(ELEMENT)
     at_end = zero_vector(NODE)
     cost = 0.0
     for body in range(BODIES):
-        first, last = body * chain, (body + 1) * chain - NODE
+        first, last, own = body * chain, (body + 1) * chain - NODE, parameters[body]
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += start_gradient(unknowns[first : first + NODE], 0.0, parameters[body], at_end)
+        cost += start_gradient(unknowns[first : first + NODE], 0.0, own, at_end)
         add_end(at_end, first, NODE, body, gradient)
         for i in range(at_end.size):
             at_end[i] = 0.0
-        cost += end_gradient(unknowns[last : last + NODE], steps * h, parameters[body], at_end)
+        cost += end_gradient(unknowns[last : last + NODE], steps * h, own, at_end)
         add_end(at_end, last, NODE, body, gradient)
         for k in range(steps):
             here = first + k * STRIDE
-            cost += interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            copy_part(unknowns, here, local)
+            cost += interval_gradient(local, k * h, h, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         for i in START_PINNED:
             gradient[first + i] = 0.0
@@ -426,6 +447,11 @@ def pin(place, element):
 def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Pin what is given."""
     pin_ends(k, steps, diagonal, element)
+
+
+@njit(error_model="numpy", inline="always")
+def add_end_terms(unknowns, body, steps, h, parameters, sums):
+    """Add the absolute terms of the ends' own shares: there are none."""
 
 
 def end_entries(grid, unknowns):
@@ -677,11 +703,11 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 
 
 @njit(error_model="numpy", inline="always")
-def scatter(hessian, gradient, element, coupling):
+def scatter(hessian, gradient, k, element, coupling):
     """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
-    There, too, the right-hand side is a column if it is carried along: minus what `gradient`, that by the interval's
-    node and interval unknowns, has for those to eliminate.
+    There, too, the right-hand side is a column if it is carried along: minus what the body's `gradient`
+    has for those that interval k eliminates.
     """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
@@ -769,7 +795,7 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
-    scatter(hessian, gradient, element, couplings[k])
+    scatter(hessian, gradient, k, element, couplings[k])
     subtract_condensed(couplings[k], inverses[1], element)
     return True
 
@@ -826,19 +852,19 @@ def eliminate_body(
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
-    element, rest = zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
+    local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
-        here, slope = diagonal[k * STRIDE : (k + 1) * STRIDE], gradient[k * STRIDE : (k + 1) * STRIDE]
-        interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], k * h, h, parameters, hessian)
+        copy_part(unknowns, k * STRIDE, local)
+        interval_hessian(local, k * h, h, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]
         clear(element)
-        if not add_element(hessian, here, slope, inverses, couplings, k, element):
+        if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
-            element[i, i] += here[i]
+            element[i, i] += diagonal[k * STRIDE + i]
         if k == 0 or k == steps - 1:
             close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
         if k == 0:
@@ -1098,6 +1124,7 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])
+        add_end_terms(unknowns, body, steps, h, parameters[body], sums)
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if is_multiplier[i]:
@@ -2011,7 +2038,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hypersensitive_f49b9d63fca423cc"
+_IDENTITY = "codegen_hypersensitive_2590e24766bf3a25"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

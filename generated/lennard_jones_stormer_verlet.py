@@ -35,6 +35,7 @@ import math
 import os
 import pickletools
 import sys
+from threading import Lock
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
@@ -150,19 +151,28 @@ def velocity(z, own, parameters, rates):
 # Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
 #
 # numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
-# percent less time. Machine code that is on the disk already is as it was compiled. Of blocks that run in several threads
-# at once, one may leave the option as another had set it, which changes no result.
+# percent less time. Machine code that is on the disk already is as it was compiled. The option is one for all threads and
+# modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
+
+# Of all modules together, and so kept beside the option: how many blocks run, and what it was before them.
+PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
 @contextmanager
 def packed_operations():
     """Have operations packed in whatever numba compiles while the block runs."""
-    before = getattr(config, "SLP_VECTORIZE", 0)
-    config.SLP_VECTORIZE = 1
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
     try:
         yield
     finally:
-        config.SLP_VECTORIZE = before
+        with PACKING["lock"]:
+            PACKING["blocks"] -= 1
+            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+                config.SLP_VECTORIZE = PACKING["before"]
 
 
 # One step of a composition method for a separable Hamiltonian: places and momenta take turns, nothing is solved.
@@ -564,7 +574,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_lennard_jones_4f6539bbfc4f07f0"
+_IDENTITY = "codegen_lennard_jones_e36ce66291e1a104"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

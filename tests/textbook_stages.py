@@ -68,7 +68,6 @@ def higher_order_step(system: System, method: str, scheme: str, instant: float, 
             state = _stages_solved(system, *TABLES[method, scheme](), instant, length)
         else:
             found = schemes.find(scheme, method)
-            assert isinstance(found, schemes.Composition)
             state = _composed(system, found, instant, length)
         return np.array([float(x) for x in state])
 

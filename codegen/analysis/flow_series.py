@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import sympy
 from sympy import Add, Expr, S, Symbol
@@ -20,7 +19,7 @@ from codegen.analysis.series import Evaluation, Series, padded
 from codegen.discretise import STEP, Sites, at_nodes, one_step_interval, variational_interval
 from codegen.errors import SchemeError
 from codegen.model import Boundary, Model, legendre
-from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+from codegen.schemes import Scheme
 
 _GATHER_LIMIT = 300
 """Operation count up to which sympy's trigonometric simplification is affordable."""
@@ -48,8 +47,8 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
     of a step are not of a known kind, and what the Legendre transforms raise.
     """
     model = _bare(model)
-    phase = model if model.form == "first-order" else legendre.hamiltonian_form(model)
-    step = _Variational(model, phase, scheme) if isinstance(scheme, DiscreteLagrangian) else _OneStep(phase, scheme)
+    phase = legendre.hamiltonian_form(model)
+    step = _Variational(model, phase, scheme) if scheme.variational else _OneStep(phase, scheme)
     expand = step.expanded
     variables = (*phase.coordinates, *phase.rates, phase.time)
     inner = {*step.known, *step.unknowns, *variables, STEP}
@@ -68,13 +67,7 @@ def _bare(model: Model) -> Model:
     Sums of products of sines and cosines in denominators would have no normal form.
     """
     function, dynamics = _gathered(model.function), tuple(map(_gathered, model.dynamics))
-    return replace(without_ends(model), function=function, dynamics=dynamics)
-
-
-def without_ends(model: Model) -> Model:
-    """The model with free ends and no cost, whose Legendre transforms cannot fail for their sake."""
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    return replace(model, cost=None, path=(), start=free, end=free if model.end else None)
+    return replace(model.with_free_ends, cost=None, path=(), function=function, dynamics=dynamics)
 
 
 def _gathered(function: Expr) -> Expr:
@@ -142,7 +135,7 @@ class _OneStep(_Step):
         if phase.form == "hamiltonian":
             momentum = sum((p * sympy.diff(phase.function, p) for p in phase.rates), S.Zero)
             phase = replace(phase, cost=momentum - phase.function)
-        step = one_step_interval(phase, cast(OneStep, scheme))
+        step = one_step_interval(phase, scheme)
         self.action = step.cost if phase.form == "hamiltonian" else None
         self.known = dict(zip((*step.q.left, *step.p.left), states, strict=True)) | {phase.time: phase.time}
         self.known |= dict(zip(step.q.left_controls, phase.controls, strict=True))
@@ -193,7 +186,7 @@ class _VelocityForm:
     action: Expr
 
     @classmethod
-    def of(cls, model: Model, scheme: DiscreteLagrangian) -> _VelocityForm:
+    def of(cls, model: Model, scheme: Scheme) -> _VelocityForm:
         """p_k + D1 Ld + f- and D_j Ld + f_j for inner points, which vanish, and D2 Ld + f+ = p_k1."""
         interval = variational_interval(model, scheme)
         size, left = len(model.coordinates), interval.q.left
@@ -222,7 +215,7 @@ class _VelocityForm:
         )
 
     @classmethod
-    def inverse_slopes(cls, model: Model, scheme: DiscreteLagrangian) -> sympy.Matrix:
+    def inverse_slopes(cls, model: Model, scheme: Scheme) -> sympy.Matrix:
         """The inverse derivative of the equations of a free particle of unit mass by the velocities.
 
         At h = 0 all velocities agree, so that for any L the derivative is this one times the mass matrix L_vv.
@@ -248,7 +241,7 @@ def _momenta_of(model: Model) -> tuple[Symbol, ...]:
 class _Variational(_Step):
     """The forced discrete Legendre transforms and the stationarity of Ld at inner points, in velocities."""
 
-    def __init__(self, model: Model, phase: Model, scheme: DiscreteLagrangian) -> None:
+    def __init__(self, model: Model, phase: Model, scheme: Scheme) -> None:
         side = legendre.lagrangian_form(model)
         self.phase, self.form = phase, _VelocityForm.of(side, scheme)
         self.inverse = _VelocityForm.inverse_slopes(side, scheme)

@@ -48,6 +48,7 @@ def beyond_maximum_principle(model: Model) -> str:
         "a first-order system": model.form == "first-order",
         "bounds": bool(model.bounds),
         "path conditions": bool(model.path),
+        "conditions on integrals": bool(model.integrals),
         "holonomic constraints": bool(model.holonomic),
         "conditions at its ends": bool(model.start_conditions or model.end_conditions),
         "a terminal cost": model.terminal_cost != 0,

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Expr, Rational, S, Symbol
 
-from codegen.analysis.flow_series import FlowSeries, flow_series, without_ends
+from codegen.analysis.flow_series import FlowSeries, flow_series
 from codegen.analysis.function_ring import FunctionRing
 from codegen.analysis.normal_form import Element
 from codegen.analysis.series import Series
@@ -62,7 +62,7 @@ def modified_equations(model: Model, scheme: Scheme, power: int) -> ModifiedEqua
     fields = modified_field(series)
     states = ring.variables[:-1]
     written = tuple(tuple(ring.expression(c) for c in field[:-1]) for field in fields)
-    phase = model if model.form == "first-order" else legendre.hamiltonian_form(without_ends(conservative or model))
+    phase = legendre.hamiltonian_form((conservative or model).with_free_ends)
     written = (_as_given(ring, fields[0], _vector_field(phase)), *written[1:])
     if model.form == "first-order":
         return ModifiedEquations(states, written, None, None)

@@ -74,6 +74,7 @@ def together(
         scale=merged("scale"),
         periodic=_merged("periodic", [_shifts(body.periodic) for body in bodies]),
         path=listed("path", path),
+        integral=listed("integral", ()),
         start_conditions=listed("start_conditions", start_conditions),
         end_conditions=listed("end_conditions", end_conditions),
         constraint=listed("constraint", constraint),

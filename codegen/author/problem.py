@@ -74,7 +74,9 @@ class Control(Problem):
     What `start` or `end` leaves out is free, up to `start_conditions` and `end_conditions`: relations between
     coordinates and velocities (or momenta, or states) at that end. `path` relations hold at every time and may have
     controls in them. Relations are a list, or map names, which messages use, to relations, as in
-    `path={"heating rate": q <= 70}`. `bounds` maps coordinates, velocities, momenta, states, controls and free
+    `path={"heating rate": q <= 70}`. `integral` relations compare the integral of one side over [0, T] (in a problem of
+    phases over the phase) with the other side, a value that does not move, as in `integral=[Eq(sqrt(1 + u**2), 4)]`.
+    `bounds` maps coordinates, velocities, momenta, states, controls and free
     parameters to pairs (lower, upper), None where there is none. A `constraint` c(q) = 0 is holonomic: a Lagrangian
     system moves on the manifold where it vanishes. `periodic` lists what has the same value at T as at 0, or maps it to
     the difference.
@@ -100,6 +102,7 @@ class Control(Problem):
     end_conditions: Relations = ()
     bounds: Mapping[Any, tuple[Expression | None, Expression | None]] = field(default_factory=dict)
     path: Relations = ()
+    integral: Relations = ()
     constraint: Sequence[Expression] = ()
     periodic: Mapping[Any, Expression] | Sequence[Any] = ()
     bodies: int = 1

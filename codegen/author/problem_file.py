@@ -68,8 +68,8 @@ def input_digest(path: Path, arguments: Mapping[str, str], *extra: str) -> str:
     return digest.hexdigest()
 
 
-def split_points(path: Path | str, arguments: Mapping[str, str]) -> tuple[dict[str, str], str | None]:
-    """The arguments that shape a module, and the file of points, if one is given, which is read when it is solved.
+def split_points(path: Path | str, arguments: Mapping[str, object]) -> tuple[dict[str, str], str | None]:
+    """The arguments that shape a module, as text, and the file of points, if one is given, which is read for a solve.
 
     Arguments of problem() that name files of points are known by their annotation, `Points`. Raises ProblemFileError
     when the problem file cannot be read, and ArgumentError when two files of points are given.
@@ -79,8 +79,8 @@ def split_points(path: Path | str, arguments: Mapping[str, str]) -> tuple[dict[s
     given = [name for name in arguments if name in names]
     if len(given) > 1:
         raise ArgumentError(f"--set gives files of points as {' and '.join(given)}", "give one of them")
-    others = {name: value for name, value in arguments.items() if name not in names}
-    return others, arguments[given[0]] if given else None
+    others = {name: str(value) for name, value in arguments.items() if name not in names}
+    return others, str(arguments[given[0]]) if given else None
 
 
 def _point_arguments(path: Path) -> set[str]:

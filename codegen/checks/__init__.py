@@ -10,12 +10,13 @@ from pathlib import Path
 
 from codegen import compiler, emit, naming, schemes
 from codegen.author.problem_file import split_points
-from codegen.checks.base import Check, Context, Finding, not_measured
+from codegen.checks.base import Check, Context, Finding, does_not_apply, not_measured
 from codegen.checks.derivation import (
     area_preservation,
     boundary_rank,
     consistency,
     discrete_equations,
+    integrals,
     midpoint_equivalence,
     momentum_matching,
     noether,
@@ -51,6 +52,7 @@ _ROWS = (
     Check("given values", given_values.check),
     Check("assembly", assembly.check),
     Check("discrete equations", discrete_equations.check, runs_the_module=False, of_each_phase=True),
+    Check("integrals", integrals.check, runs_the_module=False, of_each_phase=True),
     Check("momentum matching", momentum_matching.check),
     Check("discrete Noether", noether.check, runs_the_module=False, of_each_phase=True),
     Check("consistency", consistency.check, runs_the_module=False),
@@ -65,6 +67,26 @@ _ROWS = (
     Check("second-order condition", second_order.check),
     Check("optimum", optimum.check),
 )
+
+_NOTHING_TO_SAY = {
+    "simulate": {
+        "sparsity": "a step of a simulation has a dense Jacobian",
+        "given values": "a simulation gives no values but those of its start",
+        "assembly": "a simulation solves step after step",
+        "boundary rank": "a simulation has no boundary value problem",
+        "null controls": "a simulation has no controls to be found",
+        "path between nodes": "a simulation has no path conditions",
+        "second-order condition": "a simulation minimises nothing",
+        "optimum": "a simulation minimises nothing",
+    },
+    "first-order": {
+        "discrete Noether": "a first-order system has no momenta",
+        "symplecticity": "a first-order system has no symplectic form",
+        "area preservation": "a first-order system has no phase plane of q and p",
+        "midpoint equivalence": "a first-order system has no discrete Lagrangian",
+    },
+}
+"""Checks that do not apply to a task, or to a form of dynamics, and why."""
 
 CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
 """Every check by name, in the order of a report; tests run over this table."""
@@ -130,6 +152,10 @@ def _found(name: str, context: Context) -> Iterator[Finding]:
     if check.runs_the_module and not all(finding.passed for finding in layout.check(context)):
         yield Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")
         return
+    for kind in (context.model.task, context.model.form):
+        if name in _NOTHING_TO_SAY.get(kind, {}):
+            yield does_not_apply(name, _NOTHING_TO_SAY[kind][name])
+            return
     phases = phase_contexts(context) if check.of_each_phase else []
     if len(phases) < 2:
         yield from check.findings(context)

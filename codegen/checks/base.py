@@ -49,6 +49,12 @@ class Context:
     scheme: Scheme
     module: Any
 
+    @property
+    def control(self) -> ControlProgram:
+        """The program of a control problem."""
+        assert isinstance(self.program, ControlProgram), "the task is not control"
+        return self.program
+
     @cached_property
     def solution(self) -> Any:
         """What the module's solver finds on the default number of intervals, but on eight at least."""
@@ -57,9 +63,9 @@ class Context:
     @cached_property
     def guessed(self) -> GuessedPoints | None:
         """Points near the guess of the module; none where a damaged module makes no guess."""
-        assert isinstance(self.program, ControlProgram), "a simulation needs no guess"
+        program = self.control
         try:
-            return guessed_points(self.program, Text(Path(self.module.__file__).read_text(encoding="utf-8")))
+            return guessed_points(program, Text(Path(self.module.__file__).read_text(encoding="utf-8")))
         except Exception:  # a damaged module may fail in any way
             return None
 

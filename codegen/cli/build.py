@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from codegen.cli.modules import build_module
 from codegen.cli.options import Controls, Method, Place, Problem, Scheme, Set
 from codegen.deadline import BUILD
 from codegen.terminal import working
@@ -25,25 +25,25 @@ def build(
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,
 ) -> None:
     """Derive and write the module that solves a problem, and compile it."""
+    from codegen import compiler
+    from codegen.author.problem_file import parse_arguments
+    from codegen.machine_code import ahead
+    from codegen.machine_code.processes import compilers
     from codegen.solutions import notes, output
 
     output.require_folder(out, "--out", may_be_made=True)
-    begin = time.perf_counter()
-    if no_compile:
+    begin, arguments = time.perf_counter(), parse_arguments(set_, problem)
+    with nullcontext() if no_compile else compilers() as processes:
         with working("Deriving"):
-            made = build_module(problem, set_, scheme, method, controls, out, time_limit)
-    else:
-        from codegen import solving
-        from codegen.machine_code.processes import compilers
-
-        with compilers() as processes:
-            from codegen.cli import machine_code  # which imports arrays; the processes should not wait for that
-
-            with working("Deriving"):
-                made = build_module(problem, set_, scheme, method, controls, out, time_limit)
+            made = compiler.build(
+                problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out,
+                time_limit=time_limit,
+            )  # fmt: skip
+        if processes is not None:
             with working("Compiling"):
-                solving.prepare(made.path, processes)
-        machine_code.tell(processes)
+                ahead.prepare(made.path, processes)
+    for line in processes.said if processes is not None else ():
+        typer.echo(line, err=True)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"
     typer.echo(f"{made.path}: {state} ({seconds:.2f} s{', derivation cached' if made.cached else ''})")

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from codegen.cli.modules import build_module, compiled
 from codegen.cli.options import Controls, Method, Place, Problem, Scheme, Set
 from codegen.deadline import CHECK
 from codegen.errors import one_line
 from codegen.terminal import console, working
+
+if TYPE_CHECKING:
+    from codegen.compiler import Build
 
 
 def check(
@@ -36,7 +38,11 @@ def check(
         # A module that someone keeps is checked as it stands, never rebuilt: it may have been changed by hand.
         choices = naming.chosen(scheme, method, controls.value)
         kept = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
-        made = kept if kept.is_file() else compiled(build_module(problem, set_, scheme, method, controls, None))
+        made = (
+            kept
+            if kept.is_file()
+            else _compiled(compiler.build(problem, arguments, scheme=scheme, method=method, controls=controls.value))
+        )
         findings = checks.run(
             problem,
             arguments,
@@ -52,3 +58,13 @@ def check(
         text = f"codegen: {len(failed)} of {len(findings)} checks failed, first {failed[0].check}"
         typer.echo(one_line(text), err=True)
         raise typer.Exit(1)
+
+
+def _compiled(made: Build) -> Path:
+    """The path of a module, compiled by the processes that are quick at it, not function by function when called."""
+    from codegen.loading import load
+    from codegen.machine_code import ahead
+
+    for line in ahead.require(made.path, load(made.path), made.written, working)[1]:
+        typer.echo(line, err=True)
+    return made.path

@@ -22,6 +22,7 @@ class Controls(StrEnum):
     """Where controls live."""
 
     INTERVAL = "interval"
+    STAGES = "stages"
     NODAL = "nodal"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import shutil
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,10 +68,10 @@ class Pictures:
             animate.save(film, title, temporary, _with_progress)
 
 
-def requested(problem: Path, settings: Sequence[str], plot: Path | None, animation: Path | None) -> Pictures:
+def requested(problem: Path, arguments: Mapping[str, str], plot: Path | None, animation: Path | None) -> Pictures:
     """Check, before anything is solved, that the wanted pictures can be drawn.
 
-    `settings` are the name=value arguments of the problem. Raises ArgumentError for files that cannot be written, for
+    `arguments` are those of problem(). Raises ArgumentError for files that cannot be written, for
     a film of type .mp4 without ffmpeg and for a film of a problem without a drawing; what the problem file raises.
     """
     if plot is not None:
@@ -83,10 +83,9 @@ def requested(problem: Path, settings: Sequence[str], plot: Path | None, animati
             raise ArgumentError(finding, "install ffmpeg, or let the file end in .gif")
     if plot is None and animation is None:
         return Pictures()
-    from codegen.author.problem_file import parse_arguments
     from codegen.model.from_file import load_problem
 
-    model = load_problem(problem, parse_arguments(settings, problem))
+    model = load_problem(problem, arguments)
     if animation is not None and not model.drawing:
         finding = f"--animate {animation}: {problem} says nothing about how to draw it"
         raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")

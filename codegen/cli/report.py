@@ -21,18 +21,24 @@ def report(
         float | None, typer.Option(min=0.1, metavar="S", help="Go no further after a solve of S seconds.")
     ] = None,
     compare: Annotated[
-        Path | None, typer.Option(metavar="OLD", help="An earlier report; exit status 1 if anything is worse.")
+        Path | None,
+        typer.Option(metavar="OLD", help="An earlier report; exit status 1 if more than times is worse."),
     ] = None,
 ) -> None:
     """Measure everything about problems and write one page; what DIR holds already is not measured again."""
     from codegen import report as reports
+    from codegen.report.compare import table_of
     from codegen.solutions import output
+    from codegen.terminal import console
 
     output.require_folder(out, "--out", may_be_made=True)
     made = reports.problems_report(problem, out, everything=everything, quick=quick, limit=limit, earlier=compare)
     typer.echo(made.page)
     if made.regressions:
-        first = made.regressions[0]
-        text = f"{len(made.regressions)} regressions, first {first.what} of {first.problem}: {first.case}"
+        console(stderr=True).print(table_of(made.regressions))
+    decisive = [regression for regression in made.regressions if regression.decides]
+    if decisive:
+        first = decisive[0]
+        text = f"{len(decisive)} regressions, first {first.what} of {first.problem}: {first.case}"
         typer.echo(one_line(f"codegen: {text}"), err=True)
         raise typer.Exit(1)

@@ -23,7 +23,8 @@ def scene(model: Model, result: Result, times: Array | None = None) -> Scene:
     """The model's drawing at the given times, or at the nodes of the result.
 
     Coordinates are interpolated linearly between nodes, as the discrete motion has them; a control keeps its value for
-    its interval. Numbers that cannot be evaluated, such as the root of a negative one, become NaN.
+    its interval, or follows a polynomial through its stages. Numbers that cannot be evaluated, such as the root of a
+    negative one, become NaN.
     """
     times = result.t if times is None else times
     values = _values(model, result, times)
@@ -53,19 +54,19 @@ def _values(model: Model, result: Result, times: Array) -> dict[sympy.Symbol, An
     values |= {sympy.Symbol("body", real=True): bodies[:, None], model.time: times[None, :]}
     values |= dict(zip(model.coordinates, _columns(result.q, model.bodies, result.t, times), strict=True))
     if result.u is not None:
-        values |= dict(zip(model.controls, _columns(result.u, model.bodies, result.t, times), strict=True))
+        controls = _by_body(result.controls_at(times), model.bodies)
+        values |= dict(zip(model.controls, controls, strict=True))
     return values
 
 
 def _columns(values: Array, bodies: int, t: Array, times: Array) -> Array:
-    """The quantities (n, bodies, times) of columns that stand body by body: linear between nodes, else steps."""
-    if len(values) == t.size:
-        columns = np.array([np.interp(times, t, column) for column in values.T])
-    else:
-        places = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(values) - 1)
-        columns = values[places].T
-    count = values.shape[1] // bodies
-    return columns.reshape(bodies, count, times.size).swapaxes(0, 1)
+    """The quantities (n, bodies, times) of columns that stand body by body, linear between nodes."""
+    return _by_body(np.column_stack([np.interp(times, t, column) for column in values.T]), bodies)
+
+
+def _by_body(rows: Array, bodies: int) -> Array:
+    """The quantities (n, bodies, times) of rows over time, whose columns stand body by body."""
+    return rows.T.reshape(bodies, rows.shape[1] // bodies, len(rows)).swapaxes(0, 1)
 
 
 def _array(value: Any) -> Array:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
+import re
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from codegen.cli.modules import build_module
 from codegen.cli.options import (
     Controls,
     Every,
@@ -25,7 +25,12 @@ from codegen.cli.options import (
     positive,
 )
 from codegen.errors import one_line
+from codegen.tasks import TASKS
 from codegen.terminal import console, following, working
+
+if TYPE_CHECKING:
+    from codegen.solutions.result import Result
+    from codegen.solving.outcome import Outcome
 
 
 def solve(
@@ -66,51 +71,69 @@ def solve(
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
-    from codegen import solving
-    from codegen.cli import machine_code, pictures, solve_options
+    from codegen.author.problem_file import parse_arguments
+    from codegen.cli import pictures
+    from codegen.solutions import output
+    from codegen.solving.outcome import outcome_of
+    from codegen.solving.request import Request
+
+    arguments = parse_arguments(set_, problem)
+    request = Request(
+        problem, driver, arguments=arguments, scheme=scheme, method=method, controls=controls.value, out=out,
+        steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings, guesses=guesses, tolerance=tolerance,
+        max_iterations=max_iterations, time_limit=time_limit, scaling=scaling, log=log,
+    )  # fmt: skip
+    if save is not None:
+        output.require_writable(save, output.ARCHIVES, "--save")
+    if out is not None:
+        output.require_folder(out, "--out", may_be_made=True)
+    wanted = pictures.requested(problem, arguments, plot, animate)
+    outcome = with_options(outcome_of(request, working, following))
+    if save is not None:
+        output.save(outcome.result, outcome.record, save)
+    wanted.save(outcome.module, outcome.result)
+    _tell(outcome, json, log)
+    if not outcome.result.solved:
+        typer.echo(one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}"), err=True)
+        raise typer.Exit(1)
+
+
+def _tell(outcome: Outcome, json: bool, log: bool) -> None:
+    """Print the outcome, and on stderr what there is to say beside it."""
     from codegen.solutions import notes, output
 
-    solve_options.require_sensible(driver, log, save, out)
-    wanted = pictures.requested(problem, set_, plot, animate)
-    points = solve_options.points_of(problem, set_)
-    start_of = solve_options.start_of(warm)
-    with working("Deriving"):
-        made = build_module(problem, set_, scheme, method, controls, out)
-    from codegen.loading import load
-
-    begin = time.perf_counter()
-    module = load(made.path)
-    load_seconds = time.perf_counter() - begin
-    solve_options.require_fitting(module.metadata["task"], driver, every, log)
-    ahead_seconds = machine_code.require(made, module) if driver == "newton" else 0.0
-    with following() as watch:
-        result = solving.solve(
-            module, driver, steps=steps, every=every, repeat=repeat, warm=start_of(module), doublings=doublings,
-            guesses=guesses, points=points(module.metadata), tolerance=tolerance, max_iterations=max_iterations,
-            time_limit=time_limit, watch=watch, scaling=scaling,
-        )  # fmt: skip
-    result = solve_options.with_options(result)
-    compile_seconds, read_seconds = (result.seconds_first, 0.0) if result.compiled else (0.0, result.seconds_first)
-    build_seconds = made.seconds + ahead_seconds + compile_seconds
-    record = output.as_record(result, build_seconds, load_seconds + read_seconds)
-    if save is not None:
-        output.save(result, record, save)
-    wanted.save(module, result)
+    result, record = outcome.result, outcome.record
+    for line in outcome.said:
+        typer.echo(line, err=True)
     if log:
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
-    for note in notes.notes(module.metadata):
+    for note in notes.notes(outcome.module.metadata):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))
-    else:
-        console().print(result.title, style="bold", markup=False)
-        console().print(output.as_table(record, result.intervals))
-    if not result.solved:
-        may_help = (
-            guesses == 1 and result.task == "control" and result.status in ("infeasible", "saddle point", "stalled")
-        )
-        hint = "; --guesses 10 tries ten first guesses" if may_help else ""
-        typer.echo(one_line(f"codegen: {result.message}{hint}"), err=True)
-        raise typer.Exit(1)
+        return
+    console().print(result.title, style="bold", markup=False)
+    console().print(output.as_table(record, result.intervals))
+
+
+def with_options(outcome: Outcome) -> Outcome:
+    """An outcome whose messages name options of the command where they named arguments of a function."""
+    result = outcome.result
+    levels = tuple(replace(level, message=_with_options(level.message)) for level in result.levels)
+    return replace(outcome, result=replace(result, message=_with_options(result.message), levels=levels))
+
+
+def _with_options(message: str) -> str:
+    option = r"\braise (max_iterations|time_limit)\b"
+    return re.sub(option, lambda found: f"raise --{found[1].replace('_', '-')}", message)
+
+
+def _hint(result: Result, guesses: int) -> str:
+    """What may help where a first guess has led nowhere."""
+    may_help = "guesses" in TASKS[result.task].options and guesses == 1
+    return "; --guesses 10 tries ten first guesses" if may_help and result.status in _LED_NOWHERE else ""
+
+
+_LED_NOWHERE = ("infeasible", "saddle point", "stalled")

@@ -6,7 +6,7 @@ path conditions at the points where the scheme evaluates the dynamics. Values at
 suffixes `_k` and `_k1`; h is the length of the interval and t the time at its left end.
 """
 
-from codegen.discretise.nodes import LENGTHS, STEP, PathValue, Sites, at_nodes, step_lengths
+from codegen.discretise.nodes import LENGTHS, STEP, PathValue, Sites, at_nodes, at_stage, repeated
 from codegen.discretise.one_step import OneStepInterval, one_step_interval
 from codegen.discretise.variational import VariationalInterval, variational_interval
 
@@ -18,7 +18,8 @@ __all__ = [
     "Sites",
     "VariationalInterval",
     "at_nodes",
+    "at_stage",
     "one_step_interval",
-    "step_lengths",
+    "repeated",
     "variational_interval",
 ]

@@ -10,7 +10,7 @@ from sympy import Expr, Symbol
 
 from codegen.discretise.polynomials import between
 from codegen.model import Condition, Model
-from codegen.schemes import Composition
+from codegen.schemes import Scheme
 
 STEP = Symbol("h", positive=True)
 """The length h of an interval."""
@@ -22,13 +22,34 @@ LENGTHS = tuple(Symbol(f"h_{i}", positive=True) for i in (1, 2))
 class Sites:
     """Symbols for the values of quantities at the two ends of an interval, and of controls on it.
 
-    With nodal controls `left_controls` and `right_controls` differ, else both are the interval's own.
+    With nodal controls `left_controls` and `right_controls` differ, else both are the interval's own. Controls at
+    stages have values of their own at each of the scheme's points, in order, and none of the interval.
     """
 
     left: tuple[Symbol, ...]
     right: tuple[Symbol, ...]
     left_controls: tuple[Symbol, ...]
     right_controls: tuple[Symbol, ...]
+    stage_controls: tuple[tuple[Symbol, ...], ...] = ()
+
+    @property
+    def of_interval(self) -> tuple[Symbol, ...]:
+        """The controls that an interval has, stage by stage."""
+        return tuple(u for stage in self.stage_controls for u in stage) if self.stage_controls else self.left_controls
+
+    @property
+    def controlled(self) -> str:
+        """Where controls live: interval, nodal or stages."""
+        return "stages" if self.stage_controls else "nodal" if self.nodal else "interval"
+
+    def controls_at(self, point: int, c: Expr) -> list[Expr]:
+        """The controls at a point of the scheme, c being its place in the step.
+
+        They are the point's own, or the interval's, or on the line between those of both nodes.
+        """
+        if self.stage_controls:
+            return list(self.stage_controls[point])
+        return [between(a, b, c) for a, b in zip(self.left_controls, self.right_controls, strict=True)]
 
     @property
     def nodal(self) -> bool:
@@ -45,10 +66,11 @@ class PathValue:
     value: Expr
 
 
-def step_lengths(scheme: Composition) -> tuple[Symbol, ...]:
-    """The symbols for the lengths of one step of a composition's base."""
-    count = len(scheme.fractions[0])
-    return (STEP,) if count == 1 else LENGTHS[:count]
+def repeated(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
+    """What a step repeats, and the symbols for lengths in it: a composition's base, or the scheme with h alone."""
+    count = len(scheme.parts[0]) if scheme.parts else 1
+    lengths = (STEP,) if count == 1 else LENGTHS[:count]
+    return lengths, scheme.part(lengths, STEP)
 
 
 def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:
@@ -56,11 +78,17 @@ def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:
     return tuple(Symbol(f"{symbol.name}{suffix}", real=True) for symbol in symbols)
 
 
-def sites(model: Model, quantities: Sequence[Symbol], nodal_controls: bool) -> Sites:
-    """Symbols for quantities at both nodes and for the controls of an interval."""
+def sites(model: Model, quantities: Sequence[Symbol], controls: str, points: int) -> Sites:
+    """Symbols for quantities at both nodes and for the controls of an interval on which a scheme has some points."""
     left_u = at_nodes(model.controls, "_k")
-    right_u = at_nodes(model.controls, "_k1") if nodal_controls else left_u
-    return Sites(at_nodes(quantities, "_k"), at_nodes(quantities, "_k1"), left_u, right_u)
+    right_u = at_nodes(model.controls, "_k1") if controls == "nodal" else left_u
+    stages = tuple(at_stage(model.controls, i) for i in range(1, points + 1)) if controls == "stages" else ()
+    return Sites(at_nodes(quantities, "_k"), at_nodes(quantities, "_k1"), left_u, right_u, stages)
+
+
+def at_stage(controls: Iterable[Symbol], number: int) -> tuple[Symbol, ...]:
+    """The symbols of controls at a point of an interval, counted from one (`u` -> `u_stage1_k`)."""
+    return at_nodes(at_nodes(controls, f"_stage{number}"), "_k")
 
 
 def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
@@ -69,11 +97,6 @@ def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
     for value in values:
         first.setdefault((value.condition.name, value.value), value)
     return tuple(first.values())
-
-
-def mean_controls(places: Sites, c: Expr) -> list[Expr]:
-    """The controls at a fraction of the step: the interval's own, or the line between those of both nodes."""
-    return [between(a, b, c) for a, b in zip(places.left_controls, places.right_controls, strict=True)]
 
 
 def substitute(

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, mean_controls, sites, substitute
+from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, sites, substitute
 from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
 from codegen.model import Model
-from codegen.schemes import DiscreteLagrangian
+from codegen.schemes import Scheme
+from codegen.schemes.base import DiscreteLagrangian
 
 _LONG = 80
 """Operations from which on the variation of a discrete Lagrangian is taken as a whole."""
@@ -22,6 +23,7 @@ _LONG = 80
 class VariationalInterval:
     """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
 
+    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost.
     Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
     point after the other, at the fractions `inner_places` of the step, and is stationary there up to `force_inner`.
     Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
@@ -35,6 +37,7 @@ class VariationalInterval:
     force_plus: tuple[Expr, ...]
     cost: Expr
     path: tuple[PathValue, ...] = ()
+    integrals: tuple[Expr, ...] = ()
     inner: tuple[Symbol, ...] = ()
     inner_places: tuple[Expr, ...] = ()
     force_inner: tuple[Expr, ...] = ()
@@ -81,50 +84,54 @@ class VariationalInterval:
         return along + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
 
 
-def variational_interval(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool = False) -> VariationalInterval:
+def variational_interval(model: Model, scheme: Scheme, controls: str = "interval") -> VariationalInterval:
     """Integrate L, the work of the forces and the cost over one interval by the scheme's quadrature rule.
 
     The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
     is shared out between the ends and the inner points. With controls on nodes the thesis's averages are taken: of the
     controls in the cost, and along straight lines of the forces of both nodes.
     """
-    places = sites(model, model.coordinates, nodal_controls)
-    inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(scheme.nodes) - 1)]
-    motion = PolynomialMotion(STEP, scheme.nodes, (places.left, *inner, places.right))
+    rule = scheme.discrete_lagrangian()
+    places = sites(model, model.coordinates, controls, len(rule.points))
+    inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(rule.nodes) - 1)]
+    motion = PolynomialMotion(STEP, rule.nodes, (places.left, *inner, places.right))
 
     def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
         return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
 
-    def force_at(f: Expr, c: Expr) -> Expr:
+    def force_at(f: Expr, i: int, c: Expr) -> Expr:
         if places.nodal and not inner:
             return (1 - c) * at(f, sympy.S.Zero, places.left_controls) + c * at(f, sympy.S.One, places.right_controls)
-        return at(f, c, mean_controls(places, c))
+        return at(f, c, places.controls_at(i, c))
 
-    lagrangian, cost = sympy.S.Zero, sympy.S.Zero
+    lagrangian = sympy.S.Zero
+    integrands = (model.cost or sympy.S.Zero, *(integral.integrand for integral in model.integrals))
+    integrals = [sympy.S.Zero] * len(integrands)
     path: list[PathValue] = []
-    forces = [[sympy.S.Zero] * len(model.force) for _ in scheme.nodes]
-    for point in scheme.points:
+    forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
+    for number, point in enumerate(rule.points):
         weight, c = STEP * point.weight, point.place
-        controls = mean_controls(places, c)
-        lagrangian += weight * at(model.function, c, controls)
-        cost += weight * at(model.cost or sympy.S.Zero, c, controls)
-        path += [PathValue(g, c, at(g.expression, c, controls)) for g in model.path]
+        here = places.controls_at(number, c)
+        lagrangian += weight * at(model.function, c, here)
+        integrals = [total + weight * at(f, c, here) for total, f in zip(integrals, integrands, strict=True)]
+        path += [PathValue(g, c, at(g.expression, c, here)) for g in model.path]
         for share, node in zip(motion.shares(c), forces, strict=True):
             for i, f in enumerate(model.force):
-                node[i] += weight * share * force_at(f, c)
+                node[i] += weight * share * force_at(f, number, c)
     minus, *between, plus = (tuple(node) for node in forces)
     slopes, impulse = (), ()
     if inner:
-        slopes, impulse = _slopes_and_impulse(model, scheme, motion, lambda f, c: at(f, c, mean_controls(places, c)))
+        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, i, c: at(f, c, places.controls_at(i, c)))
     return VariationalInterval(
         q=places,
         lagrangian=lagrangian,
         force_minus=minus,
         force_plus=plus,
-        cost=cost,
+        cost=integrals[0],
         path=distinct(path),
+        integrals=tuple(integrals[1:]),
         inner=tuple(q for point in inner for q in point),
-        inner_places=tuple(c for c in scheme.nodes[1:-1] for _ in model.coordinates),
+        inner_places=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),
         slopes=slopes,
         impulse=impulse,
@@ -135,7 +142,7 @@ def _slopes_and_impulse(
     model: Model,
     scheme: DiscreteLagrangian,
     motion: PolynomialMotion,
-    at: Callable[[Expr, Expr], Expr],
+    at: Callable[[Expr, int, Expr], Expr],
 ) -> tuple[tuple[Expr, ...], tuple[Expr, ...]]:
     """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i.
 
@@ -144,13 +151,13 @@ def _slopes_and_impulse(
     slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
     impulse = [sympy.S.Zero] * len(model.coordinates)
     of_position, of_velocity = gradient(model.function, model.coordinates), gradient(model.function, model.rates)
-    for point in scheme.points:
+    for number, point in enumerate(scheme.points):
         weight, c = point.weight, point.place
-        by_position = [at(slope, c) for slope in of_position]
-        by_velocity = [at(slope, c) for slope in of_velocity]
+        by_position = [at(slope, number, c) for slope in of_position]
+        by_velocity = [at(slope, number, c) for slope in of_velocity]
         for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
             for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
                 node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
         for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
-            impulse[i] += weight * STEP * (force + at(f, c))
+            impulse[i] += weight * STEP * (force + at(f, number, c))
     return tuple(slope for node in slopes for slope in node), tuple(impulse)

@@ -7,7 +7,7 @@ cross-checked. Importing this file imports no driver, and neither numpy nor numb
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -17,44 +17,50 @@ from codegen.errors import ArgumentError
 
 @dataclass(frozen=True)
 class Driver:
-    """Name, summary, and the tasks that it applies to: its file has one function for each, named after the task."""
+    """Name, summary, and by task the options of a request that it takes; its file has a function named after each."""
 
     name: str
     file: str
-    tasks: tuple[str, ...]
     summary: str
-    stops: tuple[tuple[str, str], ...] = ()
-    """Where its tolerance, most iterations or time may be chosen: pairs of a task and the argument's name."""
+    options: Mapping[str, tuple[str, ...]]
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """Those that it applies to."""
+        return tuple(self.options)
+
+    def takes(self, task: str, option: str) -> bool:
+        """Whether an option means something to it for a task."""
+        return option in self.options.get(task, ())
 
     def function(self, task: str) -> Callable[..., Any]:
-        """The function (module, request) -> attempt for a task, imported when it is asked for."""
+        """The function (module, run) -> attempt for a task, imported when it is asked for."""
         return getattr(import_module(f"codegen.drivers.{self.file}"), task)  # type: ignore[no-any-return]
 
 
-SCALINGS = ("auto", "none")
-"""Whether an optimiser works in parts of the sizes that it finds in a problem, or in the problem's own units."""
-
-_OF_CONTROL = (("control", "tolerance"), ("control", "max_iterations"))
-_OF_TIME = (("control", "time_limit"),)
 _ROWS = (
     Driver(
-        "newton", "newton", ("control", "simulate", "connect"), "the generated solver",
-        (*_OF_CONTROL, *_OF_TIME, ("simulate", "max_iterations"), ("connect", "tolerance")),
+        "newton", "newton", "the generated solver",
+        {
+            "control": ("tolerance", "max_iterations", "time_limit", "scaling", "log"),
+            "simulate": ("max_iterations",),
+            "connect": ("tolerance",),
+        },
     ),
     Driver(
-        "slsqp", "slsqp", ("control", "connect"), "scipy's sequential least-squares programming, dense",
-        _OF_CONTROL[1:],
+        "slsqp", "slsqp", "scipy's sequential least-squares programming, dense",
+        {"control": ("max_iterations",), "connect": ()},
     ),
     Driver(
-        "trust-constr", "trust_constr", ("control", "connect"), "scipy's trust-region SQP, sparse with exact Hessians",
-        _OF_CONTROL[1:],
+        "trust-constr", "trust_constr", "scipy's trust-region SQP, sparse with exact Hessians",
+        {"control": ("max_iterations",), "connect": ()},
     ),
     Driver(
-        "ipopt", "ipopt", ("control",), "IPOPT, an interior point method; needs cyipopt (extra: ipopt)",
-        _OF_CONTROL + _OF_TIME,
+        "ipopt", "ipopt", "IPOPT, an interior point method; needs cyipopt (extra: ipopt)",
+        {"control": ("tolerance", "max_iterations", "time_limit")},
     ),
-    Driver("fsolve", "fsolve", ("control", "simulate", "connect"), "MINPACK's hybrid Powell method, dense"),
-    Driver("fmin", "fmin", ("connect",), "Nelder and Mead's simplex method, for a few particles"),
+    Driver("fsolve", "fsolve", "MINPACK's hybrid Powell method, dense", {"control": (), "simulate": (), "connect": ()}),
+    Driver("fmin", "fmin", "Nelder and Mead's simplex method, for a few particles", {"connect": ()}),
 )  # fmt: skip
 
 DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
@@ -64,7 +70,7 @@ DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
 def find(name: str, task: str | None = None) -> Driver:
     """The driver of that name, which must apply to the task; ArgumentError tells which do."""
     if name not in DRIVERS:
-        close = difflib.get_close_matches(name, DRIVERS, 1)
+        close = difflib.get_close_matches(str(name), DRIVERS, 1)
         remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(DRIVERS)}"
         raise ArgumentError(f"there is no driver {name!r}", remedy)
     driver = DRIVERS[name]

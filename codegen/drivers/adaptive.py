@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from codegen.drivers.scaled import quiet_single_thread
 from codegen.loading import ConnectModule, Vector
-from codegen.solutions.result import ConnectAttempt, Request, max_norm
+from codegen.solutions.result import ConnectAttempt, Run, max_norm
 
 TOLERANCE = 1e-8
 """Relative and absolute error of each adaptive step, unless asked otherwise."""
@@ -40,9 +40,9 @@ def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tol
     return path, int(found.nfev)
 
 
-def adaptive(module: ConnectModule, case: Any, request: Request) -> ConnectAttempt:
+def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
     """Find the initial momenta from which the adaptive integrator arrives; iterations are those of Newton's method."""
-    tolerance = TOLERANCE if request.tolerance is None else request.tolerance
+    tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     code = module.metadata["adaptive"]
     with quiet_single_thread():
         begin = module.solve_case(case)

@@ -14,18 +14,18 @@ from codegen.drivers.scaled import quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.loading import ConnectModule, Vector
 from codegen.solutions.connect import case_of
-from codegen.solutions.result import ConnectAttempt, Request, max_norm
+from codegen.solutions.result import ConnectAttempt, Run, max_norm
 
 _DENSE_LIMIT = 3000
 _ROUNDED = 1e-9  # neighbours that move apart have momenta so large that rounding errors of places come near to this
 _SIMPLEX_LIMIT = 24
 
 
-def newton(module: ConnectModule, request: Request) -> ConnectAttempt:
+def newton(module: ConnectModule, run: Run) -> ConnectAttempt:
     """Call the module's solver, or integrate adaptively where the scheme says so."""
     if module.metadata["adaptive"]:
-        return adaptive(module, case_of(module, request), request)
-    case = case_of(module, request)
+        return adaptive(module, case_of(module, run), run)
+    case = case_of(module, run)
     with quiet_single_thread():
         solution = module.solve_case(case)
     path = np.stack([solution.q, solution.p], axis=1)
@@ -35,10 +35,10 @@ def newton(module: ConnectModule, request: Request) -> ConnectAttempt:
     )
 
 
-def fsolve(module: ConnectModule, request: Request) -> ConnectAttempt:
+def fsolve(module: ConnectModule, run: Run) -> ConnectAttempt:
     """MINPACK's hybrid method on the module's equations, with their generated Jacobian."""
     _require_method(module, "fsolve", ("stepping", "full"))
-    case = case_of(module, request)
+    case = case_of(module, run)
     shooting = module.metadata["method"] == "stepping"
     size = case.start.size if shooting else 2 * case.start.size * case.steps
     _require_at_most(size, _DENSE_LIMIT, "fsolve")
@@ -54,10 +54,10 @@ def fsolve(module: ConnectModule, request: Request) -> ConnectAttempt:
     return _verdict(module, "fsolve", case, path, int(details["nfev"]), 1e-8, reason)
 
 
-def fmin(module: ConnectModule, request: Request) -> ConnectAttempt:
+def fmin(module: ConnectModule, run: Run) -> ConnectAttempt:
     """Nelder and Mead's simplex method on the squared distance of the arrival from the targets."""
     _require_method(module, "fmin", ("stepping",))
-    case = case_of(module, request)
+    case = case_of(module, run)
     _require_at_most(case.start.size, _SIMPLEX_LIMIT, "fmin")
     start = module.first_momenta(case).ravel()
 
@@ -74,19 +74,19 @@ def fmin(module: ConnectModule, request: Request) -> ConnectAttempt:
     return _verdict(module, "fmin", case, module.trajectory(case, found.x)[1], int(found.nit), 1e-6, found.message)
 
 
-def slsqp(module: ConnectModule, request: Request) -> ConnectAttempt:
+def slsqp(module: ConnectModule, run: Run) -> ConnectAttempt:
     """Kraft's sequential least-squares programming on the discrete action."""
-    return _minimised(module, request, "slsqp", _by_slsqp)
+    return _minimised(module, run, "slsqp", _by_slsqp)
 
 
-def trust_constr(module: ConnectModule, request: Request) -> ConnectAttempt:
+def trust_constr(module: ConnectModule, run: Run) -> ConnectAttempt:
     """Trust-region SQP on the discrete action, with exact second derivatives."""
-    return _minimised(module, request, "trust-constr", _by_trust_constr)
+    return _minimised(module, run, "trust-constr", _by_trust_constr)
 
 
-def _minimised(module: ConnectModule, request: Request, driver: str, minimise: Callable[..., Any]) -> ConnectAttempt:
+def _minimised(module: ConnectModule, run: Run, driver: str, minimise: Callable[..., Any]) -> ConnectAttempt:
     _require_method(module, driver, ("action",))
-    case = case_of(module, request)
+    case = case_of(module, run)
     if case.sigma.any():
         raise ArgumentError(f"driver {driver} meets targets exactly, and there is a sigma", "use newton")
     start = module.action_start(case)

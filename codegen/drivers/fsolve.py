@@ -16,7 +16,7 @@ from codegen.drivers.connect import fsolve as connect
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, ImplicitModule, Matrix, SimulateModule, StepGrid, Vector, is_implicit
-from codegen.solutions.result import ControlAttempt, Request, SimulateAttempt, max_norm
+from codegen.solutions.result import ControlAttempt, Run, SimulateAttempt, max_norm
 
 __all__ = ["connect", "control", "simulate"]
 
@@ -24,7 +24,7 @@ TOLERANCE = 1e-8
 LIMIT = 3000
 
 
-def control(module: ControlModule, request: Request) -> ControlAttempt:
+def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Solve residual = 0 and stationarity = 0 for unknowns and multipliers together.
 
     Finds a stationary point, which need not be a minimum.
@@ -34,7 +34,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             "driver fsolve solves equations, and the problem has inequalities",
             "use newton, slsqp, trust-constr or ipopt",
         )
-    problem = ScaledProblem.on_grid(module, request)
+    problem = ScaledProblem.on_grid(module, run)
     problem.require_at_most(LIMIT, "fsolve")
     count = problem.primal.size
 
@@ -57,7 +57,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     return ControlAttempt(status, message, evaluations, problem.unknowns(y[:count], y[count:]), TOLERANCE)
 
 
-def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
+def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
     """Solve the equations of each step from the scheme's own prediction; iterations are evaluations of the residual.
 
     Raises ArgumentError when the scheme is explicit for this problem, and for particles.
@@ -77,7 +77,7 @@ def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
             f"driver fsolve has nothing to solve: {module.metadata['scheme']} is explicit for this problem",
             "use newton, or a scheme that is implicit for it",
         )
-    grid = module.make_grid(request.steps)
+    grid = module.make_grid(run.steps)
     states, evaluations = [grid.start], 0
     status, message = "solved", ""
     with quiet_single_thread():
@@ -90,7 +90,7 @@ def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
                 break
             states.append(np.asarray(module.complete(grid, y, states[-1], k * grid.h)))
     path, steps = np.array(states), len(states) - 1
-    stored = np.unique([*range(0, steps + 1, request.every), steps])
+    stored = np.unique([*range(0, steps + 1, run.every), steps])
     times, dimension = grid.h * stored, path.shape[1] // 2
     return SimulateAttempt(
         status=status,

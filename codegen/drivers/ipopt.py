@@ -13,7 +13,7 @@ import numpy as np
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, Vector
-from codegen.solutions.result import ControlAttempt, Request
+from codegen.solutions.result import ControlAttempt, Run
 
 TOLERANCE = 1e-8
 MAX_ITERATIONS = 3000
@@ -28,7 +28,7 @@ _STATUSES = {
 """IPOPT's return codes; what is missing here counts as stalled."""
 
 
-def control(module: ControlModule, request: Request) -> ControlAttempt:
+def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Minimise the cost with IPOPT's own defaults. Raises ArgumentError when cyipopt is not installed.
 
     The defaults include its scaling, its limit of iterations and bounds that it relaxes by 1e-8 of their size; the
@@ -40,10 +40,10 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
         raise ArgumentError(
             "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"
         ) from None
-    problem = ScaledProblem.on_grid(module, request, is_scaled=False)
+    problem = ScaledProblem.on_grid(module, run, is_scaled=False)
     lower, upper = problem.bounds
     zero = np.zeros(problem.dual.size)
-    tolerance = TOLERANCE if request.tolerance is None else request.tolerance
+    tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     with quiet_single_thread():
         callbacks = _Callbacks(problem)
         program = cyipopt.Problem(problem.primal.size, problem.dual.size, callbacks, lower, upper, zero, zero)
@@ -51,9 +51,9 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             "print_level": 0,
             "sb": "yes",
             "tol": tolerance,
-            "max_iter": request.max_iterations or MAX_ITERATIONS,
+            "max_iter": run.max_iterations or MAX_ITERATIONS,
             "honor_original_bounds": "yes",
-            "max_cpu_time": min(request.time_limit, LONGEST),
+            "max_cpu_time": min(run.time_limit, LONGEST),
         }
         for name, value in options.items():
             program.add_option(name, value)

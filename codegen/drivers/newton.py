@@ -7,18 +7,18 @@ from typing import Any
 
 from codegen.drivers.connect import newton as connect
 from codegen.loading import ControlModule, SimulateModule
-from codegen.solutions.result import ControlAttempt, Request, SimulateAttempt
+from codegen.solutions.result import ControlAttempt, Run, SimulateAttempt
 
 __all__ = ["connect", "control", "simulate"]
 
 TOLERANCE = 1e-10
 
 
-def control(module: ControlModule, request: Request) -> ControlAttempt:
+def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Call the module's `solve`."""
-    warm = request.guess is not None and request.near
-    tolerance = TOLERANCE if request.tolerance is None else request.tolerance
-    solution = module.solve(steps=request.steps, guess=request.guess, warm=warm, tolerance=tolerance, **_stops(request))
+    warm = run.guess is not None and run.near
+    tolerance = TOLERANCE if run.tolerance is None else run.tolerance
+    solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **_stops(run))
     return ControlAttempt(
         status=solution.status,
         message=solution.message,
@@ -29,9 +29,9 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
     )
 
 
-def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
+def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
     """Call the module's `solve`."""
-    solution = module.solve(steps=request.steps, every=request.every, **_stops(request))
+    solution = module.solve(steps=run.steps, every=run.every, **_stops(run))
     return SimulateAttempt(
         status=solution.status,
         message=solution.message,
@@ -46,8 +46,8 @@ def simulate(module: SimulateModule, request: Request) -> SimulateAttempt:
     )
 
 
-def _stops(request: Request) -> dict[str, Any]:
+def _stops(run: Run) -> dict[str, Any]:
     """The arguments of a module's `solve` whose own defaults are not to hold."""
-    given: dict[str, Any] = {"max_iterations": request.max_iterations, "time_limit": request.time_limit}
-    given |= {"watch": request.watch, "scaling": request.scaling}
+    given: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
+    given |= {"watch": run.watch, "scaling": run.scaling}
     return {name: value for name, value in given.items() if value not in (None, math.inf, "auto")}

@@ -23,7 +23,7 @@ from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, Entries, Grid, Indices, Vector
-from codegen.solutions.result import Request, max_norm
+from codegen.solutions.result import Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500
@@ -61,10 +61,10 @@ class ScaledProblem:
     is_scaled: bool = True
 
     @classmethod
-    def on_grid(cls, module: ControlModule, request: Request, is_scaled: bool = True) -> ScaledProblem:
+    def on_grid(cls, module: ControlModule, run: Run, is_scaled: bool = True) -> ScaledProblem:
         """The problem on N intervals, from the guess that is asked for, else the problem's own."""
-        grid = module.make_grid(request.steps)
-        base = module.initial_guess(grid) if request.guess is None else module.with_pinned_values(grid, request.guess)
+        grid = module.make_grid(run.steps)
+        base = module.initial_guess(grid) if run.guess is None else module.with_pinned_values(grid, run.guess)
         return cls(module, grid, base, module.primal_unknowns(grid), module.multiplier_unknowns(grid), is_scaled)
 
     @property

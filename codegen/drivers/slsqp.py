@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from codegen.drivers.connect import slsqp as connect
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.loading import ControlModule
-from codegen.solutions.result import ControlAttempt, Request
+from codegen.solutions.result import ControlAttempt, Run
 
 __all__ = ["connect", "control"]
 
@@ -19,9 +19,9 @@ MAX_ITERATIONS = 1000
 _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank-deficient", 9: "iteration limit"}
 
 
-def control(module: ControlModule, request: Request) -> ControlAttempt:
+def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Minimise the cost; multipliers are the least-squares estimate at the solution."""
-    problem = ScaledProblem.on_grid(module, request)
+    problem = ScaledProblem.on_grid(module, run)
     problem.require_at_most(LIMIT, "slsqp")
     start = problem.start
     equations = {"type": "eq", "fun": problem.constraints, "jac": lambda x: problem.jacobian(x).toarray()}
@@ -35,7 +35,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             constraints=[equations],
             bounds=problem.scipy_bounds,
             method="SLSQP",
-            options={"maxiter": request.max_iterations or MAX_ITERATIONS, "ftol": ftol},
+            options={"maxiter": run.max_iterations or MAX_ITERATIONS, "ftol": ftol},
         )
         unknowns = problem.unknowns(found.x, problem.multipliers(found.x))
     status = "solved" if found.success else _FAILURES.get(int(found.status), "stalled")

@@ -11,7 +11,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 from codegen.drivers.connect import trust_constr as connect
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.loading import ControlModule
-from codegen.solutions.result import ControlAttempt, Request
+from codegen.solutions.result import ControlAttempt, Run
 
 __all__ = ["connect", "control"]
 
@@ -21,9 +21,9 @@ MAX_ITERATIONS = 1000
 _GRADIENT_SMALL, _STEP_SMALL = 1, 2
 
 
-def control(module: ControlModule, request: Request) -> ControlAttempt:
+def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Minimise the cost; multipliers are the least-squares estimate at the solution."""
-    problem = ScaledProblem.on_grid(module, request)
+    problem = ScaledProblem.on_grid(module, run)
     with quiet_single_thread():
         equations = NonlinearConstraint(
             problem.constraints,
@@ -42,7 +42,7 @@ def control(module: ControlModule, request: Request) -> ControlAttempt:
             bounds=problem.scipy_bounds,
             method="trust-constr",
             options={
-                "maxiter": request.max_iterations or MAX_ITERATIONS,
+                "maxiter": run.max_iterations or MAX_ITERATIONS,
                 "gtol": 1e-9 if problem.scipy_bounds is None else 1e-11,
                 "xtol": 1e-14,
                 "barrier_tol": 1e-12,

@@ -72,6 +72,8 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     entries = [("unseen_controls", repr(unseen))] if unseen else []
     entries += [("unused", repr(model.unused))] if model.unused else []
     entries += [("maximised", "True")] if model.maximised else []
+    if integrals := _integral_multipliers(program):
+        entries.append(("integrals", repr(integrals)))
     if bends := _kinks(program):
         entries.append(("kinks", repr(bends)))
     if redundant:
@@ -83,6 +85,20 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     if decided := tuple((name, where) for where, end in ends for _, name in end.decided if name):
         entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
     return entries
+
+
+def _integral_multipliers(program: ControlProgram) -> tuple[tuple[str, int], ...]:
+    """The name of every condition on an integral, and the place of its multiplier among the unknowns of no node."""
+    own, bodies = program.own, program.bodies
+    found = []
+    for place, integrals in [(0, program.integrals), *((i, p.integrals) for i, p in enumerate(program.phases, 1))]:
+        for integral in integrals:
+            j = program.shared_symbols.index(integral.multiplier)
+            where = f" in phase {place}" if place else ""
+            for body in range(bodies if j < own else 1):
+                of_body = f" of body {body}" if bodies > 1 else ""
+                found.append((f"{integral.condition.name}{where}{of_body}", body * own + j))
+    return tuple(found)
 
 
 def _kinks(program: ControlProgram) -> tuple[str, ...]:

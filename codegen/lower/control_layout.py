@@ -32,6 +32,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("COUPLINGS", couplings),
         ("ROOT", program.bodies * own + shared - own + couplings),
         ("TIED", len(program.start.shared) + len(program.end.shared)),
+        ("SHARED_MULTIPLIERS", sum(u.multiplier for u in program.shared)),
         ("PHASES", len(program.phases)),
         ("INEQUALITIES", int(program.has_inequalities)),
         ("SCALED", int(not derivatives.linear_quadratic)),
@@ -59,6 +60,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
         *_size_lines(program, derivatives),
         Line("IS_MULTIPLIER", f"np.array({[u.multiplier for u in (*program.node, *inside)]})", "of node and interval"),
+        *_shared_multipliers(program),
         Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are given"),
         Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are given"),
         Line("ONLY_AT_ENDS", integers(program.only_at_ends), "unknowns that inner nodes do not have; zero there"),
@@ -81,6 +83,12 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         lines.append(Line("SLACKS", integers(slacks), "unknowns of an interval that take up an inequality's distance"))
         lines.append(Line("SLACK_MULTIPLIERS", integers(multipliers), "of the equations that define them"))
     return lines
+
+
+def _shared_multipliers(program: ControlProgram) -> list[Line]:
+    """Which shared unknowns are multipliers, where some are."""
+    table = [unknown.multiplier for unknown in program.shared]
+    return [Line("SHARED_IS_MULTIPLIER", f"np.array({table})", "of shared unknowns")] if any(table) else []
 
 
 def is_curved(derivatives: ControlDerivatives) -> bool:
@@ -212,7 +220,10 @@ def bound_views(program: ControlProgram) -> tuple[Line, ...]:
 
 def views(program: ControlProgram) -> dict[str, Any]:
     """Code that reads positions, momenta, controls and multipliers out of the views of nodes and intervals."""
-    n, m, kept = len(program.model.coordinates), len(program.model.controls), len(program.interval)
+    n, kept = len(program.model.coordinates), len(program.interval)
+    m, of_interval = len(program.model.controls), f"intervals[:, :, {kept}:{kept + len(program.controls)}]"
+    if program.controlled == "stages":
+        of_interval += f".reshape(BODIES, -1, {m})"
     variational, nodal = program.method == "variational", program.nodal_controls
     rates = 2 * n if program.model.rates else n
     equations = sum(u.multiplier and u.meaning.startswith("multiplier of the step") for u in program.interval)
@@ -221,12 +232,15 @@ def views(program: ControlProgram) -> dict[str, Any]:
     return {
         "positions": f"nodes[:, :, :{n}]",
         "momenta": "discrete_momenta(grid, unknowns)" if variational else f"nodes[:, :, {n}:{rates}]",
-        "controls": f"nodes[:, :, {last_node - m}:]" if nodal else f"intervals[:, :, {kept}:{kept + m}]",
+        "controls": f"nodes[:, :, {last_node - m}:]" if nodal else of_interval,
         "multipliers": f"nodes[:, :, {n}:{2 * n}]"
         if variational
         else f"intervals[:, :, {steps_first}:{steps_first + equations}]",
-        "control_place": "at nodes" if nodal else "on intervals" if m else "none",
+        "control_place": _CONTROL_PLACES[program.controlled] if m else "none",
     }
+
+
+_CONTROL_PLACES = {"interval": "on intervals", "nodal": "at nodes", "stages": "at the stages of all intervals"}
 
 
 def integers(values: Sequence[int]) -> str:

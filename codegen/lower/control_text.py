@@ -65,7 +65,7 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("method", repr(program.method)),
         ("scheme", repr(program.scheme)),
         ("order", repr(schemes.find(program.scheme, program.method).order)),
-        ("controls", repr("nodal" if program.nodal_controls else "interval")),
+        ("controls", repr(program.controlled)),
         ("form", repr(model.form)),
         ("bodies", repr(program.bodies)),
         ("coordinates", repr(tuple(s.name for s in model.coordinates))),
@@ -80,8 +80,16 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
         *((("scale", repr({s.name: size for s, size in model.scales})),) if model.scales else ()),
+        *((("stage_places", repr(_stage_places(program))),) if program.controlled == "stages" else ()),
         *(_of_phases(program) if program.phases else ()),
     ]
+
+
+def _stage_places(program: ControlProgram) -> tuple[float, ...]:
+    """The fractions of an interval at which its controls are."""
+    scheme = schemes.find(program.scheme, program.method)
+    points = scheme.discrete_lagrangian().points if scheme.variational else scheme.step().points
+    return tuple(float(point.place) for point in points)
 
 
 def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:

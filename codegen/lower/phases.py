@@ -60,7 +60,6 @@ def constants(program: ControlProgram) -> list[Line]:
         Line("PHASES", str(len(program.phases)), "phases, each of equally many intervals"),
         Line("PHASE_LACKS", table([phase.regular for phase in program.phases]), "unknowns of an interval, by phase"),
         Line("SWITCH_LACKS", table(first), "the same of the first interval after each switch"),
-        Line("SHARED_IS_MULTIPLIER", f"np.array({[u.multiplier for u in program.shared]}, dtype=bool)"),
     ]
 
 

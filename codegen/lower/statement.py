@@ -15,7 +15,7 @@ from codegen.lower.kernels import Kernel
 from codegen.lower.printer import readable
 from codegen.model import Model
 from codegen.transcribe.path_conditions import nodal_conditions
-from codegen.transcribe.program import ControlProgram, EndElement, Phase, Unknown
+from codegen.transcribe.program import ControlProgram, EndElement, IntegralEquation, Phase, Unknown
 
 _WIDTH = 110
 
@@ -43,7 +43,7 @@ def _problem(program: ControlProgram) -> Iterator[list[str]]:
     time = [f"duration = {sympy.sstr(model.duration)}"]
     bounds = _bounds(program.shared[program.own :])
     if not program.phases:
-        bounds = [*_bounds((*program.node, *program.controls)), *bounds, *_lasting(model)]
+        bounds = [*_bounds((*program.node, *program.controls)), *bounds, *_lasting(model), *_sums(program.integrals)]
     bounds += [f"{q} at the end = {q} at the start{_added(shift)}" for q, shift in model.periodic]
     yield _block(f"Find {_unknowns(program)}{_objective(program)}, where", [*time, *bounds])
 
@@ -125,7 +125,7 @@ def _intervals(program: ControlProgram) -> Iterator[list[str]]:
     length = "h = 1/N, in parts of the duration" if program.scaled_time else "h = duration/N"
     yield _block(
         f"On each of N intervals, from t_k to t_k1 = t_k + h, {length} (suffixes _k and _k1 mark its nodes):",
-        _equations(program.equations, program.model),
+        [*_equations(program.equations, program.model), *_shares(program.integrals)],
     )
 
 
@@ -155,7 +155,21 @@ def _heading(program: ControlProgram, number: int, phase: Phase) -> str:
 def _phase_lines(phase: Phase, model: Model) -> list[str]:
     lacking = {phase.inside[i].name for i in phase.regular.lacking}
     present = [u for u in (*phase.node, *phase.inside) if u.name not in lacking and not u.meaning.startswith("slack")]
-    return [*_bounds(present), *_lasting(model), *_equations(phase.equations, model)]
+    equations = [*_equations(phase.equations, model), *_shares(phase.integrals)]
+    return [*_bounds(present), *_lasting(model), *_sums(phase.integrals), *equations]
+
+
+def _sums(integrals: Sequence[IntegralEquation]) -> list[str]:
+    """What holds for the sums of shares over all intervals."""
+    return [
+        f"sum of Gd_{number} {'=' if i.condition.equality else '<='} {sympy.sstr(i.condition.value)} ({i.condition})"
+        for number, i in enumerate(integrals, start=1)
+    ]
+
+
+def _shares(integrals: Sequence[IntegralEquation]) -> list[str]:
+    """The shares that an interval has in integrals."""
+    return [f"Gd_{number} = {sympy.sstr(i.quadrature)}" for number, i in enumerate(integrals, start=1)]
 
 
 def _equations(equations: Pairs, model: Model) -> list[str]:

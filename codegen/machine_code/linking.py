@@ -28,6 +28,10 @@ OF_LIBRARIES = (
     "_verify_declare_only_symbols", "get_pointer_to_function", "serialize_using_bitcode", "serialize_using_object_code",
 )  # fmt: skip
 """What numba's class of the code of one function must have."""
+OF_CODE = ("name", "_final_module", "_shared_module")
+"""What the code of one function must have."""
+OF_FUNCTIONS = ("get_call_template", "targetoptions", "stats")
+"""What a function that numba compiles must have."""
 
 
 class InnerLibrary(Base):  # type: ignore[misc]
@@ -66,13 +70,19 @@ class InnerLibrary(Base):  # type: ignore[misc]
         return kept()  # type: ignore[no-any-return]
 
 
-def applies(version: str = numba.__version__) -> bool:
-    """Whether numba is of a version that was tried, and has all that is replaced or called here."""
+def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
+    """Whether numba is of a version that was tried, and has all that is replaced, set or read here."""
     try:
         generator = _generator()
-        found = [*(getattr(generator._library_class, name) for name in OF_LIBRARIES), generator.set_env]
+        code = generator.create_library("probe")
+        found = [getattr(generator._library_class, name) for name in OF_LIBRARIES]
+        found += [generator.set_env, generator._engine.is_symbol_defined, types.unliteral, types.IntegerLiteral]
+        found += [function.get_call_template for function in functions]
+        for thing, names in [(code, OF_CODE), *((function, OF_FUNCTIONS) for function in functions)]:
+            for name in names:
+                getattr(thing, name)
         is_tried = TRIED[0] <= tuple(map(int, version.split(".")[:2])) <= TRIED[1]
-        return is_tried and all(map(callable, [*found, generator._engine.is_symbol_defined]))
+        return is_tried and all(map(callable, found))
     except (AttributeError, ImportError, ValueError):
         return False
 
@@ -81,22 +91,29 @@ def link_inner_functions(functions: Iterable[Any], long: Iterable[str] = ()) -> 
     """From now on, make machine code in this process only of those of a module's functions that it keeps on the disk.
 
     Python must not call the others any more. Those of the names `long` are optimised by themselves all the same. numba
-    must have compiled something before, so that its own run-time library is there.
+    must have compiled something before, so that its own run-time library is there. Further modules may follow.
     """
     generator = _generator()
-    set_environment = generator.set_env
+    if not issubclass(generator._library_class, InnerLibrary):
+        generator._library_class = type("LinkedLibrary", (InnerLibrary, generator._library_class), {})
+        generator.set_env = _where_defined(generator, generator.set_env)
+    generator._library_class.optimised |= frozenset(long)
+    for function in functions:
+        if function.targetoptions.get("no_cfunc_wrapper"):
+            continue  # prepared already, and its place on the disk is no sign any more
+        function.targetoptions["no_cfunc_wrapper"] = True  # the entry by which C would call it
+        function.targetoptions["no_cpython_wrapper"] = function.stats.cache_path is None
+        function.get_call_template = _for_any_number(function.get_call_template)
+
+
+def _where_defined(generator: Any, set_environment: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
+    """Give functions their environment only where there is machine code that has a place for it."""
 
     def set_environment_if_any(name: str, environment: Any) -> None:
         if generator._engine.is_symbol_defined(name):
             set_environment(name, environment)
 
-    members = {"optimised": frozenset(long)}
-    generator._library_class = type("LinkedLibrary", (InnerLibrary, generator._library_class), members)
-    generator.set_env = set_environment_if_any
-    for function in functions:
-        function.targetoptions["no_cfunc_wrapper"] = True  # the entry by which C would call it
-        function.targetoptions["no_cpython_wrapper"] = function.stats.cache_path is None
-        function.get_call_template = _for_any_number(function.get_call_template)
+    return set_environment_if_any
 
 
 def _for_any_number(template_for: Callable[..., Any]) -> Callable[..., Any]:

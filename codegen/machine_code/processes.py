@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from codegen.errors import one_line
+
 CAN_FORK = hasattr(os, "fork")
 NOTE = "codegen: note: "
 """How a line begins that is no error."""
@@ -56,6 +58,14 @@ class Compilers:
             errors = [line for line in said if not line.startswith(NOTE)]
             self.failure = errors[0] if errors else f"a process ended with status {max(statuses, key=abs)}"
         return not any(statuses)
+
+    @property
+    def said(self) -> list[str]:
+        """Lines for whoever waits: notes, and by which error machine code could not be made ahead, if it could not."""
+        if not self.failure:
+            return self.notes
+        reason = f"machine code could not be made ahead ({one_line(self.failure)}); a first solve has made it"
+        return [*self.notes, f"codegen: {reason}"]
 
     def end(self) -> None:
         """End the processes, and those that they have become, if they have not ended by themselves."""

@@ -6,7 +6,7 @@ real, finite and made of functions that can be printed; a Lagrangian is regular;
 guesses are finite at the default parameters, and the conditions on one body's motion do not depend on each other.
 """
 
-from codegen.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
+from codegen.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Integral, Model
 from codegen.model.phases import normalise
 
-__all__ = ["Boundary", "Bounds", "Condition", "EndValue", "FreeParameter", "Model", "normalise"]
+__all__ = ["Boundary", "Bounds", "Condition", "EndValue", "FreeParameter", "Integral", "Model", "normalise"]

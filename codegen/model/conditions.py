@@ -8,7 +8,7 @@ import sympy
 
 from codegen.author.bodies import require_single_bodies
 from codegen.errors import BoundaryError
-from codegen.model.definitions import Bounds, Condition, FreeParameter
+from codegen.model.definitions import Bounds, Condition, FreeParameter, Integral
 from codegen.model.relations import text
 from codegen.model.written import Entry
 
@@ -16,6 +16,15 @@ from codegen.model.written import Entry
 def conditions_of(entries: Sequence[Entry], role: str) -> tuple[Condition, ...]:
     """The relations of a role in the order in which they were written."""
     return tuple(_condition(entry) for entry in entries if entry.role == role)
+
+
+def integrals_of(entries: Sequence[Entry]) -> tuple[Integral, ...]:
+    """The conditions on integrals in the order in which they were written."""
+    integrands, limits = ([e for e in entries if e.role == role] for role in ("integral", "integral value"))
+    return tuple(
+        Integral(entry.name, entry.expression, limit.expression, entry.equality)
+        for entry, limit in zip(integrands, limits, strict=True)
+    )
 
 
 def couplings_of(

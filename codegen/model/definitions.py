@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import sympy
 
@@ -27,6 +27,19 @@ class Condition:
 
     name: str
     expression: sympy.Expr
+    equality: bool = True
+
+    def __str__(self) -> str:
+        return short(self.name)
+
+
+@dataclass(frozen=True)
+class Integral:
+    """The integral of `integrand` over the duration equals `value`, or (`equality` false) does not exceed it."""
+
+    name: str
+    integrand: sympy.Expr
+    value: sympy.Expr
     equality: bool = True
 
     def __str__(self) -> str:
@@ -69,10 +82,11 @@ class Model:
     rates, `function` is zero and `dynamics` holds the right-hand sides of x' = f(x, u, t); `force` is empty.
 
     `path` holds at every time and may depend on coordinates, rates, controls, time and parameters; bounds on
-    velocities arrive there as well. `start_conditions` and `end_conditions` are conditions on coordinates and rates of
-    one end, beside the values of `start` and `end`. `terminal_cost` is added to the integral of `cost` and depends on
-    coordinates and rates at the end and on parameters; both are negated where the author asked for a greatest value,
-    which `maximised` says. `holonomic` constraints c(q) = 0 hold at every time.
+    velocities arrive there as well. `integrals` are conditions on integrals over the duration. `start_conditions` and
+    `end_conditions` are conditions on coordinates and rates of one end, beside the values of `start` and `end`.
+    `terminal_cost` is added to the integral of `cost` and depends on coordinates and rates at the end and on
+    parameters; both are negated where the author asked for a greatest value, which `maximised` says. `holonomic`
+    constraints c(q) = 0 hold at every time.
     `periodic` gives pairs (coordinate or rate, shift): its value at the end is that at the start plus the shift.
 
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
@@ -107,6 +121,7 @@ class Model:
     dynamics: tuple[sympy.Expr, ...] = ()
     bounds: tuple[Bounds, ...] = ()
     path: tuple[Condition, ...] = ()
+    integrals: tuple[Integral, ...] = ()
     start_conditions: tuple[Condition, ...] = ()
     end_conditions: tuple[Condition, ...] = ()
     terminal_cost: sympy.Expr = sympy.S.Zero
@@ -123,6 +138,12 @@ class Model:
     jumps: tuple[tuple[tuple[sympy.Symbol, sympy.Expr], ...], ...] = ()
     scales: tuple[tuple[sympy.Symbol, float], ...] = ()
     unused: tuple[str, ...] = ()
+
+    @property
+    def with_free_ends(self) -> Model:
+        """The same model with nothing given at its ends, where a Legendre transform could fail for their sake."""
+        free = Boundary((None,) * len(self.coordinates), (None,) * len(self.rates))
+        return replace(self, start=free, end=free if self.end else None)
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:

@@ -33,11 +33,11 @@ _WRITTEN_LIMIT = 100_000
 def hamiltonian_form(model: Model) -> Model:
     """Return the model with H(q, p, t) in place of L(q, v, t); force, cost and boundary are rewritten in (q, p, u, t).
 
-    The momenta are called `p_<coordinate>`. A model that has the form already is returned as it is. Raises
-    SymbolError when such a name is taken, DegenerateError when p = dL/dv has no unique solution, and BoundaryError
-    when a fixed end velocity does not determine its momentum.
+    The momenta are called `p_<coordinate>`. What has no Lagrangian is returned as it is. Raises SymbolError when such a
+    name is taken, DegenerateError when p = dL/dv has no unique solution, and BoundaryError when a fixed end velocity
+    does not determine its momentum.
     """
-    return model if model.form == "hamiltonian" else _transformed(model, "hamiltonian")
+    return _transformed(model, "hamiltonian") if model.form == "lagrangian" else model
 
 
 def lagrangian_form(model: Model) -> Model:

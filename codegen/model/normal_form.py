@@ -18,7 +18,14 @@ from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
 from codegen.model import drawings, regularity, trials, values
-from codegen.model.conditions import bounds_of, conditions_of, couplings_of, free_parameters_of, velocity_bounds
+from codegen.model.conditions import (
+    bounds_of,
+    conditions_of,
+    couplings_of,
+    free_parameters_of,
+    integrals_of,
+    velocity_bounds,
+)
 from codegen.model.definitions import Boundary, Condition, EndValue, Model
 from codegen.model.relations import text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
@@ -95,7 +102,7 @@ def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.S
 
 def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
     """Refuse controls of which nothing says how they are best, in any of the problems."""
-    if not kinds.controls or any(problem.path for problem in problems):
+    if not kinds.controls or any(problem.path or problem.integral for problem in problems):
         return
     if not any(entry.expression != 0 for problem in problems for entry in written_costs(problem)):
         raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
@@ -196,6 +203,7 @@ def _built(
         dynamics=_each(entries, "dynamics", coordinates) if first_order else (),
         bounds=bounds_of(entries, (*coordinates, *(rates if form == "hamiltonian" else ()), *controls)),
         path=(*velocity_bounds(entries, rates if form == "lagrangian" else ()), *conditions_of(entries, "path")),
+        integrals=integrals_of(entries),
         start_conditions=(*tied_at_start, *conditions_of(entries, "start_conditions")),
         end_conditions=(*tied_at_end, *end_conditions),
         terminal_cost=_value(entries, "terminal_cost"),

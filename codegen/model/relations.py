@@ -62,6 +62,27 @@ def relation(value: Any, what: str) -> Relation:
     return Relation(name, expressions.checked(difference, what), sign == "=")
 
 
+def integral_sides(value: Any, what: str, moving: tuple[type, ...]) -> tuple[sympy.Expr, sympy.Expr]:
+    """The integrand, and what its integral equals or does not exceed, with the signs that say so.
+
+    The integrand is the side with symbols of the `moving` kinds. ExpressionError unless that is one side alone.
+    """
+    left, right, sign = _sides(value)
+    left, right = (expressions.checked(side, what) for side in (left, right))
+    moves = [any(isinstance(symbol, moving) for symbol in side.free_symbols) for side in (left, right)]
+    if all(moves):
+        raise ExpressionError(
+            f"both sides of {what} move", "write the integrand on one side, its integral's value on the other"
+        )
+    if not any(moves):
+        raise ExpressionError(
+            f"{what} has no integrand, since nothing in it moves", "write Eq(integrand, value), or leave it out"
+        )
+    integrand, limit = (left, right) if moves[0] else (right, left)
+    at_least = (sign == ">=") == moves[0] and sign != "="
+    return (-integrand, -limit) if at_least else (integrand, limit)
+
+
 def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
     """The number to which an expression cancels, if it does."""
     terms = sympy.Add.make_args(expression)

@@ -33,6 +33,8 @@ _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
     "force": (*_MOVING, ControlInput, Time, *_STATIC),
     "cost": (*_MOVING, ControlInput, Time, *_STATIC),
     "path": (*_MOVING, ControlInput, Time, *_STATIC),
+    "integral": (*_MOVING, ControlInput, Time, *_STATIC),
+    "integral value": _STATIC,
     "terminal_cost": (*_MOVING, *_STATIC),
     "start_conditions": (*_MOVING, *_STATIC),
     "end_conditions": (*_MOVING, EndValue, *_STATIC),

@@ -132,6 +132,8 @@ def _require_real(model: Model, points: Sequence[Mapping[sympy.Symbol, float]]) 
     couplings = [model.couplings[i] for i in distinct([c.expression for c in model.couplings], values)]
     conditions = (*model.path, *model.start_conditions, *model.end_conditions, *couplings)
     named += [(condition.name, condition.expression) for condition in conditions]
+    named += [(f"the integrand of {i}", i.integrand) for i in model.integrals]
+    named += [(f"the value of {i}", i.value) for i in model.integrals]
     for what, expression in named:
         for body in _bodies(model, expression):
             if all(expressions.rounded_at(expression, {**point, **body}) is None for point in points):

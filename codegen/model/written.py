@@ -9,10 +9,22 @@ from typing import Any
 import sympy
 
 from codegen.author.problem import Control, Problem
-from codegen.author.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
+from codegen.author.symbols import (
+    ControlInput,
+    Coordinate,
+    EndValue,
+    FreeParameter,
+    Momentum,
+    Quantity,
+    State,
+    Time,
+    Velocity,
+)
 from codegen.errors import ExpressionError, SymbolError
 from codegen.expressions import checks as expressions
-from codegen.model.relations import relation, short
+from codegen.model.relations import integral_sides, relation, short
+
+_MOVES = (Coordinate, Velocity, Momentum, State, ControlInput, Time)
 
 
 @dataclass(frozen=True)
@@ -102,6 +114,7 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield from _bounds(control.bounds)
     yield from _periodic(control)
     yield from _relations("path", control.path)
+    yield from _integrals(control.integral)
     yield from _relations("start_conditions", control.start_conditions)
     yield from _relations("end_conditions", control.end_conditions)
     yield from _relations("constraint", control.constraint)
@@ -215,17 +228,29 @@ def _shifts(periodic: Any) -> Iterator[Entry]:
 
 def _relations(what: str, values: Any) -> Iterator[Entry]:
     seen: set[sympy.Expr] = set()
-    given = [*values.items()] if isinstance(values, Mapping) else _sequence(what, values, "relation")
-    for place, value in enumerate(given):
-        # A pair is a relation with its name, as mappings have them.
-        named, written = value if isinstance(value, tuple) and len(value) == 2 else ("", value)
-        given_name = _given_name(what, named) if isinstance(value, tuple) else ""
+    for place, (given_name, written) in enumerate(_named(what, values)):
         found = relation(written, f"{what}[{given_name or place!r}]")
         name = given_name or found.name
         if found.expression in seen:
             raise ExpressionError(f"{what} lists {short(name)} twice", "list it once")
         seen.add(found.expression)
         yield Entry(what, f"{what} {short(name)}", found.expression, None, name, found.equality)
+
+
+def _named(what: str, values: Any) -> Iterator[tuple[str, Any]]:
+    """Relations, each after the name that its author gave it, or nothing."""
+    for value in [*values.items()] if isinstance(values, Mapping) else _sequence(what, values, "relation"):
+        # A pair is a relation with its name, as mappings have them.
+        name, written = value if isinstance(value, tuple) and len(value) == 2 else ("", value)
+        yield _given_name(what, name) if isinstance(value, tuple) else "", written
+
+
+def _integrals(values: Any) -> Iterator[Entry]:
+    """Conditions on integrals, each as an integrand and as the value that its integral has or does not exceed."""
+    for entry, (_, written) in zip(_relations("integral", values), _named("integral", values), strict=True):
+        integrand, limit = integral_sides(written, entry.what, _MOVES)
+        yield replace(entry, expression=integrand)
+        yield replace(entry, role="integral value", what=f"value of {entry.what}", expression=limit)
 
 
 def _given_name(what: str, name: Any) -> str:

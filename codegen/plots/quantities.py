@@ -23,7 +23,7 @@ _SLACK = re.compile(r"slack of (?P<name>.*) at (?P<place>\S.*?) of an interval")
 class Quantity:
     """One quantity over time, a column for every body.
 
-    `values` belong to the nodes `t`, or to the intervals between them when there is one row less. Bounds are infinite
+    `values` belong to the times `t`, or to the intervals between them when there is one row less. Bounds are infinite
     where there are none, and have rows like the values where they may change. `kind` is state, momentum, multiplier or
     control; `jumps` are the nodes after which another value follows at once.
     """
@@ -111,7 +111,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
             Quantity(
                 name,
                 kind,
-                result.t,
+                result.control_times if kind == "control" and result.stage_places else result.t,
                 tables[0][:, :, i],
                 _limits(module, tables[2][:, :, i], -np.inf) if is_bounded else -none,
                 _limits(module, tables[3][:, :, i], np.inf) if is_bounded else none,

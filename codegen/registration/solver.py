@@ -68,7 +68,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
 
 def _touch(module: Any) -> None:
     """Call what a registration calls, so that its machine code is read, or compiled, before anything is timed."""
-    from codegen.machine_code.compilation import small_case
+    from codegen.machine_code.parts import small_case
 
     case = small_case(module)
     with module.packed_operations():

@@ -95,8 +95,9 @@ def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Se
     text = (
         f"A case is worse if its error grew by more than a factor {compare.ERROR_FACTOR:g} (and exceeds "
         f"{compare.LEAST_ERROR:g}), its time by more than {compare.TIME_FACTOR:g} (and exceeds "
-        f"{1e3 * compare.LEAST_SECONDS:g} ms), its order fell by more than {compare.ORDER_LOSS:g}, or it is no longer "
-        f"solved. {shared(before, after)} cases are in both reports."
+        f"{1e3 * compare.LEAST_SECONDS:g} ms), its order fell by more than {compare.ORDER_LOSS:g}, its iterations or "
+        f"the lines of its module grew by more than {compare.MORE_ITERATIONS:g}, or it is no longer solved. Times "
+        f"inform, the rest decides. {shared(before, after)} cases are in both reports."
     )
     machines = [f"{r.environment.get('processor')}, load {r.environment.get(_LOAD)}" for r in (before, after)]
     machine = f"Times were measured on {machines[0]} then, on {machines[1]} now; times of a busy machine prove little."

@@ -54,6 +54,7 @@ def _cases(chosen: Chosen, store: Store) -> Iterator[dict[str, Any]]:
             yield {
                 "problem": name, "case": f"{variant.label}; N {values['steps']}", "status": values["status"],
                 "error": error, "error of": kind.error, "seconds": values["seconds"],
+                "iterations": values.get("iterations"),
             }  # fmt: skip
 
 

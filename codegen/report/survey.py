@@ -10,7 +10,8 @@ from codegen import schemes
 from codegen.errors import CodegenError
 from codegen.model import Model
 from codegen.model.from_file import load_problem
-from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
+from codegen.schemes.particles import PARTICLE_SCHEMES
+from codegen.transcribe import methods_for
 
 
 def survey(path: Path, arguments: Mapping[str, str] | None = None) -> dict[str, Any]:
@@ -43,14 +44,10 @@ def exact_cost(path: Path, arguments: Mapping[str, str] | None = None) -> float 
 
 
 def _rows(model: Any) -> list[tuple[str, schemes.Scheme]]:
-    if not isinstance(model, Model):
-        methods = ("stepping",) if model.task == "connect" else ("hamiltonian",)
-        kept = [s for s in PARTICLE_SCHEMES.values() if not isinstance(s, Adaptive)]
-        rows = [(method, scheme) for method in methods for scheme in kept]
-    elif model.form == "first-order":
-        rows = [(schemes.FIRST_ORDER, scheme) for scheme in schemes.of_method(schemes.FIRST_ORDER)]
+    if isinstance(model, Model):
+        methods = methods_for(model)
+        rows = [(method, scheme) for method in methods for scheme in schemes.of_method(method)]
     else:
-        rows = [(method, scheme) for method in schemes.METHODS for scheme in schemes.of_method(method)]
-    on_lagrangian_side = model.task == "control" or (isinstance(model, Model) and model.form == "lagrangian")
-    preferred = "variational" if on_lagrangian_side else "hamiltonian"
-    return sorted(rows, key=lambda row: (row[0] != preferred, row[1].name != "midpoint"))
+        methods = ("stepping",) if model.task == "connect" else ("hamiltonian",)
+        rows = [(method, scheme) for method in methods for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
+    return sorted(rows, key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))

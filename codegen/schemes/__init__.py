@@ -7,48 +7,19 @@ import difflib
 from sympy import Rational
 
 from codegen.errors import SchemeError
-from codegen.schemes import compositions
-from codegen.schemes.base import (
-    Composition,
-    DiscreteLagrangian,
-    OfSteps,
-    OneStep,
-    QuadraturePoint,
-    RungeKutta,
-    Scheme,
-    Substep,
-)
-from codegen.schemes.compositions import COMPOSITIONS, FIRST_ORDER_COMPOSITIONS
-from codegen.schemes.discrete_lagrangians import DISCRETE_LAGRANGIANS
-from codegen.schemes.one_step import FIRST_ORDER_SCHEMES, ONE_STEPS, alpha
-from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, RUNGE_KUTTA
+from codegen.schemes import compositions, discrete_lagrangians, one_step, runge_kutta
+from codegen.schemes.base import FIRST_ORDER, Scheme
 
-__all__ = [
-    "ALIASES",
-    "FIRST_ORDER",
-    "METHODS",
-    "Composition",
-    "DiscreteLagrangian",
-    "OfSteps",
-    "OneStep",
-    "QuadraturePoint",
-    "RungeKutta",
-    "Scheme",
-    "Substep",
-    "find",
-]
+__all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "Scheme", "find", "of_method"]
 
-METHODS: dict[str, dict[str, Scheme]] = {
-    "variational": {scheme.name: scheme for scheme in DISCRETE_LAGRANGIANS},
-    "hamiltonian": {scheme.name: scheme for scheme in (*ONE_STEPS, *RUNGE_KUTTA, *COMPOSITIONS)},
+_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions)
+"""Each has SCHEMES by method; those of a method are listed in this order."""
+_ALL: dict[str, dict[str, Scheme]] = {
+    method: {scheme.name: scheme for family in _FAMILIES for scheme in family.SCHEMES.get(method, ())}
+    for method in ("variational", "hamiltonian", FIRST_ORDER)
 }
+METHODS = {method: schemes for method, schemes in _ALL.items() if method != FIRST_ORDER}
 """Every scheme for mechanical systems by method and name; tests run over this table."""
-
-FIRST_ORDER = "one-step"
-"""The method for first-order systems x' = f(x, u, t)."""
-
-_FIRST_ORDER = (*FIRST_ORDER_SCHEMES, *FIRST_ORDER_RUNGE_KUTTA, *FIRST_ORDER_COMPOSITIONS)
-_ALL: dict[str, dict[str, Scheme]] = {**METHODS, FIRST_ORDER: {scheme.name: scheme for scheme in _FIRST_ORDER}}
 
 ALIASES = {
     ("variational", "stormer-verlet"): "trapezoidal",
@@ -80,7 +51,7 @@ def find(name: str, method: str) -> Scheme:
         except (TypeError, ValueError, ZeroDivisionError):
             value = Rational(-1)
         if value.is_finite and 0 <= value <= 1:
-            return alpha(value)
+            return one_step.alpha(value)
         raise SchemeError(f"scheme {name!r}", "give alpha-<a> with a between 0 and 1, as in alpha-0.25")
     elsewhere = [other for other, schemes in METHODS.items() if name in schemes]
     if method == FIRST_ORDER and (elsewhere or name.startswith("alpha-")):
@@ -96,6 +67,14 @@ def find(name: str, method: str) -> Scheme:
     raise SchemeError(f"there is no scheme {name!r}", hint)
 
 
+def is_known(name: str, method: str) -> bool:
+    """Whether `find` finds it."""
+    try:
+        return bool(find(name, method))
+    except SchemeError:
+        return False
+
+
 def of_method(method: str) -> tuple[Scheme, ...]:
     """Every scheme of a method by itself, without families and aliases."""
     return tuple(_ALL[method].values())
@@ -106,7 +85,7 @@ def _composition(name: str, method: str) -> Scheme:
     outer, inner = name.split("-of-", 1)
     bases = {n: s for n, s in _ALL[method].items() if s.symmetric and s.order == 2}
     base = bases.get(ALIASES.get((method, inner), inner))
-    found = compositions.composed(outer, base) if isinstance(base, (OneStep, DiscreteLagrangian)) else None
+    found = compositions.composed(outer, base) if base else None
     if found is None:
         raise SchemeError(
             f"there is no scheme {name!r} for the {method} method",

@@ -1,16 +1,22 @@
 """What a scheme is: data that says how one time interval is filled.
 
-A discrete Lagrangian is a quadrature rule along a polynomial between two positions. A one-step method is a chain of
-substeps, each of which evaluates the Hamiltonian vector field at one point between its ends. A Runge-Kutta method has
-stages that depend on each other. A composition repeats one of these with steps of different lengths.
+Schemes come in families, one file each. A family says what a step is: either a discrete Lagrangian, which is a
+quadrature rule along a polynomial between two positions, or a `Step` in states at both ends. Nothing that works with
+schemes needs to know the family.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from sympy import Expr, Rational, S, Symbol
+from sympy import Expr, Rational, Symbol
+
+from codegen.errors import SchemeError
+from codegen.schemes.step import Step
+
+FIRST_ORDER = "one-step"
+"""The method for first-order systems x' = f(x, u, t)."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +29,38 @@ class Scheme:
     symplectic: bool
     source: str
     summary: str
+
+    @property
+    def variational(self) -> bool:
+        """Whether a step is a discrete Lagrangian of positions; else it is written in states."""
+        return False
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether a step is a chain of substeps, so that no stages inside it depend on each other."""
+        return self.step().is_chain
+
+    @property
+    def parts(self) -> tuple[tuple[Expr, ...], ...]:
+        """Of what repeats another scheme, the lengths of that one's steps or substeps, in parts of h; a row each."""
+        return ()
+
+    @property
+    def adaptive(self) -> str:
+        """The name in scipy of a code that chooses its own steps; empty where they are given."""
+        return ""
+
+    def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
+        """What is repeated: one step whose substeps have the given lengths instead of fractions of the step."""
+        return self
+
+    def step(self) -> Step:
+        """One step in states; SchemeError where there is none."""
+        raise SchemeError(f"scheme {self.name!r} does not belong to the hamiltonian method", "choose another method")
+
+    def discrete_lagrangian(self) -> DiscreteLagrangian:
+        """The quadrature rule of one step; SchemeError where there is none."""
+        raise SchemeError(f"scheme {self.name!r} does not belong to the variational method", "choose another method")
 
 
 @dataclass(frozen=True)
@@ -44,83 +82,16 @@ class DiscreteLagrangian(Scheme):
     points: tuple[QuadraturePoint, ...]
     nodes: tuple[Rational, ...] = (Rational(0), Rational(1))
 
-
-@dataclass(frozen=True)
-class Substep:
-    """A fraction of the step whose vector field is evaluated at q = (1-a) q0 + a q1, p = (1-b) p0 + b p1."""
-
-    fraction: Expr
-    position: Rational
-    momentum: Rational
-
-
-@dataclass(frozen=True)
-class OneStep(Scheme):
-    """A composition of substeps q1 = q0 + g h H_p(q, p), p1 = p0 - g h H_q(q, p) + g h f(q, p)."""
-
-    substeps: tuple[Substep, ...]
+    @property
+    def variational(self) -> bool:
+        """A discrete Lagrangian is."""
+        return True
 
     @property
-    def same_point(self) -> bool:
-        """Whether coordinates and momenta are always taken at the same point, as a first-order system needs."""
-        return all(substep.position == substep.momentum for substep in self.substeps)
+    def is_chain(self) -> bool:
+        """Whether nothing is left to extremise."""
+        return len(self.nodes) == 2
 
-
-@dataclass(frozen=True)
-class RungeKutta(Scheme):
-    """X_i = x0 + h sum_j a_ij F(X_j), x1 = x0 + h sum_i b_i F(X_i): a table for coordinates, one for momenta."""
-
-    weights: tuple[Expr, ...]
-    positions: tuple[tuple[Expr, ...], ...]
-    momenta: tuple[tuple[Expr, ...], ...]
-
-    @property
-    def places(self) -> tuple[Expr, ...]:
-        """The fractions c_i of the step at which stages are, the row sums of the coordinates' table."""
-        return tuple(sum(row, S.Zero) for row in self.positions)
-
-    @property
-    def same_point(self) -> bool:
-        """Whether one table serves coordinates and momenta, as a first-order system needs."""
-        return self.positions == self.momenta
-
-
-@dataclass(frozen=True)
-class Composition(Scheme):
-    """Steps of a base scheme, one after the other, whose lengths add up to h.
-
-    `fractions` has a row for each of them: the length of the base's step, or of each of the base's substeps, in parts
-    of h. Lengths may be negative.
-    """
-
-    base: OneStep | DiscreteLagrangian
-    fractions: tuple[tuple[Expr, ...], ...]
-
-    @property
-    def same_point(self) -> bool:
-        """Whether coordinates and momenta are always taken at the same point, as a first-order system needs."""
-        return isinstance(self.base, OneStep) and self.base.same_point
-
-    def part(self, lengths: tuple[Symbol, ...], step: Symbol) -> OneStep | DiscreteLagrangian:
-        """One step of the base whose substeps have the given lengths instead of fractions of the step."""
-        if len(lengths) == 1:
-            return self.base
-        assert isinstance(self.base, OneStep)
-        pairs = zip(self.base.substeps, lengths, strict=True)
-        return replace(self.base, substeps=tuple(replace(s, fraction=length / step) for s, length in pairs))
-
-    def written_out(self) -> OneStep:
-        """The same one-step method as one chain of substeps; the base must be a one-step method."""
-        assert isinstance(self.base, OneStep), "a composition of discrete Lagrangians is no chain of substeps"
-        whole = [s.fraction for s in self.base.substeps]
-        substeps = []
-        for row in self.fractions:
-            fractions = row if len(row) == len(whole) else [row[0] * fraction for fraction in whole]
-            substeps += [replace(s, fraction=f) for s, f in zip(self.base.substeps, fractions, strict=True)]
-        return OneStep(
-            self.name, self.order, self.symmetric, self.symplectic, self.source, self.summary, tuple(substeps)
-        )
-
-
-OfSteps: TypeAlias = OneStep | RungeKutta | Composition
-"""What is written in states at both ends of a step, not in positions alone."""
+    def discrete_lagrangian(self) -> DiscreteLagrangian:
+        """The scheme itself."""
+        return self

@@ -10,12 +10,73 @@ orders anew.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from sympy import Expr, Integer, Rational, S, sqrt
+from sympy import Expr, Integer, Rational, S, Symbol, sqrt
 
-from codegen.schemes.base import Composition, DiscreteLagrangian, OneStep
-from codegen.schemes.one_step import ONE_STEPS
+from codegen.errors import SchemeError
+from codegen.schemes.base import FIRST_ORDER, DiscreteLagrangian, Scheme
+from codegen.schemes.one_step import ONE_STEPS, OneStep, Substep
+from codegen.schemes.step import Step
+
+
+@dataclass(frozen=True)
+class Composition(Scheme):
+    """Steps of a base scheme, one after the other, whose lengths add up to h.
+
+    `fractions` has a row for each of them: the length of the base's step, or of each of the base's substeps, in parts
+    of h. Lengths may be negative.
+    """
+
+    base: Scheme
+    fractions: tuple[tuple[Expr, ...], ...]
+
+    @property
+    def variational(self) -> bool:
+        """Whether the base is."""
+        return self.base.variational
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether steps of the base are."""
+        return self.base.is_chain
+
+    @property
+    def parts(self) -> tuple[tuple[Expr, ...], ...]:
+        """The fractions."""
+        return self.fractions
+
+    def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
+        """The base, or the base with these lengths of its substeps."""
+        if len(lengths) == 1:
+            return self.base
+        pairs = zip(self._base().substeps, lengths, strict=True)
+        return replace(self._base(), substeps=tuple(replace(s, fraction=length / step) for s, length in pairs))
+
+    def step(self) -> Step:
+        """One chain of the substeps of all steps; SchemeError where the base is none, as with discrete Lagrangians."""
+        base, substeps = self._base(), list[Substep]()
+        for row in self.fractions:
+            fractions = row if len(row) == len(base.substeps) else [row[0] * s.fraction for s in base.substeps]
+            substeps += [replace(s, fraction=f) for s, f in zip(base.substeps, fractions, strict=True)]
+        return replace(base, substeps=tuple(substeps)).step()
+
+    def discrete_lagrangian(self) -> DiscreteLagrangian:
+        """Raises SchemeError: the sum over steps of the base would have to be stationary between them."""
+        raise self._refusal()
+
+    def _base(self) -> OneStep:
+        if not isinstance(self.base, OneStep):
+            raise self._refusal()
+        return self.base
+
+    def _refusal(self) -> SchemeError:
+        kind = "discrete Lagrangians" if self.variational else self.base.name
+        return SchemeError(
+            f"scheme {self.name!r} composes {kind}, which is possible in simulations only",
+            "use gauss-4 or gauss-6, or a composition with --method hamiltonian",
+        )
 
 
 @dataclass(frozen=True)
@@ -88,7 +149,7 @@ _SYMMETRIC = (
 )
 
 
-def _of(composition: _Symmetric, base: OneStep | DiscreteLagrangian, name: str) -> Composition:
+def _of(composition: _Symmetric, base: Scheme, name: str) -> Composition:
     if isinstance(base, OneStep):
         rows = [tuple(g * s.fraction for s in base.substeps) for g in composition.fractions]
     else:
@@ -105,7 +166,7 @@ def _of(composition: _Symmetric, base: OneStep | DiscreteLagrangian, name: str) 
     )
 
 
-def composed(name: str, base: OneStep | DiscreteLagrangian) -> Composition | None:
+def composed(name: str, base: Scheme) -> Composition | None:
     """The composition of that name of a base scheme; None when there is none, or the base does not fit."""
     found = [composition for composition in _SYMMETRIC if composition.name == name]
     if not found or not base.symmetric or base.order != 2:
@@ -196,7 +257,8 @@ PARTITIONED = (
     ),
 )
 
-COMPOSITIONS = (*(_of(composition, _EXPLICIT, composition.name) for composition in _SYMMETRIC), *PARTITIONED)
-"""For mechanical systems: of position-verlet, so that they are explicit where the Hamiltonian is separable."""
-FIRST_ORDER_COMPOSITIONS = tuple(_of(composition, _MIDPOINT, composition.name) for composition in _SYMMETRIC)
-"""For first-order systems: of the midpoint rule."""
+SCHEMES = {
+    "hamiltonian": (*(_of(composition, _EXPLICIT, composition.name) for composition in _SYMMETRIC), *PARTITIONED),
+    FIRST_ORDER: tuple(_of(composition, _MIDPOINT, composition.name) for composition in _SYMMETRIC),
+}
+"""Of position-verlet, so that they are explicit where the Hamiltonian is separable; of the midpoint rule."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from sympy import Rational
 
-from codegen.schemes.base import DiscreteLagrangian, QuadraturePoint, RungeKutta
-from codegen.schemes.runge_kutta import GAUSS_4, GAUSS_6, LOBATTO_4
+from codegen.schemes.base import DiscreteLagrangian, QuadraturePoint
+from codegen.schemes.runge_kutta import GAUSS_4, GAUSS_6, LOBATTO_4, RungeKutta
 
 _HALF = Rational(1, 2)
 
@@ -29,7 +29,7 @@ def _galerkin(method: RungeKutta, degree: int, summary: str) -> DiscreteLagrangi
     )
 
 
-DISCRETE_LAGRANGIANS = (
+_DISCRETE_LAGRANGIANS = (
     DiscreteLagrangian(
         name="rectangle",
         order=1,
@@ -61,3 +61,4 @@ DISCRETE_LAGRANGIANS = (
     _galerkin(GAUSS_6, 3, "polynomials of degree 3, Gauss quadrature with 3 points"),
     _galerkin(LOBATTO_4, 2, "polynomials of degree 2, Simpson's rule"),
 )
+SCHEMES = {"variational": _DISCRETE_LAGRANGIANS}

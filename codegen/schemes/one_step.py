@@ -2,11 +2,43 @@
 
 from __future__ import annotations
 
-from sympy import Rational
+from dataclasses import dataclass
 
-from codegen.schemes.base import OneStep, Substep
+import sympy
+from sympy import Expr, Rational, S
+
+from codegen.schemes.base import FIRST_ORDER, Scheme
+from codegen.schemes.step import FieldPoint, Step, Update
 
 _ZERO, _HALF, _ONE = Rational(0), Rational(1, 2), Rational(1)
+
+
+@dataclass(frozen=True)
+class Substep:
+    """A fraction of the step whose vector field is evaluated at q = (1-a) q0 + a q1, p = (1-b) p0 + b p1."""
+
+    fraction: Expr
+    position: Rational
+    momentum: Rational
+
+
+@dataclass(frozen=True)
+class OneStep(Scheme):
+    """A chain of substeps q1 = q0 + g h H_p(q, p), p1 = p0 - g h H_q(q, p) + g h f(q, p)."""
+
+    substeps: tuple[Substep, ...]
+
+    def step(self) -> Step:
+        """Substep n leads from state n to state n + 1, with one point between them."""
+        points, updates, places, elapsed = list[FieldPoint](), list[Update](), list[Expr](), S.Zero
+        for n, s in enumerate(self.substeps):
+            position, momentum = (((n, 1 - share), (n + 1, share)) for share in (s.position, s.momentum))
+            points.append(FieldPoint(elapsed + s.position * s.fraction, s.fraction, position, momentum))
+            updates.append(Update(n, s.fraction, tuple(S(int(m == n)) for m in range(len(self.substeps)))))
+            elapsed = sympy.expand(elapsed + s.fraction)
+            places.append(elapsed)
+        return Step(tuple(points), tuple(updates), tuple(updates), tuple(places))
+
 
 ONE_STEPS = (
     OneStep(
@@ -85,8 +117,9 @@ TRAPEZOIDAL = OneStep(
 )
 """Offered for first-order systems; of a mechanical system the midpoint rule is the symplectic one of the two."""
 
-FIRST_ORDER_SCHEMES = (*(scheme for scheme in ONE_STEPS if scheme.same_point), TRAPEZOIDAL)
-"""Schemes for x' = f(x, u, t), which has no momenta that could be taken at another point than the coordinates."""
+_SAME_POINT = (scheme for scheme in ONE_STEPS if all(s.position == s.momentum for s in scheme.substeps))
+SCHEMES = {"hamiltonian": ONE_STEPS, FIRST_ORDER: (*_SAME_POINT, TRAPEZOIDAL)}
+"""For x' = f(x, u, t) those that have no momenta at another point than the coordinates."""
 
 
 def alpha(value: Rational) -> OneStep:

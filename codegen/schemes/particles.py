@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from codegen import schemes
 from codegen.errors import SchemeError
-from codegen.schemes.base import Composition, OneStep, RungeKutta, Scheme
+from codegen.schemes.base import Scheme
 from codegen.schemes.compositions import NAMES, PARTITIONED
 from codegen.schemes.one_step import ONE_STEPS
-from codegen.schemes.runge_kutta import OF_PARTICLES
+from codegen.schemes.runge_kutta import OF_PARTICLES, RK4
+from codegen.schemes.step import Step
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,15 @@ class Adaptive(Scheme):
     """A code of scipy that chooses its steps by a tolerance; `code` is its name there."""
 
     code: str
+
+    @property
+    def adaptive(self) -> str:
+        """The code."""
+        return self.code
+
+    def step(self) -> Step:
+        """That of the classical Runge-Kutta method, which serves for derivatives alone."""
+        return RK4.step()
 
 
 _ADAPTIVE = (
@@ -45,19 +55,16 @@ PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (*ONE_S
 """Schemes for pairwise systems by name, over which tests run; `find` knows the compositions of higher order as well."""
 
 
-def find(name: str, task: str) -> OneStep | RungeKutta | Adaptive:
-    """The scheme of that name, compositions as chains of substeps; SchemeError tells which there are for the task."""
-    offered = [n for n, s in PARTICLE_SCHEMES.items() if task == "connect" or not isinstance(s, Adaptive)]
+def find(name: str, task: str) -> Scheme:
+    """The scheme of that name; SchemeError tells which there are for the task."""
+    offered = [n for n, s in PARTICLE_SCHEMES.items() if task == "connect" or not s.adaptive]
     found = PARTICLE_SCHEMES.get(name) if name in offered else None
     if found is None and _is_composition(name):
         found = schemes.find(name, "hamiltonian")
-    if isinstance(found, Composition):
-        return found.written_out()
     if found is None:
         close = difflib.get_close_matches(name, offered, 1)
         hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(offered)}"
         raise SchemeError(f"there is no scheme {name!r} for particles and task {task}", hint)
-    assert isinstance(found, (OneStep, RungeKutta, Adaptive))
     return found
 
 

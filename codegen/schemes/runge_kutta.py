@@ -5,9 +5,41 @@ The tables are exact; `tests/schemes/test_orders.py` proves orders and symplecti
 
 from __future__ import annotations
 
-from sympy import Expr, Integer, Rational, sqrt
+from dataclasses import dataclass
 
-from codegen.schemes.base import RungeKutta
+from sympy import Expr, Integer, Rational, S, sqrt
+
+from codegen.schemes.base import FIRST_ORDER, Scheme
+from codegen.schemes.step import FieldPoint, Rows, Step, Update
+
+
+@dataclass(frozen=True)
+class RungeKutta(Scheme):
+    """X_i = x0 + h sum_j a_ij F(X_j), x1 = x0 + h sum_i b_i F(X_i): a table for coordinates, one for momenta."""
+
+    weights: tuple[Expr, ...]
+    positions: Rows
+    momenta: Rows
+
+    @property
+    def places(self) -> tuple[Expr, ...]:
+        """The fractions c_i of the step at which stages are, the row sums of the coordinates' table."""
+        return tuple(sum(row, S.Zero) for row in self.positions)
+
+    def step(self) -> Step:
+        """Stage i is state i, unless the table says that it is that of a node."""
+        end, numbers = Update(0, S.One, self.weights), range(1, len(self.weights) + 1)
+
+        def state(number: int, row: tuple[Expr, ...]) -> int:
+            return 0 if not any(row) else numbers.stop if row == self.weights else number
+
+        def updates(table: Rows) -> tuple[Update | None, ...]:
+            own = (Update(0, S.One, row) if state(i, row) == i else None for i, row in zip(numbers, table, strict=True))
+            return (*own, end)
+
+        rows = zip(numbers, self.places, self.weights, self.positions, self.momenta, strict=True)
+        points = (FieldPoint(c, b, ((state(i, a), S.One),), ((state(i, d), S.One),)) for i, c, b, a, d in rows)
+        return Step(tuple(points), updates(self.positions), updates(self.momenta), (*self.places, S.One))
 
 
 def _table(*rows: str) -> tuple[tuple[Expr, ...], ...]:
@@ -105,9 +137,9 @@ HERMITE_SIMPSON = RungeKutta(
     momenta=_LOBATTO_IIIA,
 )
 
-RUNGE_KUTTA = (GAUSS_4, GAUSS_6, LOBATTO_4, RK4)
-"""Those for mechanical systems."""
+SCHEMES = {
+    "hamiltonian": (GAUSS_4, GAUSS_6, LOBATTO_4, RK4),
+    FIRST_ORDER: (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4),
+}
 OF_PARTICLES = (RK4, BUTCHER_6)
 """Those for particles, whose steps are explicit."""
-FIRST_ORDER_RUNGE_KUTTA = (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4)
-"""Those for x' = f(x, u, t)."""

@@ -17,14 +17,13 @@ from codegen.discretise import (
     VariationalInterval,
     at_nodes,
     one_step_interval,
-    step_lengths,
+    repeated,
     variational_interval,
 )
-from codegen.model import Boundary, Model, legendre
+from codegen.model import Model, legendre
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
 from codegen.model.values import prescribed
-from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta
 from codegen.show.notation import Block, Notation, written
 from codegen.show.particles import pairwise_equations
 from codegen.transcribe.program import ControlProgram, StepProgram
@@ -104,11 +103,8 @@ def _switch(model: Model, number: int) -> Block:
 
 def _side(model: Model, method: str) -> Model:
     """The model on the side of mechanics where the method works, without boundaries."""
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    model = replace(model, start=free, end=free)
-    if model.form == "first-order":
-        return model
-    return legendre.lagrangian_form(model) if method == "variational" else legendre.hamiltonian_form(model)
+    transform = legendre.lagrangian_form if method == "variational" else legendre.hamiltonian_form
+    return transform(model.with_free_ends)
 
 
 def _named(name: str) -> Symbol:
@@ -142,8 +138,14 @@ def _continuous(given: Model, method: str) -> Iterator[Block]:
 
 
 def _cost(model: Model) -> Iterator[Block]:
+    """The integrands: of the cost, and of conditions on integrals, with what their integrals are or do not exceed."""
     if model.cost is not None:
         yield Block("Rate of the cost, and duration", ((_named("C"), model.cost), (_named("T"), model.duration)))
+    for number, integral in enumerate(model.integrals, start=1):
+        heading = f"Integral over [0, T] that {'equals' if integral.equality else 'is at most'} c_{number}"
+        yield Block(
+            heading, ((_named(f"rate G_{number}"), integral.integrand), (_named(f"c_{number}"), integral.value))
+        )
 
 
 def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
@@ -158,30 +160,33 @@ def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
 
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
     side, scheme = _side(model, program.method), schemes.find(program.scheme, program.method)
-    nodal = isinstance(program, ControlProgram) and program.nodal_controls
-    if isinstance(scheme, Composition):
+    controls = program.controlled if isinstance(program, ControlProgram) else "interval"
+    if scheme.parts:
         yield _composition(scheme)
-        scheme = scheme.part(step_lengths(scheme), STEP) if isinstance(program, StepProgram) else scheme.written_out()
-    if isinstance(scheme, DiscreteLagrangian):
-        interval = variational_interval(side, scheme, nodal)
+    if isinstance(program, StepProgram):
+        _, scheme = repeated(scheme)
+    if scheme.variational:
+        interval = variational_interval(side, scheme, controls)
         yield from _variational(side, interval)
-        cost = interval.cost
+        cost, quadratures = interval.cost, interval.integrals
     else:
-        assert isinstance(scheme, OneStep | RungeKutta)
-        step = one_step_interval(side, scheme, nodal)
+        step = one_step_interval(side, scheme, controls)
         yield _one_step(step)
-        cost = step.cost
+        cost, quadratures = step.cost, step.integrals
     if model.cost is not None:
         yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))
+    if isinstance(program, ControlProgram) and side.integrals:
+        rows = tuple((_named(f"Gd_{i}"), value) for i, value in enumerate(quadratures, start=1))
+        yield Block("Shares in integrals, whose sums over all intervals are those of the integrals", rows)
 
 
-def _composition(scheme: Composition) -> Block:
+def _composition(scheme: schemes.Scheme) -> Block:
     """The lengths of the base's steps, as parts of h."""
     rows = []
-    for i, row in enumerate(scheme.fractions, start=1):
+    for i, row in enumerate(scheme.parts, start=1):
         names = (f"h_{i}",) if len(row) == 1 else (f"h_1({i})", f"h_2({i})")
         rows += [(_named(name), STEP * sympy.N(fraction, 16)) for name, fraction in zip(names, row, strict=True)]
-    text = f"{len(scheme.fractions)} steps of {scheme.base.name}, one after the other"
+    text = f"{len(scheme.parts)} steps of {repeated(scheme)[1].name}, one after the other"
     return Block("Composition", tuple(rows), ((text, text + r"\\"),))
 
 
@@ -213,7 +218,8 @@ def _one_interval_earlier(model: Model, interval: VariationalInterval) -> dict[S
     shift: dict[Symbol, Expr] = dict(zip(places.left, at_nodes(model.coordinates, "_k-1"), strict=True))
     shift |= dict(zip(places.right, places.left, strict=True))
     shift |= dict(zip(interval.inner, at_nodes(interval.inner, "_k-1"), strict=True))
-    shift |= dict(zip(places.left_controls, at_nodes(model.controls, "_k-1"), strict=True))
+    of_before = [Symbol(f"{u.name}-1", real=True) for u in places.of_interval]
+    shift |= dict(zip(places.of_interval, of_before, strict=True))
     if places.nodal:
         shift |= dict(zip(places.right_controls, places.left_controls, strict=True))
     shift[model.time] = model.time - STEP

@@ -9,8 +9,7 @@ from pathlib import Path
 import sympy
 from sympy import Expr, Symbol
 
-from codegen import schemes
-from codegen.analysis.flow_series import without_ends
+from codegen import schemes, transcribe
 from codegen.analysis.modified_equations import ModifiedEquations, modified_equations
 from codegen.author.problem_file import split_points
 from codegen.errors import ArgumentError
@@ -19,7 +18,6 @@ from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
 from codegen.schemes.one_step import alpha
 from codegen.show.notation import Block, Notation, written
-from codegen.transcribe import DEFAULT_SCHEME
 
 LARGEST_ORDER = 8
 _FAMILY = "alpha"
@@ -49,9 +47,9 @@ def analysis(
     if not 1 <= order <= LARGEST_ORDER:
         raise ArgumentError(f"--order {order}", f"give a power of h from 1 to {LARGEST_ORDER}")
     model = _analysable(load_problem(Path(path), split_points(path, arguments or {})[0]))
-    found = _scheme(model, scheme or DEFAULT_SCHEME, method)
+    found = _scheme(model, scheme or transcribe.DEFAULT_SCHEME, method)
     result = modified_equations(model, found, order)
-    side = model if model.form == "first-order" else legendre.hamiltonian_form(without_ends(model))
+    side = legendre.hamiltonian_form(model.with_free_ends)
     notation = Notation.of(side, latex=latex)
     blocks = [*_equations(result, model, notation), *_structure(result, notation)]
     return written(f"{found.name} on {model.name}: {_conclusion(result, latex)}", blocks, notation)
@@ -76,20 +74,12 @@ def _analysable(model: Model | PairwiseModel) -> Model:
 
 def _scheme(model: Model, name: str, method: str | None) -> schemes.Scheme:
     """The scheme of that name; without a method, that of the side on which the problem is written if it has it."""
-    if model.form == "first-order":
-        usable = [schemes.FIRST_ORDER]
-    else:
-        on_lagrangian_side = model.task == "control" or model.form == "lagrangian"
-        usable = sorted(schemes.METHODS, reverse=on_lagrangian_side)
+    usable = transcribe.methods_for(model)
     if method is not None and method not in usable:
         raise ArgumentError(f"method {method!r} is not for a {model.form} problem", f"use {' or '.join(usable)}")
     if name == _FAMILY and "hamiltonian" in usable and method in (None, "hamiltonian"):
         return _family(model)
-    if method is None:
-        known = [m for m in usable if name in schemes.METHODS.get(m, {}) or (m, name) in schemes.ALIASES]
-        family = ["hamiltonian"] if name.startswith("alpha-") and "hamiltonian" in usable else []
-        method = [*known, *family, usable[0]][0]
-    return schemes.find(name, method)
+    return schemes.find(name, method or transcribe.method_with(model, name))
 
 
 def _family(model: Model) -> schemes.Scheme:

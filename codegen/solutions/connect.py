@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,16 @@ import numpy as np
 from codegen.errors import PointsError
 from codegen.loading import ConnectModule
 from codegen.solutions.crossings import crossings
-from codegen.solutions.result import ConnectAttempt, Request, Result, max_norm, other_driver
+from codegen.solutions.result import ConnectAttempt, Result, Run, identity, max_norm, other_driver
 
 TOLERANCE = 1e-12
 
 
-def connect_result(module: ConnectModule, driver: str, request: Request, attempt: ConnectAttempt) -> Result:
+def connect_result(
+    module: ConnectModule, driver: str, run: Run, attempt: ConnectAttempt, seconds: float = math.nan
+) -> Result:
     """Re-evaluate every step and the arrival, and downgrade a false claim of success."""
-    metadata, case, path = module.metadata, case_of(module, request), attempt.path
+    metadata, case, path = module.metadata, case_of(module, run), attempt.path
     finite = bool(np.isfinite(path).all())
     errors, end = module.path_errors(case, path) if finite else (np.full(1, np.nan), np.full(1, np.nan))
     arrival = np.abs(end).reshape(case.start.shape) if finite else np.full(case.start.shape, np.nan)
@@ -44,27 +47,16 @@ def connect_result(module: ConnectModule, driver: str, request: Request, attempt
         for key, group in (("q", "coordinates"), ("p", "rates"))
     }
     return Result(
-        problem=metadata["problem"],
-        title=metadata["title"],
-        task="connect",
-        method=metadata["method"],
-        scheme=metadata["scheme"],
-        driver=driver,
-        steps=case.steps,
+        **identity(metadata, driver, run),
         status=status,
         message=message,
         cost=cost,
         residual=float(residual),
-        stationarity=None,
         iterations=attempt.iterations,
         t=case.duration / case.steps * np.arange(case.steps + 1),
         q=path[:, 0].reshape(case.steps + 1, -1),
         p=path[:, 1].reshape(case.steps + 1, -1),
-        u=None,
-        multipliers=None,
         energy=energy,
-        log=None,
-        unknowns=None,
         names={**names, "u": ()},
         summary={
             "particles": float(count),
@@ -79,18 +71,25 @@ def connect_result(module: ConnectModule, driver: str, request: Request, attempt
             "tangents": float(attempt.tangents),
         },
         attempts=attempt.attempts,
+        seconds_solve=seconds,
     )
 
 
-def case_of(module: ConnectModule, request: Request) -> Any:
-    """The points that a request carries, checked by the module; PointsError tells what is wrong with them."""
-    points = request.points
+def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:
+    """How many numbers are kept: states at all nodes with what Newton's method makes of them, and two matrices."""
+    count = 0 if run.points is None else len(run.points.start)
+    return 40 * (run.steps + 1) * count * len(metadata["coordinates"]) + 2 * count**2
+
+
+def case_of(module: ConnectModule, run: Run) -> Any:
+    """The points that a run carries, checked by the module; PointsError tells what is wrong with them."""
+    points = run.points
     if points is None:
         raise PointsError("there are no points to connect", "give a file of points")
-    tolerance = TOLERANCE if request.tolerance is None or module.metadata["adaptive"] else request.tolerance
+    tolerance = TOLERANCE if run.tolerance is None or module.metadata["adaptive"] else run.tolerance
     try:
         return module.make_case(
-            points.start, points.target, request.steps, sigma=points.sigma, tolerance=min(tolerance, 1e-6)
+            points.start, points.target, run.steps, sigma=points.sigma, tolerance=min(tolerance, 1e-6)
         )
     except ValueError as error:
         raise PointsError(str(error), "correct the points, or the arguments") from error

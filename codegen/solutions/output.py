@@ -50,15 +50,9 @@ def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None
 
 def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
     """The JSON object of `--json`: keys as documented, every number finite or null."""
+    names = ("problem", "task", "method", "scheme", "driver", "steps", "status", "message")
     return {
-        "problem": result.problem,
-        "task": result.task,
-        "method": result.method,
-        "scheme": result.scheme,
-        "driver": result.driver,
-        "steps": result.steps,
-        "status": result.status,
-        "message": result.message,
+        **{name: getattr(result, name) for name in names},
         "cost": _finite(result.cost),
         "residual": _finite(result.residual),
         "iterations": result.iterations,

@@ -35,7 +35,7 @@ Watch: TypeAlias = Callable[[int, tuple[float, ...]], None]
 
 
 @dataclass(frozen=True)
-class Request:
+class Run:
     """What is asked of a driver.
 
     The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
@@ -111,9 +111,9 @@ class Level:
     seconds: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Result:
-    """A solution with its residuals; arrays run over the nodes, `u` over the intervals unless controls are nodal.
+    """A solution with its residuals; arrays run over the nodes, `u` over intervals, nodes or stages.
 
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
     evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
@@ -130,18 +130,18 @@ class Result:
     steps: int
     status: str
     message: str
-    cost: float | None
+    cost: float | None = None
     residual: float
-    stationarity: float | None
+    stationarity: float | None = None
     iterations: int
     t: Vector = field(repr=False)
     q: Matrix = field(repr=False)
     p: Matrix = field(repr=False)
-    u: Matrix | None = field(repr=False)
-    multipliers: Matrix | None = field(repr=False)
-    energy: Vector | None = field(repr=False)
-    log: Matrix | None = field(repr=False)
-    unknowns: Vector | None = field(repr=False)
+    u: Matrix | None = field(default=None, repr=False)
+    multipliers: Matrix | None = field(default=None, repr=False)
+    energy: Vector | None = field(default=None, repr=False)
+    log: Matrix | None = field(default=None, repr=False)
+    unknowns: Vector | None = field(default=None, repr=False)
     names: dict[str, tuple[str, ...]]
     summary: dict[str, float]
     seconds_solve: float = float("nan")
@@ -149,6 +149,7 @@ class Result:
     compiled: bool = False
     attempts: tuple[str, ...] = ()
     levels: tuple[Level, ...] = ()
+    stage_places: tuple[float, ...] = ()
 
     @property
     def solved(self) -> bool:
@@ -156,10 +157,45 @@ class Result:
         return self.status == "solved"
 
     @property
+    def control_times(self) -> Vector:
+        """The times of the rows of `u`: nodes, stages of all intervals, or the middles of intervals."""
+        assert self.u is not None, "a simulation has no controls"
+        if not self.stage_places and len(self.u) == self.t.size:
+            return self.t
+        places = np.array(self.stage_places or (0.5,))
+        return np.asarray((self.t[:-1, None] + np.diff(self.t)[:, None] * places).ravel())
+
+    def controls_at(self, times: Vector) -> Matrix:
+        """The controls at any times, a row for each: constant on intervals, linear between nodes, else polynomials.
+
+        On every interval the polynomial goes through the values at its stages, through the mean of those at one place.
+        """
+        assert self.u is not None, "a simulation has no controls"
+        if not self.stage_places and len(self.u) == self.t.size:
+            return np.column_stack([np.interp(times, self.t, column) for column in self.u.T])
+        interval = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, self.t.size - 2)
+        stages = np.array(self.stage_places or (0.5,))
+        places = np.unique(stages)
+        same = stages == places[:, None]
+        values = (same / same.sum(axis=1)[:, None]) @ self.u.reshape(self.t.size - 1, stages.size, -1)
+        fractions = (times - self.t[interval]) / np.diff(self.t)[interval]
+        shares = np.ones((times.size, places.size))
+        for i, own in enumerate(places):
+            for other in places[places != own]:
+                shares[:, i] *= (fractions - other) / (own - other)
+        return np.asarray(np.einsum("ti,tij->tj", shares, values[interval]))
+
+    @property
     def intervals(self) -> str:
         """How many steps were made, for people: `20 steps`, or `2 x 20 steps` in two phases."""
-        phases = (self.t.size - 1) // self.steps if self.task == "control" else 1
+        phases = (self.t.size - 1) // self.steps  # a simulation may have stored fewer
         return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
+
+
+def identity(metadata: Mapping[str, Any], driver: str, run: Run) -> dict[str, Any]:
+    """What a result says of where it comes from."""
+    names = ("problem", "title", "task", "method", "scheme")
+    return {name: metadata[name] for name in names} | {"driver": driver, "steps": run.steps}
 
 
 def other_driver(driver: str) -> str:

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from codegen.loading import Matrix, SimulateModule
-from codegen.solutions.result import Request, Result, SimulateAttempt, component_names, max_norm
+from codegen.solutions.result import Result, Run, SimulateAttempt, component_names, identity, max_norm
 
 UNITS = 1e4
 """How many times larger than rounding errors the changes are by which their effect is measured."""
 
 
 def simulate_result(
-    module: SimulateModule, driver: str, request: Request, attempt: SimulateAttempt, seconds: float
+    module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt, seconds: float = math.nan
 ) -> Result:
     """Re-evaluate the residual of an attempt, and downgrade a false claim of success."""
     metadata = module.metadata
     residual, rounding = attempt.residual, _expected_rounding(attempt)
-    if request.every == 1 and attempt.t.size > 1:
-        residual = module.path_residual(module.make_grid(request.steps), np.hstack([attempt.q, attempt.p]))
+    if run.every == 1 and attempt.t.size > 1:
+        residual = module.path_residual(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
         if residual > max(attempt.tolerance, rounding):
-            rounding = max(rounding, 10.0 * rounding_level(module, request.steps, attempt.q, attempt.p))
+            rounding = max(rounding, 10.0 * rounding_level(module, run.steps, attempt.q, attempt.p))
     status, message = attempt.status, attempt.message
     if status == "solved" and not residual <= max(attempt.tolerance, rounding):
         status = "inaccurate"
@@ -29,27 +33,15 @@ def simulate_result(
     drift = np.abs(attempt.energy - attempt.energy[0])
     final = zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True)
     return Result(
-        problem=metadata["problem"],
-        title=metadata["title"],
-        task="simulate",
-        method=metadata["method"],
-        scheme=metadata["scheme"],
-        driver=driver,
-        steps=request.steps,
+        **identity(metadata, driver, run),
         status=status,
         message=message,
-        cost=None,
         residual=float(residual),
-        stationarity=None,
         iterations=attempt.iterations,
         t=attempt.t,
         q=attempt.q,
         p=attempt.p,
-        u=None,
-        multipliers=None,
         energy=attempt.energy,
-        log=None,
-        unknowns=None,
         names=names,
         summary={
             "duration": float(attempt.t[-1]),
@@ -57,7 +49,13 @@ def simulate_result(
             "energy_drift": float(drift.max()),
             "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
         },
+        seconds_solve=seconds,
     )
+
+
+def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:
+    """How many numbers are kept: the path, its positions and momenta, times and energies."""
+    return (run.steps // run.every + 1) * (4 * len(metadata["coordinates"]) + 2)
 
 
 def _expected_rounding(attempt: SimulateAttempt) -> float:

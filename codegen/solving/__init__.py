@@ -1,126 +1,70 @@
-"""Solving with any driver: machine code first, then warm starts, several guesses, finer grids."""
+"""Solving: one request, from a problem's file or its module, and one outcome."""
 
 from __future__ import annotations
 
-import math
-import time
-from typing import TYPE_CHECKING, cast
+import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ParamSpec
 
-from codegen.drivers import DRIVERS, SCALINGS, Driver, find
-from codegen.errors import ArgumentError
+from codegen.solving.request import Request, require_known
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from codegen.solutions.result import Result
 
-    from codegen.author.points import PointSet
-    from codegen.loading import ControlModule, GeneratedModule, Vector
-    from codegen.machine_code.processes import Compilers
-    from codegen.solutions.result import Result, Watch
-
-LEAST_TIME = 1e-9
-"""Seconds in which a search does not begin."""
+Given = ParamSpec("Given")
 
 
-def _require_stops(
-    driver: Driver, task: str, tolerance: float | None, max_iterations: int | None, time_limit: float | None
-) -> None:
-    """Refuse a tolerance, a number of iterations or a time that is unusable, or that the driver does not take."""
-    if tolerance is not None and not 0.0 < tolerance < 1.0:
-        raise ArgumentError(f"--tolerance {tolerance:g}", "give a number between 0 and 1")
-    if time_limit is not None and not time_limit > 0.0:
-        raise ArgumentError(f"--time-limit {time_limit:g}", "give a positive number of seconds")
-    for name, value in (("tolerance", tolerance), ("max_iterations", max_iterations), ("time_limit", time_limit)):
-        if value is None or (task, name) in driver.stops:
-            continue
-        option, takers = f"--{name.replace('_', '-')}", [d.name for d in DRIVERS.values() if (task, name) in d.stops]
-        if not takers:
-            raise ArgumentError(f"{option} does not apply to a {task} problem", "leave it out")
-        finding = f"driver {driver.name} takes no {option} for a {task} problem"
-        raise ArgumentError(finding, f"leave it out, or use {', '.join(takers)}")
+def _taking(request: Callable[Given, Request]) -> Callable[[Callable[..., Result]], Callable[Given, Result]]:
+    """Give a function the arguments of a request, so that their list stands in one place."""
+
+    def decorated(function: Callable[..., Result]) -> Callable[Given, Result]:
+        signature = inspect.signature(request).replace(return_annotation="Result")
+        setattr(function, "__signature__", signature)  # noqa: B010  functions are not declared to have one
+        return function
+
+    return decorated
 
 
-def solve(
-    module: GeneratedModule,
-    driver: str = "newton",
-    *,
-    steps: int | None = None,
-    every: int = 1,
-    repeat: int = 1,
-    warm: Vector | None = None,
-    doublings: int = 0,
-    guesses: int = 1,
-    points: PointSet | None = None,
-    tolerance: float | None = None,
-    max_iterations: int | None = None,
-    scaling: str = "auto",
-    time_limit: float | None = None,
-    watch: Watch | None = None,
-) -> Result:
-    """Solve with a driver on `steps` intervals (default: the problem's own number) and re-evaluate the residuals.
+@_taking(Request)
+def solve(*positional: Any, **options: Any) -> Result:
+    """Solve a problem, building and compiling its module first where that is necessary, and judge what was found.
 
-    The first of `repeat` + 1 runs compiles and is not timed. `every` thins the stored steps of a simulation. An
-    optimisation may start from the `unknowns` of an earlier result on any number of intervals (`warm`), and may be
-    repeated on twice, four times, ... as many (`doublings`), each time from the solution before. With several
-    `guesses` it starts from the problem's own and from variations of it, and the best solution counts. A connect
-    problem needs `points`. `tolerance` is that of the equations, or of an adaptive integrator's steps, and
-    `max_iterations` the most that an optimiser makes; None stands for the driver's own. `time_limit` is in seconds, for
-    all guesses and grids together, and for each of `repeat` runs by itself; `watch` is called at every iterate of
-    `newton` with its number and its row of the log. `scaling="none"` has an optimiser work in the problem's own units.
-    Raises ArgumentError when the driver or one of its options does not apply, NumericsError when a number is unusable;
-    numerical failure is a status of the result.
+    `problem` is the path of a problem file or of a generated module, or a module from `codegen.load`; `driver` is
+    newton (the generated solver), slsqp, trust-constr, ipopt, fsolve or fmin. For a problem file:
+
+    - `arguments`: a dict of arguments of problem(), as `--set` has them, by name;
+    - `scheme`, `method`, `controls`, `out`: as for `codegen.build`.
+
+    For all problems:
+
+    - `steps`: the number of intervals N; by default the problem's own;
+    - `repeat`: the time is the least of so many solves, of which those that compile are not counted.
+
+    For an optimisation:
+
+    - `warm`: the `unknowns` of an earlier result to start from, shape (n,), on any grid, or a file of `--save`;
+    - `doublings`: solve again on 2 N, 4 N, ... intervals, so often, each time from the solution before;
+    - `guesses`: start from the problem's own guess and from variations of it, so many in all, and keep the best;
+    - `tolerance`: of the equations, in parts of their sizes; `max_iterations` and `time_limit`, in seconds for all
+      guesses and grids together and for each of `repeat` solves by itself; by default the driver's own;
+    - `scaling`: "auto", or "none" for an optimiser that works in the problem's own units;
+    - `log`: refuse drivers that keep no log; `watch`: called at every iterate of newton with its number and its row.
+
+    For a simulation `every` stores every so many-th step, and `max_iterations` limits Newton's method in a step. For
+    particles that are connected, `points` is a file of points, or a PointSet with start and target of shape (n, d) and
+    sigma of shape (n,), by default the problem file's own; `tolerance` is that of an arrival, or of adaptive steps.
+
+    The result's `t` has shape (M + 1,), and `q`, `p`, `u` a row for each time (`u` for each interval), with a column
+    for each of `names`; `status` is "solved" only if all equations hold when they are evaluated again outside the
+    driver, and numerical failure is a status with its reason in `message`, not an exception. All quantities are in the
+    units of the problem file. Calls from several threads are safe; derivation and compilation take turns.
+
+    Raises ArgumentError for an option, driver, scheme or argument that does not exist or does not apply, NumericsError
+    for an unusable number, and another kind of CodegenError when the problem cannot be read, derived or stored. Source:
+    Marsden and West (2001), Discrete mechanics and variational integrators, for the equations; Waechter and Biegler
+    (2006) for the optimiser; Betts (2010), section 4.7, for finer grids.
     """
-    from codegen.solutions.result import Request
-    from codegen.solving.run import run
+    require_known(options)
+    from codegen.solving.outcome import outcome_of
 
-    found, task = find(driver, module.metadata["task"]), module.metadata["task"]
-    steps = module.metadata["steps"] if steps is None else steps
-    _require_stops(found, task, tolerance, max_iterations, time_limit)
-    if task != "control" and (warm is not None or doublings or guesses > 1):
-        raise ArgumentError("warm starts, guesses and refinement are for optimisation", f"leave them out to {task}")
-    if scaling not in SCALINGS:
-        raise ArgumentError(f"--scaling {scaling}", f"use one of {', '.join(SCALINGS)}")
-    if scaling != "auto" and task != "control":
-        raise ArgumentError("--scaling is for optimisation", f"leave it out to {task}")
-    if scaling != "auto" and found.name != "newton":
-        raise ArgumentError(f"driver {found.name} takes no --scaling", "leave it out, or use newton")
-    if warm is not None and guesses > 1:
-        raise ArgumentError("several guesses beside a warm start", "leave one of them out")
-    if task == "simulate":
-        return run(module, found, Request(steps, every, max_iterations=max_iterations), repeat)
-
-    if task == "connect":
-        return run(module, found, Request(steps, every, None, points, tolerance), repeat)
-
-    from codegen.solving.multistart import best_of
-    from codegen.solving.refinement import refine, transferred
-
-    control = cast("ControlModule", module)
-
-    def solve_on(number: int, start: Vector | None) -> Result:
-        if start is None and guesses > 1:
-            return best_of(lambda guess: solve_from(number, guess, False), control, number, guesses)
-        return solve_from(number, start, True)
-
-    left = math.inf if time_limit is None else time_limit
-
-    def solve_from(number: int, start: Vector | None, near: bool) -> Result:
-        nonlocal left
-        stops = tolerance, near, max_iterations, max(left, LEAST_TIME), watch
-        request = Request(number, every, start, None, *stops, scaling)
-        result = run(module, found, request, repeat)
-        left -= result.seconds_solve
-        return result
-
-    if doublings:
-        return refine(solve_on, control, steps, doublings, warm)
-    return solve_on(steps, None if warm is None else transferred(control, warm, steps))
-
-
-def prepare(path: Path, compilers: Compilers) -> float:
-    """Have all that `newton` needs of a module compiled, so that processes find machine code; return the seconds."""
-    begin = time.perf_counter()
-    if not compilers.compile(path):
-        from codegen.solving.run import compile_here  # only now: importing it takes a fifteenth of a build
-
-        compile_here(path)
-    return time.perf_counter() - begin
+    return outcome_of(Request(*positional, **options)).result

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from codegen.errors import NumericsError
 from codegen.loading import ControlModule, Matrix, Vector
@@ -62,6 +61,8 @@ def _times(steps: int, place: float) -> Vector:
 def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
     if t.size == 1:
         return np.repeat(values, at.size, axis=1)
+    from scipy.interpolate import PchipInterpolator  # which takes long to import
+
     with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
         return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
 
@@ -109,10 +110,10 @@ def order_of_optima(module: ControlModule) -> int:
     """The order at which costs converge: the scheme's own, but 2 at most where there are controls.
 
     A control that is constant on each interval, or linear between nodes, approximates a smooth one at order 2, and the
-    cost at its minimum no better, whatever the scheme of the motion.
+    cost at its minimum no better, whatever the scheme of the motion. With controls at stages it has the scheme's order.
     """
-    order = int(module.metadata["order"])
-    return min(order, 2) if module.metadata["control_names"] else order
+    order, metadata = int(module.metadata["order"]), module.metadata
+    return min(order, 2) if metadata["control_names"] and metadata["controls"] != "stages" else order
 
 
 def _estimates(module: ControlModule, costs: list[float]) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -31,6 +32,17 @@ class SavedStart:
     nodes: int | None
 
 
+def start_of(warm: Vector | Path | str | None) -> Callable[[GeneratedModule], Vector | None]:
+    """What gives the unknowns to start from, read from their file already, once there is a module for them to fit."""
+    if warm is None:
+        return lambda module: None
+    if not isinstance(warm, Path | str):
+        unknowns = np.asarray(warm, dtype=float)
+        return lambda module: unknowns
+    saved = read_start(Path(warm))
+    return lambda module: fitting(saved, module)
+
+
 def read_start(path: Path) -> SavedStart:
     """Read a saved optimisation; ArgumentError when there is no such file, or no solution in it."""
     if not path.is_file():
@@ -56,10 +68,8 @@ def read_start(path: Path) -> SavedStart:
 def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
     """The saved unknowns, if they may be those of a module; ArgumentError tells by what they are not.
 
-    A file without names is judged by its size alone. Tasks that take no start refuse it themselves.
+    A file without names is judged by its size alone.
     """
-    if module.metadata["task"] != "control":
-        return saved.unknowns
     own = component_names(module.metadata)
     for kind, what in (("q", "coordinates"), ("u", "controls")):
         given = saved.names.get(kind, ())

@@ -48,8 +48,7 @@ def _schemes(metadata: Mapping[str, Any]) -> Sequence[tuple[str | None, str]]:
     if metadata["task"] == "connect" or "separable" in metadata:
         from codegen.schemes.particles import PARTICLE_SCHEMES
 
-        adaptive = ("dop853", "lsoda")  # have no steps of their own
-        return [(None, name) for name in PARTICLE_SCHEMES if name not in adaptive]
+        return [(None, name) for name, scheme in PARTICLE_SCHEMES.items() if not scheme.adaptive]
     if metadata.get("form") == "first-order":
         return [(None, name) for name in ("explicit-euler", "implicit-euler", "midpoint", "trapezoidal")]
     every = [(method, name) for method, schemes in METHODS.items() for name in schemes]

@@ -14,63 +14,33 @@ from typing import Any
 import mpmath
 
 from codegen import schemes
-from codegen.schemes import Composition, RungeKutta
 
 DIGITS = 30
 
 
 @cache
-def _tables(name: str) -> tuple[Any, ...]:
-    """Lengths of drifts and kicks in turn, or both tables and the weights of a Runge-Kutta method, as floats."""
-    scheme = schemes.find(name, "hamiltonian")
+def _tables(name: str) -> tuple[Any, Any, Any]:
+    """The coefficients of a scheme as a Runge-Kutta method, for coordinates, for momenta, and the row of weights."""
+    table = schemes.find(name, "hamiltonian").step().tableau
     with mpmath.workdps(DIGITS):
-        if isinstance(scheme, Composition):
-            rows = [[mpmath.mpf(str(f.evalf(DIGITS))) for f in row] for row in scheme.fractions]
-            return ("kicks", *((first, first + second, second) for first, second in rows))
-        assert isinstance(scheme, RungeKutta)
-        parts = (scheme.positions, scheme.momenta, (scheme.weights,))
-        return ("stages", *([[mpmath.mpf(e.p) / e.q if e.is_Rational else mpmath.mpf(str(e.evalf(DIGITS))) for e in row]
-                             for row in _rows(part)] for part in parts))  # fmt: skip
-
-
-def _rows(part: Any) -> list[list[Any]]:
-    return [list(row) for row in (part.tolist() if hasattr(part, "tolist") else part)]
+        a, b, weights = (
+            mpmath.matrix([[mpmath.mpf(str(entry.evalf(DIGITS))) for entry in row] for row in rows])
+            for rows in (table.positions, table.momenta, [table.weights])
+        )
+    return a, b, weights
 
 
 def step_matrix(name: str, x: float) -> tuple[Any, Any, Any, Any]:
     """Entries a, b, c, d of q1 = a q + b p, p1 = c q + d p, in 30 digits."""
-    kind, *table = _tables(name)
+    a, b, weights = _tables(name)
     with mpmath.workdps(DIGITS):
-        if kind == "kicks":
-            return _of_kicks(table, mpmath.mpf(x))
-        columns = [_of_stages(table, mpmath.mpf(x), q, p) for q, p in ((1, 0), (0, 1))]
-        return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
-
-
-def _of_kicks(table: list[Any], x: Any) -> tuple[Any, Any, Any, Any]:
-    """Each part drifts, q + x p, kicks, p - x q, and drifts again."""
-    a, b, c, d = mpmath.mpf(1), mpmath.mpf(0), mpmath.mpf(0), mpmath.mpf(1)
-    for first, kick, second in table:
-        a, b = a + first * x * c, b + first * x * d
-        c, d = c - kick * x * a, d - kick * x * b
-        a, b = a + second * x * c, b + second * x * d
-    return a, b, c, d
-
-
-def _of_stages(table: list[Any], x: Any, q: int, p: int) -> tuple[Any, Any]:
-    """Solve Q = q + x A P, P = p - x B Q for the stages, and add the weighted sums."""
-    positions, momenta, (weights,) = table
-    size = len(weights)
-    matrix = mpmath.eye(2 * size)
-    for i in range(size):
-        for j in range(size):
-            matrix[i, size + j] -= x * positions[i][j]
-            matrix[size + i, j] += x * momenta[i][j]
-    stages = mpmath.lu_solve(matrix, mpmath.matrix([q] * size + [p] * size))
-    return (
-        q + x * sum(w * stages[size + i] for i, w in enumerate(weights)),
-        p - x * sum(w * stages[i] for i, w in enumerate(weights)),
-    )
+        x, ones = mpmath.mpf(x), mpmath.ones(a.rows, 1)
+        columns = []
+        for q, p in ((ones, 0 * ones), (0 * ones, ones)):
+            # Stages are Q = q + x A P and P = p - x B Q.
+            stages = mpmath.lu_solve(mpmath.eye(a.rows) + x**2 * (b * a), p - x * (b * q))
+            columns.append((q[0] + x * (weights * stages)[0], p[0] - x * (weights * (q + x * (a * stages)))[0]))
+    return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
 
 
 def angle(name: str, x: float) -> float:

@@ -16,6 +16,7 @@ from codegen.stress.cases import Case, Measurement, Values
 from codegen.stress.limits import stable_limit
 from codegen.stress.references import REFERENCES, drift_scale
 from codegen.stress.textbook import textbook_errors
+from codegen.tasks import task_of
 
 
 def measure(module: Any, case: Case) -> Measurement:
@@ -51,7 +52,7 @@ def with_values(module: Any, case: Case) -> Any:
         original = getattr(module, name, None)
         if original is not None:
             setattr(varied, name, lambda *given, _call=original, **more: _call(*given, **{**values, **more}))
-    if case.noise and module.metadata["task"] == "control":
+    if case.noise:
         vars(varied).update(_with_poor_guess(varied, case.noise))
     return varied
 
@@ -86,13 +87,8 @@ def _with_poor_guess(module: Any, noise: float) -> dict[str, Any]:
 
 
 def _options(module: Any, case: Case) -> dict[str, Any]:
-    task = module.metadata["task"]
-    options: dict[str, Any] = {"steps": case.steps}
-    if task == "simulate":
-        options["every"] = case.every
-    if task == "control":
-        options["doublings"] = case.doublings
-    return options
+    own = task_of(module).options & {"every", "doublings"}
+    return {"steps": case.steps, **{name: getattr(case, name) for name in own}}
 
 
 def _points(case: Case) -> PointSet | None:

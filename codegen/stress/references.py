@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from codegen.solutions.result import Result
 from codegen.stress.cases import Case
-from codegen.stress.families.common import ORDERS
+from codegen.stress.families.common import HIGHER_ORDER
 from codegen.stress.limits import stable_limit
 from codegen.stress.linear import angle
 from codegen.stress.systems import DEFAULTS, FORCES, LIMITS, chain_acceleration, plate_gradient
@@ -63,7 +63,7 @@ def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
     from the tables of schemes of higher order (s = 0).
     """
     x = result.t[-1] / result.steps * of_case(case).get("omega", 1.0) / 2.0
-    if ORDERS.get(result.scheme, 1) > 2:
+    if any(result.scheme == name for _, name in HIGHER_ORDER):
         theta = angle(result.scheme, 2.0 * x)
     else:
         theta = 2.0 * (math.atan(x) if result.scheme == "midpoint" else math.asin(x))

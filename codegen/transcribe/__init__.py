@@ -8,7 +8,6 @@ from codegen import schemes
 from codegen.errors import ArgumentError, SchemeError
 from codegen.model import Model
 from codegen.model.pairwise import PairwiseModel
-from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta
 from codegen.transcribe import connect, one_step, phases, simulate, variational
 from codegen.transcribe.assembly import in_scaled_time
 from codegen.transcribe.connect import PairwiseProgram
@@ -44,7 +43,7 @@ def transcribe(
         if controls != "interval":
             raise ArgumentError("particles have no controls", "leave --controls out")
         return connect.pairwise(model, scheme, method)
-    method = method or _default_method(model, scheme)
+    method = method or (methods_for(model)[0] if model.task == "control" else method_with(model, scheme))
     _require_method(model, method)
     found = schemes.find(scheme or DEFAULT_SCHEME, method)
     if model.task == "simulate":
@@ -54,31 +53,24 @@ def transcribe(
     if model.phases:
         if controls != "interval":
             raise ArgumentError("a problem of several phases has its controls on intervals", "leave --controls out")
-        return phases.chained(model, lambda phase: _controlled(phase, found, method, False))
-    return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls == "nodal")))
+        return phases.chained(model, lambda phase: _controlled(phase, found, method, "interval"))
+    return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls)))
 
 
-def _controlled(model: Model, scheme: schemes.Scheme, method: str, nodal_controls: bool) -> ControlProgram:
-    if isinstance(scheme, DiscreteLagrangian):
-        return variational.variational(model, scheme, nodal_controls)
-    assert isinstance(scheme, OneStep | RungeKutta | Composition)
-    if isinstance(scheme, Composition):
-        _require_short(scheme)
+def _controlled(model: Model, scheme: schemes.Scheme, method: str, controls: str) -> ControlProgram:
+    if scheme.variational:
+        return variational.variational(model, scheme, controls)
+    _require_short(scheme)
     if method == schemes.FIRST_ORDER:
-        return one_step.first_order(model, scheme, nodal_controls)
-    return one_step.hamiltonian(model, scheme, nodal_controls)
+        return one_step.first_order(model, scheme, controls)
+    return one_step.hamiltonian(model, scheme, controls)
 
 
-def _require_short(scheme: Composition) -> None:
+def _require_short(scheme: schemes.Scheme) -> None:
     """Refuse compositions that a control problem would have to write out over every interval."""
-    if isinstance(scheme.base, DiscreteLagrangian):
+    if len(scheme.parts) > MOST_PARTS:
         raise SchemeError(
-            f"scheme {scheme.name!r} composes discrete Lagrangians, which is possible in simulations only",
-            "use gauss-4 or gauss-6, or a composition with --method hamiltonian",
-        )
-    if len(scheme.fractions) > MOST_PARTS:
-        raise SchemeError(
-            f"scheme {scheme.name!r} has {len(scheme.fractions)} steps, each with unknowns on every interval of a "
+            f"scheme {scheme.name!r} has {len(scheme.parts)} steps, each with unknowns on every interval of a "
             "control problem",
             f"use gauss-4 or gauss-6, or a composition of at most {MOST_PARTS} steps such as suzuki-4",
         )
@@ -86,7 +78,7 @@ def _require_short(scheme: Composition) -> None:
 
 def _require_method(model: Model, method: str) -> None:
     """Refuse a method that does not exist, or that belongs to the other kind of dynamics."""
-    usable = (schemes.FIRST_ORDER,) if model.form == "first-order" else tuple(schemes.METHODS)
+    usable = methods_for(model)
     if method in usable:
         return
     if method in (schemes.FIRST_ORDER, *schemes.METHODS):
@@ -96,14 +88,14 @@ def _require_method(model: Model, method: str) -> None:
     raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
 
 
-def _default_method(model: Model, scheme: str | None) -> str:
-    """Variational for control, one-step where there is no other; for a simulation the side on which it is written."""
+def methods_for(model: Model) -> tuple[str, ...]:
+    """The methods that fit a model: first that of the side on which it is written, and for control the variational."""
     if model.form == "first-order":
-        return schemes.FIRST_ORDER
-    on_lagrangian_side = model.task == "control" or model.form == "lagrangian"
-    preferred = "variational" if on_lagrangian_side else "hamiltonian"
-    base = (scheme or "").rpartition("-of-")[2]
-    if scheme is None or base in schemes.METHODS[preferred] or (preferred, base) in schemes.ALIASES:
-        return preferred
-    others = [method for method, names in schemes.METHODS.items() if base in names or (method, base) in schemes.ALIASES]
-    return others[0] if others and model.task == "simulate" else preferred
+        return (schemes.FIRST_ORDER,)
+    return tuple(sorted(schemes.METHODS, reverse=model.task == "control" or model.form == "lagrangian"))
+
+
+def method_with(model: Model, scheme: str | None) -> str:
+    """The first method that fits a model and has the scheme, or fits it at all."""
+    methods = methods_for(model)
+    return next((method for method in methods if scheme is None or schemes.is_known(scheme, method)), methods[0])

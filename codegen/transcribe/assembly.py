@@ -13,6 +13,7 @@ from codegen.model import Model
 from codegen.transcribe.decided import with_decisions
 from codegen.transcribe.ends import End, Ends
 from codegen.transcribe.guesses import at_guess, control_guess
+from codegen.transcribe.integrals import end_share, integral_equations, interval_share, own_unknowns
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.path_conditions import NodalTerms, interval_terms
 from codegen.transcribe.program import BoundaryValue, ControlProgram, EndElement, Unknown
@@ -35,6 +36,7 @@ class Motion:
     element: Expr
     cost: Expr
     path: tuple[PathValue, ...]
+    integrals: tuple[Expr, ...]
     equations: tuple[tuple[str, Expr], ...]
     node_guess: tuple[Expr, ...]
     stage_guess: tuple[Expr, ...] = ()
@@ -51,13 +53,15 @@ def assemble(
     names: Names,
 ) -> ControlProgram:
     """Lay out all unknowns, and add up the shares of the interval and of both ends."""
+    integrals = integral_equations(model, motion.integrals, names)
     ends = Ends(
         start + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.start_pins)),
-        end + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.end_pins)),
+        end + end_share(integrals) + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.end_pins)),
     )
     path = interval_terms(model, motion.path, len(motion.interval), names)
-    program = _laid_out(model, replace(motion, element=motion.element + path.element), boundary_values, nodal, ends)
-    program = _with_shared(program, shared)
+    motion = replace(motion, element=motion.element + path.element + interval_share(integrals))
+    program = _laid_out(model, motion, boundary_values, nodal, ends)
+    program = _with_shared(program, replace(shared, own=(*shared.own, *own_unknowns(integrals))))
     program = replace(
         program,
         interval=(*program.interval, *path.multipliers),
@@ -66,6 +70,7 @@ def assemble(
         start=ends.start_element(program.node, program.shared),
         end=ends.end_element(program.node, program.shared, _idle_controls(program)),
         path_multipliers=len(path.multipliers),
+        integrals=integrals,
         slacks=path.slacks,
         slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,
@@ -83,21 +88,21 @@ def _laid_out(
 ) -> ControlProgram:
     """The unknowns of nodes and intervals and the share of an interval; the ends' own shares are still empty."""
     before = _bounded((*motion.node, *(unknown for terms in nodal for unknown in terms.unknowns)), model)
-    controls = _bounded([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
     on_nodes = motion.controls.nodal
+    controls = _controls(model, len(motion.controls.stage_controls))
     node = (*before, *ends.extra, *(controls if on_nodes else ()))
     empty = EndElement((), S.Zero, ())
     return ControlProgram(
         model=model,
         method=motion.method,
         scheme=motion.scheme,
-        nodal_controls=on_nodes,
+        controlled=motion.controls.controlled,
         node=node,
         interval=motion.interval,
         controls=() if on_nodes else controls,
         left_symbols=symbols([unknown.name for unknown in node], "_k"),
         interval_symbols=motion.interval_symbols,
-        control_symbols=() if on_nodes else motion.controls.left_controls,
+        control_symbols=() if on_nodes else motion.controls.of_interval,
         right_symbols=symbols([unknown.name for unknown in node], "_k1"),
         element=motion.element + sum((terms.element for terms in nodal), S.Zero) + ends.filling(),
         cost=motion.cost,
@@ -105,10 +110,23 @@ def _laid_out(
         boundary_values=boundary_values,
         node_guess=motion.node_guess,
         stage_guess=motion.stage_guess,
-        control_guess=control_guess(model),
+        control_guess=control_guess(model) * max(1, len(motion.controls.stage_controls)),
         only_at_ends=tuple(range(len(before), len(before) + len(ends.extra))),
         start=empty,
         end=empty,
+    )
+
+
+def _controls(model: Model, stages: int) -> tuple[Unknown, ...]:
+    """The controls of an interval or a node, or of each stage of an interval, with their bounds."""
+    once = _bounded([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
+    return (
+        tuple(
+            replace(u, name=f"{u.name}_stage{i}", meaning=f"{u.meaning} at stage {i}")
+            for i in range(1, stages + 1)
+            for u in once
+        )
+        or once
     )
 
 
@@ -159,6 +177,7 @@ def in_scaled_time(program: ControlProgram) -> ControlProgram:
         element=program.element.xreplace(scales),
         cost=program.cost.xreplace(scales),
         equations=pairs(program.equations),
+        integrals=tuple(replace(i, quadrature=i.quadrature.xreplace(scales)) for i in program.integrals),
         start=end(program.start),
         end=end(program.end),
         scaled_time=True,

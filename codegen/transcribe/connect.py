@@ -19,10 +19,7 @@ from sympy import Expr, Rational, S
 
 from codegen.errors import ArgumentError, SchemeError
 from codegen.model.pairwise import PairwiseModel
-from codegen.schemes import particles
-from codegen.schemes.base import OneStep, RungeKutta
-from codegen.schemes.particles import Adaptive
-from codegen.schemes.runge_kutta import RK4
+from codegen.schemes import Scheme, particles
 
 CONNECT_METHODS = ("stepping", "full", "action")
 DEFAULT_SCHEME = "midpoint"
@@ -61,26 +58,23 @@ def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None
     if method == "action":
         place, substep = _action(found)
         return PairwiseProgram(model, method, found.name, found.order, substeps=(substep,), place=place)
-    if isinstance(found, OneStep):
-        table = tuple((s.fraction, s.position, s.momentum) for s in found.substeps)
-        return PairwiseProgram(model, method, found.name, found.order, substeps=table)
-    if isinstance(found, RungeKutta):
-        return PairwiseProgram(model, method, found.name, found.order, rows=found.positions, weights=found.weights)
-    if method == "full":
+    if found.adaptive and method == "full":
         raise SchemeError(f"scheme {found.name} chooses its own steps", "use --method stepping")
+    if found.is_chain:
+        return PairwiseProgram(model, method, found.name, found.order, substeps=found.step().substeps)
+    table = found.step().tableau
     return PairwiseProgram(
-        model, method, found.name, found.order, rows=RK4.positions, weights=RK4.weights, adaptive=found.code
+        model, method, found.name, found.order, rows=table.positions, weights=table.weights, adaptive=found.adaptive
     )
 
 
-def _action(scheme: OneStep | RungeKutta | Adaptive) -> tuple[Rational, tuple[Rational, Rational, Rational]]:
+def _action(scheme: Scheme) -> tuple[Rational, tuple[Rational, Rational, Rational]]:
     """Where the action takes H, and the symplectic scheme whose equations are its stationarity."""
-    if not isinstance(scheme, OneStep) or len(scheme.substeps) > 1:
+    if not scheme.is_chain or len(scheme.step().substeps) > 1:
         raise SchemeError(
             f"scheme {scheme.name} evaluates H more than once in a step, so that no action belongs to it",
             "use an Euler method or midpoint",
         )
-    (substep,) = scheme.substeps
-    place, half = substep.position, Rational(1, 2)
+    ((_, place, _),), half = scheme.step().substeps, Rational(1, 2)
     momentum = half if place == half else 1 - place
     return place, (Rational(1), place, momentum)

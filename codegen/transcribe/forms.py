@@ -27,8 +27,7 @@ def in_velocities(model: Model) -> Model:
 
 def in_momenta(model: Model) -> Model:
     """The model in Hamiltonian form without its boundary values, which may be velocities; its conditions too."""
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    return rewritten(model, legendre.hamiltonian_form(replace(model, start=free, end=free)))
+    return rewritten(model, legendre.hamiltonian_form(model.with_free_ends))
 
 
 def rewritten(original: Model, transformed: Model) -> Model:
@@ -36,7 +35,8 @@ def rewritten(original: Model, transformed: Model) -> Model:
     if original.form == transformed.form:
         return transformed
     conditions = (*original.path, *original.start_conditions, *original.end_conditions)
-    expressions = (*(condition.expression for condition in conditions), original.terminal_cost)
+    integrands = (integral.integrand for integral in original.integrals)
+    expressions = (*(condition.expression for condition in conditions), *integrands, original.terminal_cost)
     if not any(expression.has(*original.rates) for expression in expressions):
         return transformed
     rates = legendre.velocity_of_momentum if original.form == "lagrangian" else legendre.momentum_of_velocity
@@ -48,6 +48,7 @@ def rewritten(original: Model, transformed: Model) -> Model:
     return replace(
         transformed,
         path=written(original.path),
+        integrals=tuple(replace(i, integrand=i.integrand.xreplace(values)) for i in original.integrals),
         start_conditions=written(original.start_conditions),
         end_conditions=written(original.end_conditions),
         terminal_cost=original.terminal_cost.xreplace(values),

@@ -13,7 +13,7 @@ from sympy import Expr, S, Symbol
 
 from codegen.discretise import one_step_interval
 from codegen.model import Boundary, Model
-from codegen.schemes import FIRST_ORDER, OfSteps
+from codegen.schemes import FIRST_ORDER, Scheme
 from codegen.transcribe import holonomic, path_conditions
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
@@ -30,7 +30,7 @@ from codegen.transcribe.program import BoundaryValue, ControlProgram, Unknown
 from codegen.transcribe.shared import Shared, shared_unknowns
 
 
-def hamiltonian(model: Model, scheme: OfSteps, nodal_controls: bool) -> ControlProgram:
+def hamiltonian(model: Model, scheme: Scheme, controls: str) -> ControlProgram:
     """Transcribe with unknowns q and p on nodes, stages, mu and u on intervals (or u on nodes).
 
     Raises what the Legendre transform raises, BoundaryError for conditions that do not fit together, and
@@ -38,25 +38,25 @@ def hamiltonian(model: Model, scheme: OfSteps, nodal_controls: bool) -> ControlP
     """
     holonomic.refuse(model, "hamiltonian")
     model, boundary_values = with_symbolic_boundaries(model)
-    return _transcribed(model, in_momenta(model), scheme, "hamiltonian", nodal_controls, boundary_values)
+    return _transcribed(model, in_momenta(model), scheme, "hamiltonian", controls, boundary_values)
 
 
-def first_order(model: Model, scheme: OfSteps, nodal_controls: bool) -> ControlProgram:
+def first_order(model: Model, scheme: Scheme, controls: str) -> ControlProgram:
     """Transcribe x' = f(x, u, t) with unknowns x on nodes, stages, mu and u on intervals (or u on nodes).
 
     Raises BoundaryError for conditions that do not fit together, and ArgumentError for holonomic constraints.
     """
     holonomic.refuse(model, FIRST_ORDER)
     model, boundary_values = with_symbolic_boundaries(model)
-    return _transcribed(model, model, scheme, FIRST_ORDER, nodal_controls, boundary_values)
+    return _transcribed(model, model, scheme, FIRST_ORDER, controls, boundary_values)
 
 
 def _transcribed(
     model: Model,
     phase: Model,
-    scheme: OfSteps,
+    scheme: Scheme,
     method: str,
-    nodal_controls: bool,
+    controls: str,
     boundary_values: tuple[BoundaryValue, ...],
 ) -> ControlProgram:
     """Boundary values are those of `model`; dynamics, conditions and terminal cost those of `phase`."""
@@ -72,7 +72,7 @@ def _transcribed(
     equalities = path_conditions.nodal_conditions(phase, equality=True)
     return assemble(
         phase,
-        _motion(phase, scheme, method, nodal_controls, guesses),
+        _motion(phase, scheme, method, controls, guesses),
         boundary_values,
         (path_conditions.nodal_equalities(placed, equalities, "y", names),),
         start + End(aliases=periodic.start_aliases),
@@ -120,9 +120,9 @@ def _ends(
     return ends[0], ends[1]
 
 
-def _motion(phase: Model, scheme: OfSteps, method: str, nodal_controls: bool, guesses: tuple[Expr, ...]) -> Motion:
+def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: tuple[Expr, ...]) -> Motion:
     """The equations of one step times their multipliers."""
-    interval = one_step_interval(path_conditions.with_inner_path(phase), scheme, nodal_controls)
+    interval = one_step_interval(path_conditions.with_inner_path(phase), scheme, controls)
     names = [s.name for s in (*phase.coordinates, *phase.rates)]
     stage_names = [s.name for s in interval.stages]
     equation_names = [*stage_names, *names]
@@ -144,6 +144,7 @@ def _motion(phase: Model, scheme: OfSteps, method: str, nodal_controls: bool, gu
         element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
         cost=interval.cost,
         path=interval.path,
+        integrals=interval.integrals,
         equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
         node_guess=guesses,
         stage_guess=tuple(guesses[names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),

@@ -15,6 +15,7 @@ from sympy import Add, Expr, S, Symbol
 
 from codegen.discretise import STEP
 from codegen.model import Boundary, Model
+from codegen.transcribe.integrals import end_share, numbered_through, own_unknowns
 from codegen.transcribe.names import symbols
 from codegen.transcribe.phase_guesses import with_guesses
 from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement, Phase, Unknown
@@ -27,6 +28,7 @@ def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> Con
     model = with_guesses(model)
     programs = [transcribed(_alone(model, i)) for i in range(len(model.phases))]
     programs, slots = with_common_names(programs)
+    programs = numbered_through(programs, slots.names)
     switches = [switch(model, i, programs, slots) for i in range(1, len(programs))]
     chain = _Chain(model, programs, [None, *switches])
     return chain.program()
@@ -90,6 +92,7 @@ class _Chain:
         """The program of the chain."""
         first, last, layout = self.programs[0], self.programs[-1], self.layout
         phases = tuple(self._phase(i) for i in range(len(self.programs)))
+        shared = self._shared()
         base = len(layout.node) - len(layout.from_start) - len(layout.from_end)
         return replace(
             first,
@@ -102,19 +105,32 @@ class _Chain:
             right_symbols=symbols([u.name for u in layout.node], "_k1"),
             interval_symbols=layout.symbols[: len(layout.interval)],
             slack_symbols=layout.symbols[len(layout.inside) - len(layout.slacks) :],
-            shared=(*layout.shared, *first.shared),
-            shared_symbols=(*(shared_symbol(u.name) for u in layout.shared), *first.shared_symbols),
-            shared_guess=(*(S.Zero for _ in layout.shared), *first.shared_guess),
+            shared=tuple(unknown for unknown, _, _ in shared),
+            shared_symbols=tuple(symbol for _, symbol, _ in shared),
+            shared_guess=tuple(guess for _, _, guess in shared),
+            own=0,
+            integrals=(),
             element=phases[0].regular.element,
             cost=phases[0].regular.cost,
             equations=phases[0].equations,
             boundary_values=(*first.boundary_values, *last.boundary_values),
             only_at_ends=tuple(range(base, len(layout.node))),
             start=self._end(0, first.start, -_filling(layout.from_start, "_k"), layout.from_end),
-            end=self._end(-1, last.end, S.Zero, layout.from_start),
+            end=self._end(-1, last.end, -self._earlier_integrals(), layout.from_start),
             scaled_time=True,
             phases=phases,
         )
+
+    def _shared(self) -> list[tuple[Unknown, Symbol, Expr]]:
+        """Shared unknowns, their symbols and guesses: those of integrals and of switches, then free parameters."""
+        first = self.programs[0]
+        integrals = [own for program in self.programs for own in own_unknowns(program.integrals)]
+        free = zip(first.shared, first.shared_symbols, first.shared_guess, strict=True)
+        return [
+            *((own.unknown, own.symbol, own.guess) for own in integrals),
+            *((unknown, shared_symbol(unknown.name), S.Zero) for unknown in self.layout.shared),
+            *list(free)[first.own :],
+        ]
 
     def _model(self) -> Model:
         """The model of the chain in the quantities in which it was transcribed."""
@@ -127,6 +143,10 @@ class _Chain:
             phases=tuple(program.model for program in self.programs),
             jumps=self.model.jumps,
         )
+
+    def _earlier_integrals(self) -> Expr:
+        """What conditions on integrals over all phases but the last add to the end, which the last one alone has."""
+        return Add(*(end_share(program.integrals).element for program in self.programs[:-1]))
 
     def _scales(self, place: int) -> dict[Symbol, Expr]:
         """How step and time of the chain give those of a phase."""
@@ -159,6 +179,7 @@ class _Chain:
             switch_guess=() if switch is None else self._placed(switch.guess),
             equations=_written(raw.equations, scales),
             switch_equations=() if switch is None else _written(switch.equations, scales),
+            integrals=tuple(replace(i, quadrature=i.quadrature.xreplace(scales)) for i in raw.integrals),
         )
 
     def _placed(self, guesses: Iterable[tuple[str, Expr]]) -> tuple[tuple[int, Expr], ...]:

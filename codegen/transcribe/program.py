@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from sympy import Expr, S, Symbol
 
-from codegen.model import Model
+from codegen.discretise import at_nodes
+from codegen.model import Integral, Model
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,24 @@ class Coupling:
 
 
 @dataclass(frozen=True)
+class IntegralEquation:
+    """A condition on an integral: the sum of `quadrature` over all intervals plus `excess` vanishes.
+
+    `multiplier` and, of an inequality, `slack` are shared unknowns.
+    """
+
+    condition: Integral
+    quadrature: Expr
+    multiplier: Symbol
+    slack: Symbol | None
+
+    @property
+    def excess(self) -> Expr:
+        """What is added to the sum: minus the value, and the slack."""
+        return -self.condition.value if self.slack is None else self.slack - self.condition.value
+
+
+@dataclass(frozen=True)
 class IntervalElement:
     """The share of an interval in the Lagrangian of the optimisation problem, and its discrete cost.
 
@@ -101,6 +120,7 @@ class Phase:
     switch_guess: tuple[tuple[int, Expr], ...]
     equations: tuple[tuple[str, Expr], ...]
     switch_equations: tuple[tuple[str, Expr], ...]
+    integrals: tuple[IntegralEquation, ...] = ()
 
     @property
     def elements(self) -> tuple[IntervalElement, ...]:
@@ -113,6 +133,8 @@ class ControlProgram:
     """An optimal-control problem as sum over intervals of one scalar `element`, plus one scalar at each end.
 
     Unknowns are ordered node_k, interval_k, control_k, slack_k, node_k1; `controls` and `slacks` live on intervals.
+    `controlled` says where controls live: on the interval, at its stages (all of the first, then of the next), or at
+    nodes (nodal).
     The last `path_multipliers` of `interval` are those of path conditions. A slack belongs to the unknown of
     `interval` at the same place of `slack_multipliers`, and is not negative.
 
@@ -121,7 +143,8 @@ class ControlProgram:
     whole problem (static parameters). All `bodies` have the same elements; `body` is the symbol for a body's number,
     and it may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
     `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns; the redundant ones
-    (number from 1, name) follow from them and are left out.
+    (number from 1, name) follow from them and are left out. `integrals` are conditions on integrals over the duration,
+    of each body; of several phases they stand with the phase.
 
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
     unknowns that is already inside `element`.
@@ -135,7 +158,7 @@ class ControlProgram:
     model: Model
     method: str
     scheme: str
-    nodal_controls: bool
+    controlled: str
     node: tuple[Unknown, ...]
     interval: tuple[Unknown, ...]
     controls: tuple[Unknown, ...]
@@ -166,8 +189,20 @@ class ControlProgram:
     couplings: tuple[Coupling, ...] = ()
     redundant_couplings: tuple[tuple[int, str], ...] = ()
     coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
+    integrals: tuple[IntegralEquation, ...] = ()
     scaled_time: bool = False
     phases: tuple[Phase, ...] = ()
+
+    @property
+    def nodal_controls(self) -> bool:
+        """Whether controls live on nodes."""
+        return self.controlled == "nodal"
+
+    def controls_of(self, control: Symbol) -> tuple[Symbol, ...]:
+        """The symbols that stand for one of the author's controls: of the interval, its stages, or both nodes."""
+        if self.nodal_controls:
+            return at_nodes([control], "_k") + at_nodes([control], "_k1")
+        return self.control_symbols[self.model.controls.index(control) :: len(self.model.controls)]
 
     @property
     def element_symbols(self) -> tuple[Symbol, ...]:

@@ -17,22 +17,20 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 
 import sympy
-from sympy import Add, Expr, S, Symbol, diff, expand_mul
+from sympy import Add, Expr, Symbol, diff, expand_mul
 
 from codegen.discretise import (
     STEP,
     VariationalInterval,
     at_nodes,
     one_step_interval,
-    step_lengths,
+    repeated,
     variational_interval,
 )
-from codegen.errors import SchemeError
 from codegen.model import Model, legendre
-from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
+from codegen.schemes import Scheme
 from codegen.transcribe.boundary import with_symbolic_boundaries
 from codegen.transcribe.elimination import Elimination, eliminate
 from codegen.transcribe.phase_functions import phase_functions
@@ -63,14 +61,12 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     phase = legendre.in_phase_space(model) if stepwise else legendre.hamiltonian_form(model)
     left = (*at_nodes(phase.coordinates, "_k"), *at_nodes(phase.rates, "_k"))
     right = (*at_nodes(phase.coordinates, "_k1"), *at_nodes(phase.rates, "_k1"))
-    lengths, part = _part(scheme)
-    if method == "variational" and isinstance(part, DiscreteLagrangian):
+    lengths, part = repeated(scheme)
+    if method == "variational":
         velocities = [_at(phase, v, left) for v in stepwise.velocities] if stepwise else _mean_velocities(phase, left)
         step = _variational_step(legendre.lagrangian_form(model), part, left, right, velocities)
-    elif method == "hamiltonian" and isinstance(part, OneStep | RungeKutta):
-        step = _one_step(phase, part, left, right, lengths)
     else:
-        raise SchemeError(f"scheme {scheme.name!r} does not belong to the {method} method", "choose another method")
+        step = _one_step(phase, part, left, right, lengths)
     kinds = [*(("coordinate", q) for q in phase.coordinates), *(("momentum", p) for p in phase.rates)]
     solution = step.solution
     return StepProgram(
@@ -96,20 +92,13 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         start_values=start_values,
         start=tuple(value for value in (*phase.start.positions, *phase.start.rates) if value is not None),
         lengths=lengths,
-        fractions=scheme.fractions if isinstance(scheme, Composition) else (),
+        fractions=scheme.parts,
     )
-
-
-def _part(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
-    """The symbols of the lengths on which a step's equations depend, and what one step of a composition is."""
-    if not isinstance(scheme, Composition):
-        return (STEP,), scheme
-    return step_lengths(scheme), scheme.part(step_lengths(scheme), STEP)
 
 
 def _variational_step(
     model: Model,
-    scheme: DiscreteLagrangian,
+    scheme: Scheme,
     left: Sequence[Symbol],
     right: Sequence[Symbol],
     mean_velocities: Sequence[Expr],
@@ -152,7 +141,7 @@ def _differences(interval: VariationalInterval) -> list[tuple[Symbol, Symbol, Ex
 
 def _one_step(
     phase: Model,
-    scheme: OneStep | RungeKutta,
+    scheme: Scheme,
     left: Sequence[Symbol],
     right: Sequence[Symbol],
     lengths: Sequence[Symbol],
@@ -209,19 +198,15 @@ def _solved_for_velocities(
 
 
 def _euler_guesses(
-    phase: Model, scheme: OneStep | RungeKutta, left: Sequence[Symbol], unknowns: Sequence[Symbol]
+    phase: Model, scheme: Scheme, left: Sequence[Symbol], unknowns: Sequence[Symbol]
 ) -> dict[Symbol, Expr]:
     """Start every stage and the right node from explicit Euler steps that begin at the left node."""
     rates = dict(zip(left, rates_of_change(phase, left), strict=True))
-    if isinstance(scheme, RungeKutta):
-        places, end = list(scheme.places), S.One
-    else:
-        places = list(accumulate(substep.fraction for substep in scheme.substeps))
-        end = places[-1]
+    places = scheme.step().places
     guesses = dict[Symbol, Expr]()
     for y in unknowns:
         stage = re.search(r"_stage(\d+)$", y.name)
-        c = places[int(stage[1]) - 1] if stage else end
+        c = places[int(stage[1]) - 1] if stage else places[-1]
         name = y.name[: stage.start()] if stage else y.name.removesuffix("_k1")
         x = next(x for x in left if x.name == f"{name}_k")
         guesses[y] = x + sympy.expand(c * STEP) * rates[x]

@@ -13,7 +13,7 @@ from sympy import Expr, S
 from codegen.discretise import VariationalInterval, variational_interval
 from codegen.errors import SchemeError
 from codegen.model import Model
-from codegen.schemes import DiscreteLagrangian
+from codegen.schemes import Scheme
 from codegen.transcribe import path_conditions
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
@@ -34,7 +34,7 @@ from codegen.transcribe.program import ControlProgram, Unknown
 from codegen.transcribe.shared import shared_unknowns
 
 
-def variational(original: Model, scheme: DiscreteLagrangian, nodal_controls: bool) -> ControlProgram:
+def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgram:
     """Transcribe with unknowns q and lambda on nodes and u on intervals (or nodes).
 
     Holonomic constraints add kappa and eta to the nodes. Raises what the Legendre transform raises, and BoundaryError
@@ -56,7 +56,7 @@ def variational(original: Model, scheme: DiscreteLagrangian, nodal_controls: boo
     by_momentum = {place for place, _, _ in periodic.momenta}
     return assemble(
         model,
-        _motion(model, scheme, nodal_controls, constraints),
+        _motion(model, scheme, controls, constraints),
         boundary_values,
         (constraints.nodal_terms((start_places, end_places), by_momentum), equalities),
         start + End(aliases=periodic.start_aliases),
@@ -86,9 +86,9 @@ def _end_conditions(model: Model, periodic: Periodic) -> tuple[EndConditions, En
     )
 
 
-def _motion(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool, constraints: Constraints) -> Motion:
+def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraints) -> Motion:
     """The forced discrete Euler-Lagrange equations, with the forces of the constraints, times their multipliers."""
-    interval = variational_interval(path_conditions.with_inner_path(model), scheme, nodal_controls)
+    interval = variational_interval(path_conditions.with_inner_path(model), scheme, controls)
     if interval.inner and model.holonomic:
         raise SchemeError(
             f"scheme {scheme.name!r} has inner points, where holonomic constraints are not imposed",
@@ -121,6 +121,7 @@ def _motion(model: Model, scheme: DiscreteLagrangian, nodal_controls: bool, cons
         element=interval.cost + interval.virtual_work(displacements, impulses),
         cost=interval.cost,
         path=interval.path,
+        integrals=interval.integrals,
         equations=_equations(names, interval),
         node_guess=guess,
         stage_guess=guess * (len(interval.inner) // len(names)),

@@ -1,8 +1,7 @@
 """Enclose the largest area by a closed curve of length 1.
 
-The curve is followed at unit speed; its centroid is at the origin, two integrals that are given and therefore states.
-The optimum is a circle, the area 1/(4 pi). Where on the circle the curve starts does not matter. Source: yapss,
-example "isoperimetric".
+The curve is followed at unit speed; its centroid, two integrals, is at the origin. The optimum is a circle, the area
+1/(4 pi). Where on the circle the curve starts does not matter. Source: yapss, example "isoperimetric".
 """
 
 from sympy import Eq, cos, pi, sin
@@ -11,15 +10,14 @@ from codegen import Control, controls, states, time
 
 
 def problem() -> Control:
-    x, y, x_integral, y_integral = states("x y x_integral y_integral")
+    x, y = states("x y")
     a, b = controls("a b")
     t = time()
     return Control(
-        dynamics={x: a, y: b, x_integral: x, y_integral: y},
-        cost=(x * b - y * a) / 2,
+        dynamics={x: a, y: b},
+        maximise=(y * a - x * b) / 2,
         duration=1,
-        start={x_integral: 0, y_integral: 0},
-        end={x_integral: 0, y_integral: 0},
+        integral=[Eq(x, 0), Eq(y, 0)],
         periodic=[x, y],
         path=[Eq(a**2 + b**2, 1)],
         guess={x: cos(2 * pi * t), y: -sin(2 * pi * t), a: -sin(2 * pi * t), b: -cos(2 * pi * t)},

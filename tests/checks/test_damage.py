@@ -11,6 +11,7 @@ from codegen import checks
 
 ABOUT_EXPRESSIONS = {
     "discrete equations",
+    "integrals",
     "discrete Noether",
     "consistency",
     "symplecticity",

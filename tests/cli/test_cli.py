@@ -427,10 +427,10 @@ class TestDefects:
 
     @pytest.fixture
     def broken(self, monkeypatch):
-        def fail(*arguments):
+        def fail(*arguments, **choices):
             raise RuntimeError("two\nlines")
 
-        monkeypatch.setattr("codegen.cli.solve.build_module", fail)
+        monkeypatch.setattr("codegen.compiler.build", fail)
 
     def test_one_line(self, folder, broken, monkeypatch):
         monkeypatch.delenv("CODEGEN_TRACEBACK", raising=False)

@@ -14,7 +14,7 @@ from codegen.drivers.newton import control as newton
 from codegen.drivers.scaled import ScaledProblem
 from codegen.errors import ArgumentError, NumericsError
 from codegen.solutions.control import control_result
-from codegen.solutions.result import STATUSES, Request
+from codegen.solutions.result import STATUSES, Run
 
 MISSING = () if find_spec("cyipopt") else ("ipopt",)  # an extra
 CONTROL_DRIVERS = [n for n, driver in drivers.DRIVERS.items() if "control" in driver.tasks and n not in MISSING]
@@ -73,10 +73,10 @@ class TestFalseClaims:
 
     @pytest.fixture
     def attempt(self, orbital_transfer):
-        return newton(orbital_transfer, Request(20))
+        return newton(orbital_transfer, Run(20))
 
     def assess(self, module, attempt, unknowns):
-        return control_result(module, "newton", Request(20), replace(attempt, unknowns=unknowns))
+        return control_result(module, "newton", Run(20), replace(attempt, unknowns=unknowns))
 
     def test_truth_is_accepted(self, orbital_transfer, attempt):
         assert self.assess(orbital_transfer, attempt, attempt.unknowns).status == "solved"
@@ -105,13 +105,13 @@ class TestFalseClaims:
         assert result.residual == np.inf
 
     def test_failure_stays_failure(self, orbital_transfer, attempt):
-        result = control_result(orbital_transfer, "newton", Request(20), replace(attempt, status="stalled"))
+        result = control_result(orbital_transfer, "newton", Run(20), replace(attempt, status="stalled"))
         assert result.status == "stalled"
 
 
 def test_optimality_conditions_are_relative_to_large_multipliers(interpreted):
     """Multipliers of 470 on average make 4.7 times the tolerance of 1e-10, and ten times that is let pass."""
-    module, request = interpreted("two_stage_rocket"), Request(5, scaling="none")
+    module, request = interpreted("two_stage_rocket"), Run(5, scaling="none")
     attempt = newton(module, request)
     place = module.multiplier_unknowns(module.make_grid(5))[10]
 
@@ -154,7 +154,7 @@ def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
 
 
 def test_scaled_derivatives_against_differences(orbital_transfer):
-    problem = ScaledProblem.on_grid(orbital_transfer, Request(5))
+    problem = ScaledProblem.on_grid(orbital_transfer, Run(5))
     generator = np.random.default_rng(1)
     x = problem.start + 0.1 * generator.standard_normal(problem.start.size)
     nu = generator.standard_normal(problem.dual.size)

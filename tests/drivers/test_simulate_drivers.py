@@ -10,7 +10,7 @@ import pytest
 from codegen import solving
 from codegen.drivers.newton import simulate as newton
 from codegen.errors import ArgumentError
-from codegen.solutions.result import Request
+from codegen.solutions.result import Run
 from codegen.solutions.simulate import simulate_result
 
 
@@ -49,10 +49,10 @@ def test_optimisers_do_not_apply(pendulum, name):
 
 
 def test_false_claim_is_downgraded(pendulum):
-    attempt = newton(pendulum, Request(50))
-    assert simulate_result(pendulum, "newton", Request(50), attempt, 1.0).status == "solved"
+    attempt = newton(pendulum, Run(50))
+    assert simulate_result(pendulum, "newton", Run(50), attempt, 1.0).status == "solved"
     wrong = attempt.q.copy()
     wrong[20] += 1e-6
-    result = simulate_result(pendulum, "newton", Request(50), replace(attempt, q=wrong), 1.0)
+    result = simulate_result(pendulum, "newton", Run(50), replace(attempt, q=wrong), 1.0)
     assert result.status == "inaccurate"
     assert result.residual == pytest.approx(1e-6, rel=0.5)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from codegen.emit import runtime_files
 from codegen.emit.specialise import specialise
 
-NAMES = ("SHARED", "COUPLINGS", "PHASES", "CARRIED")
+NAMES = ("SHARED", "SHARED_MULTIPLIERS", "COUPLINGS", "PHASES", "CARRIED")
 RUNTIME = sorted(runtime_files())
 
 

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from numba import njit
 
 from codegen.machine_code import linking
 
@@ -61,6 +62,22 @@ print(linked.outer(np.array([1.0, 2.0, 3.0, 4.0])))
 print(any("Linked" in type(f.overloads[f.signatures[0]].library).__name__ for f in (linked.power_sum, linked.outer)))
 """
 
+COMPILE_BOTH = """
+import sys
+import numpy as np
+from numba import njit
+from codegen.machine_code import compilation
+sys.path.insert(0, sys.argv[1])
+njit(lambda x: x)(0.0)
+import linked, second
+compilation.LONG = 10
+for module in (linked, second, second):
+    compilation.compile_for_callers(module)
+print(*[module.outer(np.array([1.0, 2.0, 3.0, 4.0])) for module in (linked, second)])
+for module in (linked, second):
+    print(*[f.overloads[f.signatures[0]].library.is_inner for f in (module.ratio, module.outer)])
+"""
+
 AGAIN = """
 import sys
 from numba import njit
@@ -107,7 +124,7 @@ def test_functions_that_only_compiled_ones_call_have_code_in_their_callers_alone
 
 def test_functions_are_linked_with_the_numba_that_is_installed():
     """Fails where numba has changed: builds then take twice as long, and the versions allowed are to be looked at."""
-    assert linking.applies()
+    assert linking.applies([njit(lambda x: x)])
 
 
 def test_the_versions_that_were_tried_are_those_that_are_allowed():
@@ -119,26 +136,55 @@ def test_the_versions_that_were_tried_are_those_that_are_allowed():
 
 @pytest.mark.parametrize("version", ["0.60.0", "0.69.0", "0.69.0dev0+12.gabc", "1.0.0", "unknown"])
 def test_functions_of_a_numba_that_was_not_tried_are_not_linked(version):
-    assert not linking.applies(version)
+    assert not linking.applies([], version)
 
 
-@pytest.mark.parametrize("name", [*linking.OF_LIBRARIES, "set_env", "_engine"])
-def test_functions_are_not_linked_where_numba_lacks_what_that_needs(name, monkeypatch):
+class Lacking:
+    """Something of numba without one of its attributes."""
+
+    def __init__(self, whole, lacked):
+        self._whole, self._lacked = whole, lacked
+
+    def __getattr__(self, asked):
+        if asked == self._lacked:
+            raise AttributeError(asked)
+        return getattr(self._whole, asked)
+
+
+@pytest.mark.parametrize("name", ["_library_class", "set_env", "_engine", "create_library"])
+def test_functions_are_not_linked_where_numba_s_generator_lacks_what_that_needs(name, monkeypatch):
     generator = linking._generator()
+    for lacked, expected in (("nothing", True), (name, False)):
+        monkeypatch.setattr(linking, "_generator", lambda lacked=lacked: Lacking(generator, lacked))
+        assert linking.applies([]) == expected
 
-    class Lacking:
-        _library_class, set_env, _engine = generator._library_class, generator.set_env, generator._engine
 
-        def __getattribute__(self, asked):
-            if asked == name:
-                raise AttributeError(asked)
-            return object.__getattribute__(self, asked)
+@pytest.mark.parametrize("name", linking.OF_LIBRARIES)
+def test_nor_where_its_class_of_code_does(name, monkeypatch):
+    generator = linking._generator()
+    monkeypatch.setattr(generator, "_library_class", type("Other", (generator._library_class,), {name: None}))
+    assert not linking.applies([])
 
-    if name in linking.OF_LIBRARIES:
-        methods = {method: len for method in linking.OF_LIBRARIES if method != name}
-        monkeypatch.setattr(Lacking, "_library_class", type("Library", (), methods))
-    monkeypatch.setattr(linking, "_generator", Lacking)
-    assert not linking.applies()
+
+@pytest.mark.parametrize("name", linking.OF_CODE)
+def test_nor_where_the_code_of_a_function_does(name, monkeypatch):
+    generator = linking._generator()
+    monkeypatch.setattr(generator, "create_library", lambda _: Lacking(generator._library_class(generator, "x"), name))
+    assert not linking.applies([])
+
+
+@pytest.mark.parametrize("name", linking.OF_FUNCTIONS)
+def test_nor_where_a_compiled_function_does(name):
+    assert linking.applies([Lacking(njit(lambda x: x), "nothing")])
+    assert not linking.applies([Lacking(njit(lambda x: x), name)])
+
+
+def test_one_process_may_compile_several_modules(tmp_path):
+    for name in ("linked", "second"):
+        (tmp_path / f"{name}.py").write_text(MODULE)
+    value, other, *rest = output(COMPILE_BOTH, tmp_path)
+    assert float(value) == float(other) == pytest.approx((1 + 4 + 9 + 16) / (1 + 8 + 27) + (1 + 2 + 3), rel=1e-15)
+    assert rest == ["True", "False"] * 2
 
 
 def test_without_linking_the_result_is_the_same(tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import pickle
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,6 +34,7 @@ from codegen.lower.module import Origin
 from codegen.model import Model, normalise
 from codegen.model.from_file import load_problem
 from codegen.naming import Choices
+from codegen.solutions.result import Result
 
 DRAWN = (
     "acrobot brachistochrone cart_pendulum cart_pole convoy crane four_bar hovercraft linear_pendulum "
@@ -55,7 +55,9 @@ def oscillator(drawing: Any, **changes: Any) -> Model:
 
 def motion(model: Model, t: Any, q: Any, u: Any, **summary: float) -> Any:
     """What `scene` reads of a result; columns of several bodies stand side by side."""
-    return SimpleNamespace(t=np.array(t, float), q=np.array(q, float), u=np.array(u, float), summary=summary)
+    given = {"t": np.array(t, float), "q": np.array(q, float), "u": np.array(u, float), "summary": summary}
+    empty = dict.fromkeys(("problem", "title", "task", "method", "scheme", "driver", "status", "message"), "")
+    return Result(**empty, steps=1, residual=0.0, iterations=0, p=given["q"], names={}, **given)
 
 
 class TestItems:

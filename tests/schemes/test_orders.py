@@ -18,16 +18,23 @@ from simulation_systems import model_of, module_of
 from codegen import schemes
 from codegen.checks.derivation.symplecticity import has_symplectic_table
 from codegen.compiler import generate
+from codegen.discretise.nodes import LENGTHS, STEP
 from codegen.drivers.fsolve import simulate as fsolve
 from codegen.errors import ArgumentError, SchemeError
 from codegen.naming import Choices
-from codegen.schemes.compositions import COMPOSITIONS
-from codegen.schemes.runge_kutta import FIRST_ORDER_RUNGE_KUTTA, OF_PARTICLES, RUNGE_KUTTA
-from codegen.solutions.result import Request
+from codegen.schemes.particles import PARTICLE_SCHEMES
+from codegen.schemes.step import Tableau
+from codegen.solutions.result import Run
 from codegen.transcribe import transcribe
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
-TABLES = list(dict.fromkeys([*RUNGE_KUTTA, *FIRST_ORDER_RUNGE_KUTTA, *OF_PARTICLES]))
+_MECHANICAL, _FIRST_ORDER = (schemes.of_method(method) for method in ("hamiltonian", schemes.FIRST_ORDER))
+STEPS = [
+    scheme
+    for scheme in dict.fromkeys((*_MECHANICAL, *_FIRST_ORDER, *PARTICLE_SCHEMES.values()))
+    if not (scheme.parts or scheme.adaptive)
+]
+COMPOSITIONS = [scheme for scheme in _MECHANICAL if scheme.parts]
 
 # ---- Runge-Kutta methods: the order conditions of rooted trees (Hairer, Lubich and Wanner 2006, III.1 and III.2) ----
 
@@ -68,10 +75,10 @@ def elementary_weights(tree: Tree, tables: Sequence[sympy.Matrix]) -> Iterator[s
         yield sympy.Matrix([sympy.expand(sympy.prod([c[i] for c in chosen])) for i in range(stages)])
 
 
-def satisfied(scheme: schemes.RungeKutta, order: int) -> bool:
+def satisfied(table: Tableau, order: int) -> bool:
     """Whether all conditions of trees with that many vertices hold, exactly."""
-    tables = list(dict.fromkeys(sympy.ImmutableMatrix(table) for table in (scheme.positions, scheme.momenta)))
-    weights = sympy.Matrix([scheme.weights])
+    tables = list(dict.fromkeys(sympy.ImmutableMatrix(rows) for rows in (table.positions, table.momenta)))
+    weights = sympy.Matrix([table.weights])
     return all(
         sympy.expand((weights * phi)[0] - sympy.Rational(1, density(tree))) == 0
         for tree in trees(order)
@@ -83,24 +90,25 @@ def test_there_are_as_many_trees_as_textbooks_say() -> None:
     assert [len(trees(n)) for n in range(1, 8)] == [1, 1, 2, 4, 9, 20, 48]
 
 
-@pytest.mark.parametrize("scheme", TABLES, ids=lambda scheme: scheme.name)
-def test_tables_have_their_order_and_no_higher_one(scheme: schemes.RungeKutta) -> None:
-    assert all(satisfied(scheme, order) for order in range(1, scheme.order + 1))
-    assert not satisfied(scheme, scheme.order + 1)
+@pytest.mark.parametrize("scheme", STEPS, ids=lambda scheme: scheme.name)
+def test_tables_have_their_order_and_no_higher_one(scheme: schemes.Scheme) -> None:
+    assert all(satisfied(scheme.step().tableau, order) for order in range(1, scheme.order + 1))
+    assert not satisfied(scheme.step().tableau, scheme.order + 1)
 
 
-@pytest.mark.parametrize("scheme", TABLES, ids=lambda scheme: scheme.name)
-def test_tables_are_symplectic_where_that_is_claimed(scheme: schemes.RungeKutta) -> None:
-    assert has_symplectic_table(scheme) == scheme.symplectic
+@pytest.mark.parametrize("scheme", STEPS, ids=lambda scheme: scheme.name)
+def test_tables_are_symplectic_where_that_is_claimed(scheme: schemes.Scheme) -> None:
+    assert has_symplectic_table(scheme.step().tableau) == scheme.symplectic
 
 
-@pytest.mark.parametrize("scheme", TABLES, ids=lambda scheme: scheme.name)
-def test_tables_are_symmetric_where_that_is_claimed(scheme: schemes.RungeKutta) -> None:
+@pytest.mark.parametrize("scheme", STEPS, ids=lambda scheme: scheme.name)
+def test_tables_are_symmetric_where_that_is_claimed(scheme: schemes.Scheme) -> None:
     """a_{s+1-i,s+1-j} + a_ij = b_j (Hairer, Lubich and Wanner 2006, theorem V.2.3)."""
-    last, b = len(scheme.weights) - 1, scheme.weights
+    tableau = scheme.step().tableau
+    last, b = len(tableau.weights) - 1, tableau.weights
     differences = [
         sympy.expand(table[last - i][last - j] + table[i][j] - b[j])
-        for table in (scheme.positions, scheme.momenta)
+        for table in (tableau.positions, tableau.momenta)
         for i in range(last + 1)
         for j in range(last + 1)
     ]
@@ -123,10 +131,10 @@ def product_of_exponentials(letters: Sequence[tuple[str, Any]], longest: int) ->
     return words
 
 
-def largest_errors(scheme: schemes.Composition, longest: int) -> list[float]:
+def largest_errors(scheme: schemes.Scheme, longest: int) -> list[float]:
     """For each length of words in position-verlet's drifts A and kicks B, against exp(A + B)."""
     letters = []
-    for row in scheme.fractions:
+    for row in scheme.parts:
         first, second = (mpmath.mpf(str(sympy.N(f, 40))) for f in row)
         letters += [("A", first), ("B", first + second), ("A", second)]
     words, errors = product_of_exponentials(letters, longest), []
@@ -138,9 +146,9 @@ def largest_errors(scheme: schemes.Composition, longest: int) -> list[float]:
 
 
 @pytest.mark.parametrize("scheme", COMPOSITIONS, ids=lambda scheme: scheme.name)
-def test_compositions_have_their_order_and_no_higher_one(scheme: schemes.Composition) -> None:
+def test_compositions_have_their_order_and_no_higher_one(scheme: schemes.Scheme) -> None:
     """A symmetric composition of even order p has an error of words of length p + 1."""
-    assert scheme.base.name == "position-verlet"
+    assert scheme.part(LENGTHS, STEP).name == "position-verlet"
     with mpmath.workdps(40):
         *errors, leading = largest_errors(scheme, scheme.order + 1)
     assert max(errors) < 1e-22
@@ -148,14 +156,14 @@ def test_compositions_have_their_order_and_no_higher_one(scheme: schemes.Composi
 
 
 @pytest.mark.parametrize("scheme", COMPOSITIONS, ids=lambda scheme: scheme.name)
-def test_compositions_are_symmetric(scheme: schemes.Composition) -> None:
-    reversed_rows = tuple(tuple(row[::-1]) for row in scheme.fractions[::-1])
+def test_compositions_are_symmetric(scheme: schemes.Scheme) -> None:
+    reversed_rows = tuple(tuple(row[::-1]) for row in scheme.parts[::-1])
     assert all(
         abs(sympy.N(a - b, 40)) < 1e-25
-        for row, other in zip(scheme.fractions, reversed_rows, strict=True)
+        for row, other in zip(scheme.parts, reversed_rows, strict=True)
         for a, b in zip(row, other, strict=True)
     )
-    assert abs(sympy.N(sum(sum(row) for row in scheme.fractions) - 1, 40)) < 1e-25
+    assert abs(sympy.N(sum(sum(row) for row in scheme.parts) - 1, 40)) < 1e-25
 
 
 # ---- Names, refusals, long times ----
@@ -196,7 +204,7 @@ def test_inner_points_do_not_meet_holonomic_constraints() -> None:
 
 def test_fsolve_does_not_solve_compositions() -> None:
     with pytest.raises(ArgumentError, match="makes 3 steps of another scheme"):
-        fsolve(module_of("pendulum-hamiltonian", "hamiltonian", "yoshida-4-of-midpoint"), Request(5))
+        fsolve(module_of("pendulum-hamiltonian", "hamiltonian", "yoshida-4-of-midpoint"), Run(5))
 
 
 def test_a_composition_emits_its_base_once() -> None:

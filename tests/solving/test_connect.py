@@ -14,14 +14,14 @@ from codegen.author.points import PointSet, read_points
 from codegen.compiler import build
 from codegen.errors import ArgumentError, PointsError, SchemeError
 from codegen.loading import load
-from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
+from codegen.schemes.particles import PARTICLE_SCHEMES
 from codegen.solutions.connect import connect_result
-from codegen.solutions.result import ConnectAttempt, Request
+from codegen.solutions.result import ConnectAttempt, Run
 
 FILE = PROBLEMS / "image_registration.py"
 START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])
 TARGET = START + np.array([[0.12, -0.05], [0.03, 0.1], [-0.08, 0.04]])
-STEPS = [name for name, scheme in PARTICLE_SCHEMES.items() if not isinstance(scheme, Adaptive)]
+STEPS = [name for name, scheme in PARTICLE_SCHEMES.items() if not scheme.adaptive]
 
 
 def few(sigma=0.0):
@@ -331,7 +331,7 @@ def test_a_false_claim_of_success_is_downgraded(module):
     path = np.stack([solution.q, solution.p], axis=1)
     path[2, 0, 0, 0] += 1e-6
     claim = ConnectAttempt("solved", "", 1, path, 1e-10)
-    result = connect_result(made, "newton", Request(3, points=few()), claim)
+    result = connect_result(made, "newton", Run(3, points=few()), claim)
     assert result.status == "inaccurate"
 
 

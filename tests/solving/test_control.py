@@ -21,7 +21,7 @@ from codegen.analysis.exact_optimum import exact_optimum
 from codegen.analysis.reference_optimum import reference_optimum
 from codegen.compiler import build
 from codegen.model.from_file import load_problem
-from codegen.schemes import METHODS, Composition
+from codegen.schemes import METHODS
 from codegen.transcribe import MOST_PARTS
 
 EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle
@@ -90,7 +90,7 @@ SCHEMES = [
     (method, name)
     for method, table in METHODS.items()
     for name, scheme in table.items()
-    if name not in LONG and not (isinstance(scheme, Composition) and len(scheme.fractions) > MOST_PARTS)
+    if name not in LONG and len(scheme.parts) <= MOST_PARTS
 ]
 
 

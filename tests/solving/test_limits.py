@@ -9,10 +9,12 @@ from failing_problems import INFEASIBLE
 from typer.testing import CliRunner
 
 from codegen import drivers, solving, terminal
-from codegen.cli import main, solve_options
+from codegen.cli import main
+from codegen.cli.solve import with_options
 from codegen.errors import ArgumentError
 from codegen.runtime.optimise.iterates import Log
 from codegen.solutions import output
+from codegen.solving.outcome import LEAST_TIME, Outcome
 
 
 class Clock:
@@ -73,7 +75,7 @@ def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
     result = solving.solve(module, steps=10, time_limit=1.5, guesses=2, doublings=1)
     assert result.levels[0].status == "solved"
     assert limits[0] == 1.5
-    assert limits[-1] == solving.LEAST_TIME
+    assert limits[-1] == LEAST_TIME
     assert result.status == "time limit"
     assert sorted(limits, reverse=True) == limits
 
@@ -138,7 +140,7 @@ def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
 def solved(monkeypatch, interpreted, *words):
     """What `codegen solve` prints with a module that is run by the interpreter."""
     monkeypatch.setattr("codegen.loading.load", lambda path: interpreted("cart_pole"))
-    monkeypatch.setattr("codegen.cli.machine_code.require", lambda made, module: 0.0)
+    monkeypatch.setattr("codegen.machine_code.ahead.require", lambda *_: (0.0, []))
     found = CliRunner().invoke(main, ["solve", str(PROBLEMS / "cart_pole.py"), "--steps", "10", "--json", *words])
     return json.loads(found.stdout), found.stderr
 
@@ -158,7 +160,7 @@ def test_messages_name_the_option_that_was_given(monkeypatch, interpreted, words
 def test_results_name_arguments_where_functions_are_called(interpreted):
     result = solving.solve(interpreted("cart_pole"), steps=10, max_iterations=2, doublings=1)
     assert all("raise max_iterations" in text for text in (result.message, result.levels[0].message))
-    named = solve_options.with_options(result)
+    named = with_options(Outcome(None, result, 0.0, 0.0, [])).result
     assert all("raise --max-iterations" in text for text in (named.message, named.levels[0].message))
 
 

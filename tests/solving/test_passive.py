@@ -15,12 +15,12 @@ from codegen.compiler import build
 from codegen.errors import ExpressionError, ModuleError, NumericsError
 from codegen.model.from_file import load_problem
 from codegen.registration import flow
-from codegen.schemes.particles import PARTICLE_SCHEMES, Adaptive
+from codegen.schemes.particles import PARTICLE_SCHEMES
 
 START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])
 MOMENTA = np.array([[0.9, -0.4], [0.2, 0.7], [-0.6, 0.5]])
 POINTS = np.array([[0.15, 0.1], [-0.3, -0.2], [0.0, 0.6], [0.29, -0.48], [-0.7, 0.3], [0.05, 0.0]])
-STEPS = [name for name, scheme in PARTICLE_SCHEMES.items() if not isinstance(scheme, Adaptive)]
+STEPS = [name for name, scheme in PARTICLE_SCHEMES.items() if not scheme.adaptive]
 
 
 @pytest.fixture

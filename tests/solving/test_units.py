@@ -132,6 +132,25 @@ def test_what_is_solved_in_wrong_sizes_alone_is_not_solved(interpreted):
     assert module.in_units(found, point).residual <= 1e-10
 
 
+@pytest.mark.parametrize("name", ["orbital_transfer", "bryson_denham"])
+def test_a_search_that_fails_in_the_right_sizes_leaves_what_nearly_is_an_optimum(interpreted, monkeypatch, name):
+    """Its equations hold whatever the multipliers are; the optimality conditions tell wrong ones from right ones."""
+    module = interpreted(name)
+    solution = module.solve(10)
+    grid, bounds = module.make_grid(10), ()
+    sizes = np.ones(grid.is_multiplier.size)
+    if module.metadata["inequalities"]:
+        bounds = module.variable_bounds(grid)
+    vanishing = grid._replace(sizes=sizes, forces=1e-40 * sizes, weight=1e-40, bounds=bounds)
+    monkeypatch.setattr(module, "minimise", lambda grid, unknowns, *_: ("stalled", module.evaluate(grid, unknowns), 0))
+    for factor, expected in ((1.0 + 1e-8, "solved"), (2.0, "stalled")):
+        changed = np.where(grid.is_multiplier, factor, 1.0) * solution.unknowns
+        point = module.evaluate(vanishing, changed)
+        assert module.evaluate(grid, changed).residual < 1e-8
+        status, *_ = module.refined(vanishing, changed, point, 1e-12, 0, module.Log())
+        assert status == expected
+
+
 def test_what_a_message_says_of_the_equations_is_in_the_problem_s_own_units():
     module = without_compilation(text_in_units("brachistochrone"))
     solution = module.solve(10, length_unit=1e6, time_unit=1e6)

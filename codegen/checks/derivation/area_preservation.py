@@ -16,7 +16,7 @@ from codegen.checks.derivation.symplecticity import PRESERVED, defect_at_random_
 from codegen.errors import DegenerateError
 from codegen.expressions.zeros import identically_zero
 from codegen.model import Model
-from codegen.schemes import METHODS, Composition, DiscreteLagrangian, RungeKutta, Scheme
+from codegen.schemes import METHODS, Scheme
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -24,38 +24,37 @@ def check(context: Context) -> Iterator[Finding]:
 
     Compositions are left out, whose determinant is a product of those of their base.
     """
-    if context.model.form == "first-order":
-        yield does_not_apply("area preservation", "a first-order system has no phase plane of q and p")
-        return
     if len(context.model.coordinates) != 1:
         yield does_not_apply("area preservation", "there is more than one coordinate")
         return
-    model = without_forces(context.model)
-    curved = not identically_zero(sympy.hessian(model.function, [*model.coordinates, *model.rates]).det())
     for method, table in METHODS.items():
         try:
-            yield from _of_method(context.model, model, method, table.values(), curved)
+            yield from _of_method(context.model, method, table.values())
         except DegenerateError:
             yield does_not_apply("area preservation", f"a degenerate Legendre transform rules out {method} schemes")
 
 
-def _of_method(forced: Model, model: Model, method: str, schemes: Iterable[Scheme], curved: bool) -> Iterator[Finding]:
+def _of_method(forced: Model, method: str, schemes: Iterable[Scheme]) -> Iterator[Finding]:
     """The rows of the schemes of a method; DegenerateError where the problem has no form for it."""
+    model = without_forces(forced)
+    curvature = sympy.hessian(model.function, [*model.coordinates, *model.rates])
+    curved, linear = not identically_zero(curvature.det()), not curvature.has(*model.coordinates, *model.rates)
     for scheme in schemes:
-        if not isinstance(scheme, Composition):
-            claim = "symplectic" if scheme.symplectic else "not symplectic"
-            if isinstance(scheme, RungeKutta) or (isinstance(scheme, DiscreteLagrangian) and len(scheme.nodes) > 2):
-                # The determinant of a step with inner stages is a long expression; for two variables it is S^T J S.
-                defect = defect_at_random_points(forced, step_equations(model, scheme))
-                passed = (defect < PRESERVED) == scheme.symplectic or not curved
-                detail = f"|det - 1| = {defect:.2g} at random points, and the scheme is {claim}"
-                yield Finding("area preservation", f"{scheme.name} ({method})", passed, detail)
-                continue
+        if scheme.parts:
+            continue
+        if scheme.is_chain:
             determinant = area_factor(model, scheme)
-            # Where the potential or the kinetic energy is linear, every scheme may preserve areas by accident.
-            passed = (determinant == 1) == scheme.symplectic or (determinant == 1 and not curved)
-            detail = f"det = {sympy.sstr(determinant)}, and the scheme is {claim}"
-            yield Finding("area preservation", f"{scheme.name} ({method})", passed, detail)
+            preserved, found = determinant == 1, f"det = {sympy.sstr(determinant)}"
+        else:
+            # The determinant of a step with inner stages is a long expression; for two variables it is S^T J S.
+            defect = defect_at_random_points(forced, step_equations(model, scheme))
+            preserved, found = defect < PRESERVED, f"|det - 1| = {defect:.2g} at random points"
+        # Where the potential or the kinetic energy is linear, any scheme may preserve areas by accident, and so do
+        # symmetric ones where both are quadratic: the map is R(hA) with R(z) R(-z) = 1.
+        accident = preserved and (not curved or (linear and scheme.symmetric))
+        claim = "symplectic" if scheme.symplectic else "not symplectic"
+        passed = preserved == scheme.symplectic or accident
+        yield Finding("area preservation", f"{scheme.name} ({method})", passed, f"{found}, and the scheme is {claim}")
 
 
 def area_factor(model: Model, scheme: Scheme) -> Expr:

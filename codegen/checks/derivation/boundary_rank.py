@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.solution.solutions import free_values
 from codegen.expressions import checks as expressions
@@ -30,10 +30,7 @@ _HOLDS = 1e-6
 
 def check(context: Context) -> Iterator[Finding]:
     """Decompose the scaled Jacobian at the guess and beside it; the larger rank counts. Then look at couplings."""
-    program = context.program
-    if not isinstance(program, ControlProgram):
-        yield does_not_apply("boundary rank", "a simulation has no boundary value problem")
-        return
+    program = context.control
     yield from _rank(context, program)
     if context.model.couplings:
         yield from _couplings(context)

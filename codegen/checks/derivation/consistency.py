@@ -23,12 +23,11 @@ from codegen.checks.derivation.one_step import (
     jacobians,
     solved_step,
     step_equations,
-    without_boundaries,
 )
 from codegen.checks.evaluation import Function, function_of
 from codegen.discretise import STEP
 from codegen.model import Model, legendre
-from codegen.schemes import DiscreteLagrangian, OneStep, Scheme
+from codegen.schemes import Scheme
 
 _STATE = (Rational(3, 5), Rational(4, 7))
 _INSTANT = Rational(1, 3)
@@ -41,7 +40,7 @@ _EXACT = 0.1
 def check(context: Context) -> Iterator[Finding]:
     """Find the first power of h in which one step differs from the flow; the scheme's order is one less."""
     scheme = context.scheme
-    if not _is_expandable(scheme):
+    if scheme.parts or not scheme.is_chain:
         order, error = measured_order(scheme)
         passed = abs(order - scheme.order) < _EXACT
         detail = f"one step departs from the flow like h^{order + 1:.3f} (error {error:.2g} of a short step)"
@@ -59,13 +58,9 @@ def check(context: Context) -> Iterator[Finding]:
     yield Finding("consistency", f"order of {scheme.name}", passed, detail)
 
 
-def _is_expandable(scheme: Scheme) -> bool:
-    return isinstance(scheme, OneStep) or (isinstance(scheme, DiscreteLagrangian) and len(scheme.nodes) == 2)
-
-
 def measured_order(scheme: Scheme) -> tuple[float, float]:
     """The order of the error of one step by two short lengths, and the smaller of both errors."""
-    model = without_boundaries(generic_model())
+    model = generic_model().with_free_ends
     step = step_equations(model, scheme)
     known = [model.time, *step.lengths, *step.left]
     residual = function_of([*known, *step.unknowns], step.equations)
@@ -93,7 +88,7 @@ def _state_after(step: StepEquations, residual: Function, jacobian: Function, le
 @cache
 def _flow_after(divisions: int) -> list[mpmath.mpf]:
     """The exact flow of the generic system over a fraction of the unit of time, by mpmath's Taylor series."""
-    phase = legendre.hamiltonian_form(without_boundaries(generic_model()))
+    phase = legendre.hamiltonian_form(generic_model().with_free_ends)
     rates = function_of([phase.time, *phase.coordinates, *phase.rates], _vector_field(phase))
     with mpmath.workdps(_DIGITS):
         start = [mpmath.mpf(x.p) / x.q for x in _STATE]
@@ -106,7 +101,7 @@ def first_difference(scheme: Scheme, highest: int) -> tuple[int, Expr]:
 
     Zero when they agree up to the highest power.
     """
-    model = without_boundaries(generic_model())
+    model = generic_model().with_free_ends
     step = _step_series(model, scheme, highest)
     flow = _flow_series(model, highest)
     for power in range(1, highest + 1):
@@ -154,7 +149,7 @@ def _step_series(model: Model, scheme: Scheme, highest: int) -> list[list[Expr]]
         for known, value in zip(series, -matrix.LUsolve(left_over), strict=True):
             known.append(value)
     size = len(step.left)
-    if not isinstance(scheme, DiscreteLagrangian):
+    if not scheme.variational:
         return series[-size:]
     # The unknown was the mean velocity V, and q_k1 = q_k + h V.
     half = size // 2
@@ -166,7 +161,7 @@ def _regularised(
     model: Model, scheme: Scheme, step: StepEquations, start: dict[Symbol, Expr]
 ) -> tuple[list[Expr], list[Symbol], list[Expr]]:
     """Equations that are regular at h = 0, their unknowns, and the values of these at h = 0."""
-    if not isinstance(scheme, DiscreteLagrangian):
+    if not scheme.variational:
         states = _STATE * (len(step.unknowns) // len(_STATE))
         return [e.xreplace(start) for e in step.equations], list(step.unknowns), list(states)
     half = len(step.left) // 2

@@ -15,11 +15,11 @@ import sympy
 from sympy import Expr, S, Symbol
 
 from codegen.checks.base import Context, Finding
-from codegen.checks.derivation.one_step import without_boundaries
 from codegen.checks.evaluation import DIGITS, function_of, random_points
-from codegen.discretise import STEP, at_nodes
+from codegen.discretise import STEP, at_nodes, repeated
 from codegen.model import Model, legendre
-from codegen.schemes import Composition, DiscreteLagrangian, RungeKutta, Scheme
+from codegen.schemes import Scheme
+from codegen.schemes.base import DiscreteLagrangian
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 _STEPS = (mpmath.mpf(10) ** -20, mpmath.mpf(10) ** -22)
@@ -28,23 +28,22 @@ _VANISHED = 1e-15
 
 def check(context: Context) -> Iterator[Finding]:
     """Compare both sides at random states, one finding for each equation."""
-    model, program = without_boundaries(context.model), context.program
+    model, program = context.model.with_free_ends, context.program
     forces: list[Symbol] = []
     if program.method == "variational":
         model = legendre.lagrangian_form(model)
         names = [f"equation of motion of {q}" for q in model.coordinates]
         forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(model.holonomic))]
-        scheme = context.scheme.base if isinstance(context.scheme, Composition) else context.scheme
-        assert isinstance(scheme, DiscreteLagrangian)
+        scheme = repeated(context.scheme)[1].discrete_lagrangian()
         share = weight_of_node(scheme)
         discrete = [e / share for e in _nodal(model, node_equations(program), program, forces, scheme)]
         continuous = _euler_lagrange(model, forces)
         rates: list[Symbol] = [*model.rates, *_accelerations(model), *forces]
     else:
-        model = model if model.form == "first-order" else legendre.hamiltonian_form(model)
+        model = legendre.hamiltonian_form(model)
         names = [f"step of {x}" for x in (*model.coordinates, *model.rates)]
         rates = [Symbol(f"rate_{x}", real=True) for x in (*model.coordinates, *model.rates)]
-        discrete = _stepwise(model, _one_step_equations(program), rates, context.scheme)
+        discrete = _stepwise(model, program, rates, context.scheme)
         continuous = _flow(model, rates)
     free = [parameter.symbol for parameter in model.free_parameters]
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, *free, model.time]
@@ -78,7 +77,7 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
     if isinstance(program, ControlProgram):
         left = program.left_symbols[dimension : 2 * dimension]
         right = program.right_symbols[dimension : 2 * dimension]
-        after, before = ([_in_time(program, sympy.diff(program.element, m)) for m in side] for side in (left, right))
+        after, before = ([in_time(program, sympy.diff(program.element, m)) for m in side] for side in (left, right))
         return after, before
     # The last of the step's equations are p - (momentum as a function of both positions).
     momenta = [*program.left_symbols[dimension:], *program.right_symbols[dimension:]]
@@ -87,7 +86,7 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
     return [-value for value in values[:dimension]], values[dimension:]
 
 
-def _in_time(program: ControlProgram | StepProgram, expression: Expr) -> Expr:
+def in_time(program: ControlProgram | StepProgram, expression: Expr) -> Expr:
     """Undo that t and h are fractions of the duration."""
     if not (isinstance(program, ControlProgram) and program.scaled_time):
         return expression
@@ -146,7 +145,7 @@ def _nodal(
     left, right = at_nodes(q, "_k"), at_nodes(q, "_k1")
     earlier = [x - STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
     later = [x + STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
-    controls = _controls(model)
+    controls = constant_controls(program)
     controls |= {
         site: force
         for suffix in ("_k", "_k1")
@@ -173,34 +172,29 @@ def _euler_lagrange(model: Model, forces: Sequence[Symbol]) -> list[Expr]:
     return equations
 
 
-def _one_step_equations(program: ControlProgram | StepProgram) -> list[Expr]:
-    if isinstance(program, StepProgram):
-        whole = {h: STEP / len(program.lengths) for h in program.lengths}
-        return [equation.xreplace(whole) for _, equation in program.equations]
-    return [_in_time(program, equation) for name, equation in program.equations if name == "0"]
+def _stepwise(
+    model: Model, program: ControlProgram | StepProgram, rates: Sequence[Symbol], scheme: Scheme
+) -> list[Expr]:
+    """What leads from the left to the right node on the motion x(t + s h) = x + s h x', for each state.
 
-
-def _stepwise(model: Model, equations: Sequence[Expr], rates: Sequence[Symbol], scheme: Scheme) -> list[Expr]:
-    """The sum of all substeps on the motion x(t + s h) = x + s h x', for each state.
-
-    Of a Runge-Kutta method it is the last of its equations, which leads from one node to the next.
+    That is the sum over the substeps of a chain, else the last of the equations. The substeps of a composition that is
+    stepped are made equal.
     """
-    states = (*model.coordinates, *model.rates)
-    size = len(states)
-    place: dict[Symbol, Expr] = _controls(model)
-    if isinstance(scheme, RungeKutta):
-        equations = equations[-size:]
-        for i, c in enumerate(scheme.places, start=1):
-            sites = zip(at_nodes(states, f"_stage{i}"), states, rates, strict=True)
-            place |= {site: x + c * STEP * rate for site, x, rate in sites}
-    count = len(equations) // size
-    for index in range(count + 1):
-        suffix = "_k" if index == 0 else "_k1" if index == count else f"_stage{index}"
-        share = sympy.Rational(index, count)
-        for node, x, rate in zip(at_nodes(states, suffix), states, rates, strict=True):
-            place[node] = x + share * STEP * rate
-    total = [sum((equations[i + j] for j in range(0, len(equations), size)), sympy.S.Zero) for i in range(size)]
-    return [e.xreplace(place) for e in total]
+    states, equal = (*model.coordinates, *model.rates), dict[Symbol, Expr]()
+    if isinstance(program, StepProgram):
+        lengths, scheme = repeated(scheme)
+        equal = {length: STEP / len(lengths) for length in lengths}
+        equations = [equation for _, equation in program.equations]
+    else:
+        equations = [in_time(program, equation) for name, equation in program.equations if name == "0"]
+    size, places = len(states), scheme.step().places
+    place: dict[Symbol, Expr] = constant_controls(program)
+    suffixes = ("_k", *(f"_stage{n}" for n in range(1, len(places))), "_k1")
+    for suffix, c in zip(suffixes, (S.Zero, *places), strict=True):
+        sites = zip(at_nodes(states, suffix), states, rates, strict=True)
+        place |= {site: x + c * STEP * rate for site, x, rate in sites}
+    leading = equations if scheme.is_chain else equations[-size:]
+    return [sum(leading[i::size], S.Zero).xreplace(place).xreplace(equal) for i in range(size)]
 
 
 def _flow(model: Model, rates: Sequence[Symbol]) -> list[Expr]:
@@ -217,10 +211,8 @@ def _accelerations(model: Model) -> list[Symbol]:
     return [Symbol(f"acceleration_{q}", real=True) for q in model.coordinates]
 
 
-def _controls(model: Model) -> dict[Symbol, Expr]:
+def constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Expr]:
     """Constant controls, wherever they live."""
-    return {
-        site: u
-        for suffix in ("_k", "_k1")
-        for site, u in zip(at_nodes(model.controls, suffix), model.controls, strict=True)
-    }
+    if isinstance(program, StepProgram):
+        return {}
+    return {site: u for u in program.model.controls for site in program.controls_of(u)}

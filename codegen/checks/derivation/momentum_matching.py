@@ -15,14 +15,12 @@ import numpy as np
 import sympy
 from sympy import Expr, Symbol
 
-from codegen import schemes
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
-from codegen.checks.derivation.discrete_equations import constraint_multipliers, node_equations
-from codegen.checks.derivation.one_step import without_boundaries
+from codegen.checks.derivation.discrete_equations import constant_controls, constraint_multipliers, node_equations
 from codegen.checks.derivation.phases import phase_contexts
 from codegen.checks.evaluation import DIGITS, function_of, random_points, vanishing
 from codegen.checks.solution.solutions import free_values
-from codegen.discretise import STEP, at_nodes, variational_interval
+from codegen.discretise import STEP, at_nodes, repeated, variational_interval
 from codegen.model import Boundary, Model, legendre
 from codegen.transcribe.program import ControlProgram, StepProgram
 
@@ -36,7 +34,7 @@ def check(context: Context) -> Iterator[Finding]:
         yield does_not_apply("momentum matching", f"the {program.method} method has no discrete Lagrangian")
         return
     for phase, own in phase_contexts(context):
-        model = legendre.lagrangian_form(without_boundaries(own.model))
+        model = legendre.lagrangian_form(own.model.with_free_ends)
         for finding in (*_matching(own, model), *_limits(own, model)):
             yield replace(finding, subject=f"{phase}{finding.subject}")
     if isinstance(program, ControlProgram):
@@ -45,8 +43,8 @@ def check(context: Context) -> Iterator[Finding]:
 
 def _matching(context: Context, model: Model) -> Iterator[Finding]:
     """The emitted equation of a node against the gradient of the action of its two intervals."""
-    scheme = _discrete_lagrangian(context)
-    interval = variational_interval(model, scheme, context.choices.controls == "nodal")
+    _, scheme = repeated(context.scheme)
+    interval = variational_interval(model, scheme, context.choices.controls)
     after, before = node_equations(context.program)
     left, right = _constraint_impulses(context.program, model)
     for i, q in enumerate(model.coordinates):
@@ -59,13 +57,6 @@ def _matching(context: Context, model: Model) -> Iterator[Finding]:
         if not passed:
             detail = "its emitted equation is not p_k^+ - p_k^- = 0 with p_k^- = -D1 Ld - f-, p_k^+ = D2 Ld + f+"
         yield Finding("momentum matching", f"node equation of {q}", passed, detail)
-
-
-def _discrete_lagrangian(context: Context) -> schemes.DiscreteLagrangian:
-    """The scheme, or what it composes."""
-    scheme = context.scheme.base if isinstance(context.scheme, schemes.Composition) else context.scheme
-    assert isinstance(scheme, schemes.DiscreteLagrangian)
-    return scheme
 
 
 def _constraint_impulses(program: ControlProgram | StepProgram, model: Model) -> tuple[list[Expr], list[Expr]]:
@@ -90,9 +81,10 @@ def _limits(context: Context, model: Model) -> Iterator[Finding]:
     sites = [Symbol(f"{x}_k", real=True) for x in q], [Symbol(f"{x}_k1", real=True) for x in q]
     arrival: dict[Symbol, Expr] = dict(zip(sites[0], q, strict=True))
     arrival |= {site: x + STEP * w for site, x, w in zip(sites[1], q, v, strict=True)}
-    for i, c in enumerate(_discrete_lagrangian(context).nodes[1:-1], start=1):
+    nodes = repeated(context.scheme)[1].discrete_lagrangian().nodes
+    for i, c in enumerate(nodes[1:-1], start=1):
         arrival |= {site: x + c * STEP * w for site, x, w in zip(at_nodes(q, f"_stage{i}"), q, v, strict=True)}
-    arrival |= {Symbol(f"{u}{end}", real=True): u for u in model.controls for end in ("_k", "_k1")}
+    arrival |= constant_controls(context.program)
     free = [parameter.symbol for parameter in model.free_parameters]
     forces = [s for suffix in ("_k", "_k1") for s in constraint_multipliers(context.program, suffix)]
     symbols = [*q, *v, *model.controls, *model.parameters, *free, *forces, model.time]

@@ -12,19 +12,16 @@ import sympy
 from sympy import Expr
 
 from codegen.checks.base import Context, Finding, does_not_apply
-from codegen.checks.derivation.one_step import without_boundaries, without_forces
+from codegen.checks.derivation.one_step import without_forces
 from codegen.checks.evaluation import vanishing
-from codegen.discretise import one_step_interval, variational_interval
+from codegen.discretise import one_step_interval, repeated, variational_interval
 from codegen.model import Model, legendre
-from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
+from codegen.schemes import Scheme
 
 
 def check(context: Context) -> Iterator[Finding]:
     """Prove conservation for every coordinate that the Lagrangian or Hamiltonian does not hold."""
     model = context.model
-    if model.form == "first-order":
-        yield does_not_apply("discrete Noether", "a first-order system has no momenta")
-        return
     cyclic = [i for i, q in enumerate(model.coordinates) if not model.function.has(q)]
     if not cyclic:
         yield does_not_apply("discrete Noether", f"no coordinate is cyclic in the {model.form.capitalize()}")
@@ -47,18 +44,13 @@ def momentum_change(model: Model, scheme: Scheme, i: int) -> Expr:
 
     A composition conserves what its base does.
     """
-    model = without_forces(without_boundaries(model))
-    if isinstance(scheme, Composition):
-        scheme = scheme.base
-    if isinstance(scheme, DiscreteLagrangian):
+    model = without_forces(model.with_free_ends)
+    _, scheme = repeated(scheme)
+    if scheme.variational:
         interval = variational_interval(legendre.lagrangian_form(model), scheme)
         inner = interval.inner[i :: len(model.coordinates)]
         places = (interval.q.left[i], interval.q.right[i], *inner)
         return sum((sympy.diff(interval.lagrangian, q) for q in places), sympy.S.Zero)
-    assert isinstance(scheme, OneStep | RungeKutta)
-    step = one_step_interval(legendre.hamiltonian_form(model), scheme)
-    dimension = len(model.coordinates)
-    if isinstance(scheme, RungeKutta):
-        return step.equations[len(step.stages) + dimension + i] - (step.p.right[i] - step.p.left[i])
-    momenta = step.equations[dimension + i :: 2 * dimension]
-    return sum(momenta, sympy.S.Zero) - (step.p.right[i] - step.p.left[i])
+    step, dimension = one_step_interval(legendre.hamiltonian_form(model), scheme), len(model.coordinates)
+    equations = step.equations if scheme.is_chain else step.equations[-2 * dimension :]
+    return sum(equations[dimension + i :: 2 * dimension], sympy.S.Zero) - (step.p.right[i] - step.p.left[i])

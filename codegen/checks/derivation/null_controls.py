@@ -25,10 +25,7 @@ _ALLOWED = 0.1
 
 def check(context: Context) -> Iterator[Finding]:
     """Look for the alternating mode of nodal controls, and for free modes of interval controls, control by control."""
-    program = context.program
-    if not isinstance(program, ControlProgram):
-        yield does_not_apply("null controls", "a simulation has no controls to be found")
-        return
+    program = context.control
     if not program.model.controls:
         yield does_not_apply("null controls", "there are no controls")
         return
@@ -80,13 +77,14 @@ def _nodal(program: ControlProgram, u: Symbol) -> tuple[Finding, bool]:
 
 
 def _interval(program: ControlProgram, u: Symbol) -> Finding:
-    """With one control an interval a free mode would have to be free within an interval."""
-    (site,) = at_nodes([u], "_k")
-    passed = not (bool(vanishing(program.cost.diff(site))) and _is_penalised(program, u))
-    detail = "none: the discrete cost sees the control of every interval" if passed else f"{site} costs nothing"
+    """With controls of its own for each interval, or stage, a free mode would have to be free within one."""
+    unseen = [site for site in program.controls_of(u) if vanishing(program.cost.diff(site))]
+    passed = not (unseen and _is_penalised(program, u))
+    where = "stage" if program.controlled == "stages" else "interval"
+    detail = f"none: the discrete cost sees the control of every {where}" if passed else f"{unseen[0]} costs nothing"
     if passed and not _is_penalised(program, u):
         detail = "none of the discretisation: the problem's own cost does not hold it"
-    return Finding("null controls", f"interval control {u}", passed, detail)
+    return Finding("null controls", f"{where} control {u}", passed, detail)
 
 
 def _is_penalised(program: ControlProgram, u: Symbol) -> bool:

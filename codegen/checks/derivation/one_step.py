@@ -13,10 +13,10 @@ from sympy import Expr, Matrix, S, Symbol
 from codegen.author.problem import Simulate
 from codegen.author.symbols import coordinate, time
 from codegen.checks.evaluation import Function
-from codegen.discretise import STEP, at_nodes, one_step_interval, step_lengths, variational_interval
+from codegen.discretise import STEP, at_nodes, one_step_interval, repeated, variational_interval
 from codegen.errors import NumericsError
-from codegen.model import Boundary, Model, legendre, normalise
-from codegen.schemes import Composition, DiscreteLagrangian, OneStep, RungeKutta, Scheme
+from codegen.model import Model, legendre, normalise
+from codegen.schemes import Scheme
 
 _MOST_ITERATIONS = 60
 
@@ -59,23 +59,21 @@ def step_equations(model: Model, scheme: Scheme) -> StepEquations:
 
     Raises what the Legendre transforms raise.
     """
-    model = without_boundaries(model)
-    if isinstance(scheme, Composition):
-        lengths = step_lengths(scheme)
-        part = step_equations(model, scheme.part(lengths, STEP))
-        return replace(part, lengths=lengths, fractions=scheme.fractions)
-    if isinstance(scheme, OneStep | RungeKutta):
+    model = model.with_free_ends
+    lengths, part = repeated(scheme)
+    if not part.variational:
         phase = legendre.hamiltonian_form(model)
-        step = one_step_interval(phase, scheme)
-        return StepEquations((*step.q.left, *step.p.left), step.stages, (*step.q.right, *step.p.right), step.equations)
-    assert isinstance(scheme, DiscreteLagrangian)
-    interval = variational_interval(legendre.lagrangian_form(model), scheme)
+        step = one_step_interval(phase, part)
+        left, right = (*step.q.left, *step.p.left), (*step.q.right, *step.p.right)
+        return StepEquations(left, step.stages, right, step.equations, lengths, scheme.parts)
+    interval = variational_interval(legendre.lagrangian_form(model), part)
     momenta = model.rates if model.form == "hamiltonian" else legendre.conjugate_symbols(model)
     left, right = at_nodes(momenta, "_k"), at_nodes(momenta, "_k1")
     equations = [*interval.inner_balance]
     equations += [p - momentum for p, momentum in zip(left, interval.left_momentum, strict=True)]
     equations += [p - momentum for p, momentum in zip(right, interval.right_momentum, strict=True)]
-    return StepEquations((*interval.q.left, *left), interval.inner, (*interval.q.right, *right), tuple(equations))
+    left, right = (*interval.q.left, *left), (*interval.q.right, *right)
+    return StepEquations(left, interval.inner, right, tuple(equations), lengths, scheme.parts)
 
 
 def solved_step(residual: Function, jacobian: Function, given: Sequence[Any], start: Sequence[Any]) -> list[Any]:
@@ -97,12 +95,6 @@ def solved_step(residual: Function, jacobian: Function, given: Sequence[Any], st
         if max(abs(x) for x in change) <= least * (1 + max(abs(x) for x in y)):
             return y
     raise NumericsError("the equations of a step could not be solved", "check the scheme")
-
-
-def without_boundaries(model: Model) -> Model:
-    """The model with both ends free, whose Legendre transforms cannot fail for the sake of an end."""
-    free = Boundary((None,) * len(model.coordinates), (None,) * len(model.coordinates))
-    return replace(model, start=free, end=free)
 
 
 def without_forces(model: Model) -> Model:

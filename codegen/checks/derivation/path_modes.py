@@ -20,7 +20,7 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.discretise import STEP, PathValue, one_step_interval, variational_interval
 from codegen.model import Condition, Model
-from codegen.schemes import DiscreteLagrangian, Scheme
+from codegen.schemes import Scheme
 from codegen.transcribe.assembly import scaled_in_time
 from codegen.transcribe.path_conditions import is_convex, nodal_conditions
 from codegen.transcribe.program import ControlProgram
@@ -34,10 +34,7 @@ _FALLS = 0.75
 
 def check(context: Context) -> Iterator[Finding]:
     """Say for every condition on states where it holds; where it need not hold, measure it at two solutions."""
-    program = context.program
-    if not isinstance(program, ControlProgram):
-        yield does_not_apply(_NAME, "a simulation has no path conditions")
-        return
+    program = context.control
     conditions = _conditions(program.model)
     if program.phases or not conditions:
         reason = "there are several phases" if program.phases else "there are no conditions on states alone"
@@ -81,9 +78,9 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
 
 def _values(program: ControlProgram, scheme: Scheme, condition: Condition) -> Sequence[PathValue]:
     model = replace(program.model, path=(condition,))
-    if isinstance(scheme, DiscreteLagrangian):
-        return variational_interval(model, scheme, program.nodal_controls).path
-    return one_step_interval(model, scheme, program.nodal_controls).path  # type: ignore[arg-type]
+    if scheme.variational:
+        return variational_interval(model, scheme, program.controlled).path
+    return one_step_interval(model, scheme, program.controlled).path
 
 
 def _imposed(program: ControlProgram) -> Iterator[Expr]:

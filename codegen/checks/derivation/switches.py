@@ -15,7 +15,6 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
-from codegen.checks.derivation.one_step import without_boundaries
 from codegen.checks.derivation.phases import phase_alone
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import other_symbols
@@ -51,7 +50,7 @@ def check(context: Context) -> Iterator[Finding]:
 def _before(context: Context, number: int, node: int) -> Numbers:
     """Parameters, and what the author's coordinates and rates are at a switch before it."""
     chain, solution = context.model, context.solution
-    model = without_boundaries(chain.phases[number - 1])
+    model = chain.phases[number - 1].with_free_ends
     numbers: Numbers = dict(chain.default_values) | {chain.time: float(solution.t[node])}
     symbols = (parameter.symbol for parameter in chain.free_parameters)
     numbers |= dict(zip(symbols, map(float, free_values(context.module, solution)), strict=True))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import mpmath
 import sympy
 
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding
 from codegen.checks.derivation.one_step import (
     StepEquations,
     generic_model,
@@ -26,7 +26,7 @@ from codegen.checks.evaluation import function_of, random_points, symbols_of
 from codegen.errors import NumericsError
 from codegen.expressions.zeros import identically_zero
 from codegen.model import Model
-from codegen.schemes import RungeKutta
+from codegen.schemes.step import Tableau
 
 _DIGITS = 50
 PRESERVED = 1e-35
@@ -40,9 +40,6 @@ _SHORTER = 6
 def check(context: Context) -> Iterator[Finding]:
     """Prove or refute the identity for the chosen scheme, forces left out."""
     scheme = context.scheme
-    if context.model.form == "first-order":
-        yield does_not_apply("symplecticity", "a first-order system has no symplectic form")
-        return
     if not scheme.symplectic:
         defect = defect_at_random_points(generic_model_without_forces(), scheme_step(context, generic=True))
         detail = f"not claimed, and violated by a generic system: |S^T J S - J| = {defect:.2g}"
@@ -50,8 +47,8 @@ def check(context: Context) -> Iterator[Finding]:
             detail = f"not claimed, but |S^T J S - J| = {defect:.2g} for a generic system; flag it as symplectic"
         yield Finding("symplecticity", scheme.name, defect > _VIOLATED, detail)
         return
-    if isinstance(scheme, RungeKutta):
-        passed = has_symplectic_table(scheme)
+    if not (scheme.variational or scheme.is_chain):
+        passed = has_symplectic_table(scheme.step().tableau)
         detail = "b_i a_ij + b_j a_ji = b_i b_j, exactly" if passed else "b_i a_ij + b_j a_ji = b_i b_j does not hold"
         yield Finding("symplecticity", scheme.name, passed, f"{detail} (a_ij of the momenta, a_ji of the coordinates)")
         return
@@ -75,9 +72,9 @@ def generic_model_without_forces() -> Model:
     return without_forces(generic_model())
 
 
-def has_symplectic_table(scheme: RungeKutta) -> bool:
-    """Whether the tables satisfy the condition for partitioned methods (HLW, theorem VI.4.6)."""
-    b, a, c = scheme.weights, scheme.positions, scheme.momenta
+def has_symplectic_table(table: Tableau) -> bool:
+    """Whether a table satisfies the condition for partitioned methods (HLW, theorem VI.4.6)."""
+    b, a, c = table.weights, table.positions, table.momenta
     places = range(len(b))
     return all(sympy.expand(b[i] * c[i][j] + b[j] * a[j][i] - b[i] * b[j]) == 0 for i in places for j in places)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
-from codegen.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.evaluation import DIGITS, Function, directional, function_of, gradient
 from codegen.checks.module.agreement import Agreement
 from codegen.checks.module.flat_vector import FlatVector
@@ -44,10 +44,7 @@ class _Share:
 
 def check(context: Context) -> Iterator[Finding]:
     """Compare gradient, matrix and step at a point beside the initial guess."""
-    program = context.program
-    if not isinstance(program, ControlProgram):
-        yield does_not_apply("assembly", "a simulation solves step after step")
-        return
+    program = context.control
     module, flat = context.module, FlatVector.on_grid(program, _STEPS)
     grid = module.make_grid(_STEPS)
     shares = list(_shares(context, program, flat, grid.parameters))

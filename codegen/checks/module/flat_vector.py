@@ -96,10 +96,9 @@ class FlatVector:
         """Which unknowns multiply an equation."""
         chain = [*[u.multiplier for u in self.inside] * self.steps, *[u.multiplier for u in self.program.node]]
         shared = np.zeros(self.size - self.first_shared, bool)
-        common = [u.multiplier for u in self.program.shared[self.program.own :]]
-        first = self.first_coupling - self.first_shared
-        shared[first - len(common) : first] = common
-        shared[first:] = True
+        shared[self.first_coupling - self.first_shared :] = True
+        for body in range(self.program.bodies):
+            shared[self.shared(body) - self.first_shared] = [u.multiplier for u in self.program.shared]
         return np.concatenate([np.tile(np.array(chain, bool), self.program.bodies), shared])
 
     def free(self) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ import sympy
 from numpy.typing import NDArray
 from sympy import Expr
 
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.expressions import checks as expressions
 from codegen.model import Model
@@ -30,10 +30,7 @@ _Limits: TypeAlias = dict[str, tuple[Expr | None, Expr | None]]
 
 def check(context: Context) -> Iterator[Finding]:
     """Compare the table of parameters, pinned values and bounds, entry by entry."""
-    program = context.program
-    if not isinstance(program, ControlProgram):
-        yield does_not_apply("given values", "a simulation gives no values but those of its start")
-        return
+    program = context.control
     yield _parameters(context, program)
     yield _pinned(context, program)
     yield _bounds(context, program)

@@ -125,6 +125,7 @@ def _tables(program: ControlProgram) -> dict[str, list[Any]]:
         inside = range(len(program.interval) + len(program.controls) + len(program.slacks))
         tables["PHASE_LACKS"] = [[i in phase.regular.lacking for i in inside] for phase in program.phases]
         tables["SWITCH_LACKS"] = [[i in phase.elements[0].lacking for i in inside] for phase in program.phases[1:]]
+    if any(u.multiplier for u in program.shared):
         tables["SHARED_IS_MULTIPLIER"] = [u.multiplier for u in program.shared]
     return tables
 

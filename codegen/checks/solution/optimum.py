@@ -16,7 +16,6 @@ from codegen.analysis.maximum_principle import beyond_maximum_principle
 from codegen.analysis.reference_optimum import reference_optimum
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.errors import CodegenError
-from codegen.transcribe.program import ControlProgram
 
 _OF_CONTROLS = 2
 """The order of piecewise constant controls."""
@@ -30,9 +29,6 @@ _SECONDS = 30.0
 
 def check(context: Context) -> Iterator[Finding]:
     """Solve on N, 2N and 4N intervals, more if need be, and compare with the optimum of the continuous problem."""
-    if not isinstance(context.program, ControlProgram):
-        yield does_not_apply("optimum", "a simulation minimises nothing")
-        return
     reason = beyond_maximum_principle(context.model)
     if reason:
         yield does_not_apply(

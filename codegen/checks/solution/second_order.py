@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.checks.base import Context, Finding, not_measured
 from codegen.transcribe.program import ControlProgram
 
 _NOTHING = (1e-9, 1e-8, 1e-7)
@@ -25,18 +25,15 @@ more than the second is needed to hold it fast, and it would be infinite on the 
 
 def check(context: Context) -> Iterator[Finding]:
     """Count the negative eigenvalues at the solution by a symmetric elimination, which is exact."""
-    if not isinstance(context.program, ControlProgram):
-        yield does_not_apply("second-order condition", "a simulation minimises nothing")
-        return
     module, solution = context.module, context.solution
     subject = f"solution on {solution.t.size - 1} intervals"
     if solution.status != "solved":
         yield not_measured("second-order condition", subject, solution.message)
         return
-    grid = module.make_grid((solution.t.size - 1) // max(1, len(context.program.phases)))
+    grid = module.make_grid((solution.t.size - 1) // max(1, len(context.control.phases)))
     diagonal = held_by_bounds(module, grid, solution.unknowns)
     sizes = sizes_of_curvature(module, grid, solution.unknowns)
-    sizes[slacks(context.program, module, grid)] = 0.0  # they follow from other unknowns
+    sizes[slacks(context.control, module, grid)] = 0.0  # they follow from other unknowns
     passed, detail = _judged(module, grid, solution.unknowns, diagonal, sizes)
     if module.metadata["inequalities"]:
         detail += f" ({np.count_nonzero(diagonal > _HELD)} unknowns are held by bounds)"

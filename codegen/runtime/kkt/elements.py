@@ -19,9 +19,9 @@ from codegen.runtime.stand_ins.example import (
     IS_MULTIPLIER,
     NODE,
     ONLY_AT_ENDS,
-    PHASES,
     SHARED,
     SHARED_IS_MULTIPLIER,
+    SHARED_MULTIPLIERS,
     START_PINNED,
     START_SHARED,
     START_SHARED_PLACES,
@@ -51,7 +51,7 @@ WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0
 if CARRIED:
     RIGHT = ROWS  # the column of the right-hand side
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
-if PHASES:
+if SHARED_MULTIPLIERS:
     LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
 # The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])

@@ -82,6 +82,33 @@ if SCALED:
         return local if local < NODE else STRIDE + local - NODE
 
 
+@njit(error_model="numpy")
+def add_end_terms(unknowns, body, steps, h, parameters, sums):
+    """Add the absolute terms |K| |x| of the ends' own shares to those of each row."""
+    first = body * (steps * STRIDE + NODE)
+    last = first + steps * STRIDE
+    entries = zero_vector(START_HESSIAN_ROWS.size)
+    start_hessian(unknowns[first : first + NODE], 0.0, parameters, entries)
+    add_terms(unknowns, body, first, entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, sums)
+    entries = zero_vector(END_HESSIAN_ROWS.size)
+    end_hessian(unknowns[last : last + NODE], steps * h, parameters, entries)
+    add_terms(unknowns, body, last, entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, sums)
+
+
+@njit(error_model="numpy")
+def add_terms(unknowns, body, first, entries, rows, columns, sums):
+    """Add the absolute terms of one end, whose node begins at the unknown `first`."""
+    for j in range(entries.size):
+        row, column = first + rows[j], first + columns[j]
+        if SHARED and rows[j] >= NODE:
+            row = unknowns.size - ROOT + root_place(body, rows[j] - NODE)
+        if SHARED and columns[j] >= NODE:
+            column = unknowns.size - ROOT + root_place(body, columns[j] - NODE)
+        sums[row] += abs(entries[j] * unknowns[column])
+        if row != column:
+            sums[column] += abs(entries[j] * unknowns[row])
+
+
 def end_entries(grid, unknowns):
     """Entries (rows, columns, values) that the ends add to the lower triangle of the KKT matrix."""
     chain = grid.steps * STRIDE + NODE

@@ -20,6 +20,11 @@ if SCALED:
         """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
 
 
+@njit(error_model="numpy", inline="always")
+def add_end_terms(unknowns, body, steps, h, parameters, sums):
+    """Add the absolute terms of the ends' own shares: there are none."""
+
+
 def end_entries(grid, unknowns):
     """Entries (rows, columns, values) that the ends add to the lower triangle of the KKT matrix: none."""
     return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)

@@ -198,11 +198,12 @@ def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
     length = step.longest
     while length > shortest:
         trial = moved(search, iterate, step.primal, length)
-        if not is_better(trial, iterate, step, length, mu, small_violation, filtered):
-            worse = length == step.longest and trial[0].violation >= iterate.point.violation
-            trial = corrected(search, iterate, step, mu, trial, small_violation, filtered) if worse else None
-        if trial is not None:
+        if is_better(trial, iterate, step, length, mu, small_violation, filtered):
             return with_duals(trial, iterate, step, mu), length
+        if length == step.longest and trial[0].violation >= iterate.point.violation:
+            better = corrected(search, iterate, step, mu, trial, small_violation, filtered)
+            if better is not None:
+                return better, length
         length *= 0.5
     return None, length
 
@@ -247,9 +248,12 @@ def moved(search, iterate, step, length):
 
 
 def corrected(search, iterate, step, mu, trial, small_violation, filtered):
-    """A trial after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong."""
+    """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
+
+    Duals follow the corrected step: those of the step that was refused belong to other distances.
+    """
     grid, bounds, system, *_ = search
-    right, correction, unused = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
+    right, correction, dual = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
     barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
     residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
     for _ in range(CORRECTIONS):
@@ -258,10 +262,11 @@ def corrected(search, iterate, step, mu, trial, small_violation, filtered):
         solve_kkt(grid, system, right, correction)
         if not np.isfinite(correction).all():
             return None
-        _, length, _ = measure_step(iterate.point.unknowns, right, correction, *barrier, max(0.99, 1.0 - mu), unused)
+        tau = max(0.99, 1.0 - mu)
+        _, length, dual_length = measure_step(iterate.point.unknowns, right, correction, *barrier, tau, dual)
         trial = moved(search, iterate, correction, length)
         if is_better(trial, iterate, step, step.longest, mu, small_violation, filtered):
-            return trial
+            return with_duals(trial, iterate, step._replace(dual=dual, dual_length=dual_length), mu)
         if not trial[0].violation < 0.99 * last:
             return None
         last = trial[0].violation

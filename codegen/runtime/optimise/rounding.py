@@ -3,6 +3,7 @@
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
+from codegen.runtime.kkt.ends_flat import add_end_terms
 from codegen.runtime.stand_ins.example import (
     BODIES,
     ELEMENT,
@@ -48,6 +49,7 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])
+        add_end_terms(unknowns, body, steps, h, parameters[body], sums)
     equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if SCALED and sizes.size:

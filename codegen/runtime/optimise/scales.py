@@ -32,6 +32,7 @@ from codegen.runtime.optimise.verdict import VIOLATED, final_status, own_values
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
+WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -61,7 +62,7 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
 
     Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
-    that fails, what was found is a solution only where the equations nearly hold in the sizes that they have there.
+    that fails, what was found is a solution only where all conditions nearly hold in the sizes that they have there.
     """
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
@@ -76,12 +77,22 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            holds = evaluate(finer, begin).residual <= VIOLATED
-            return ("solved", grid, start, point, total) if holds else (status, finer, begin, better, total)
+            found = ("solved", grid, start, point) if nearly_holds(finer, same) else (status, finer, begin, better)
+            return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
             break
     return "solved", grid, start, point, total
+
+
+def nearly_holds(grid, point):
+    """Whether equations hold but for VIOLATED, and stationarity too: slopes that no bound holds, beside multipliers."""
+    slope = np.where(grid.is_multiplier, 0.0, point.gradient)
+    if INEQUALITIES:
+        lower, upper = bounds_of(grid)
+        slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
+    mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
+    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
 
 
 def is_steeper(finer, grid):

@@ -12,9 +12,11 @@ from codegen.runtime.stand_ins.example import (
     IS_MULTIPLIER,
     NODE,
     ONLY_AT_ENDS,
+    OWN,
     PHASES,
     ROOT,
     SHARED_IS_MULTIPLIER,
+    SHARED_MULTIPLIERS,
     START_PINNED,
     STRIDE,
 )
@@ -40,8 +42,10 @@ def layout(steps):
     chains[:, -NODE:] = IS_MULTIPLIER[:NODE]
     if COUPLINGS:
         is_multiplier[is_multiplier.size - COUPLINGS :] = True
-    if PHASES:
-        is_multiplier[BODIES * chain :] = SHARED_IS_MULTIPLIER
+    if SHARED_MULTIPLIERS:
+        first = BODIES * (chain + OWN)
+        is_multiplier[BODIES * chain : first].reshape(BODIES, OWN)[:] = SHARED_IS_MULTIPLIER[:OWN]
+        is_multiplier[first : is_multiplier.size - COUPLINGS] = SHARED_IS_MULTIPLIER[OWN:]
     chains = is_free[: BODIES * chain].reshape(BODIES, chain)
     for i in ONLY_AT_ENDS:
         chains[:, i + STRIDE : -NODE : STRIDE] = False

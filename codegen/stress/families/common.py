@@ -6,6 +6,8 @@ import math
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from codegen import schemes
+from codegen.schemes import Scheme, particles
 from codegen.stress.cases import Setup
 from codegen.stress.linear import swing
 from codegen.stress.systems import LIMITS
@@ -15,23 +17,13 @@ PROBLEMS = Path(__file__).parents[1] / "problems"
 SchemeOf: TypeAlias = tuple[str | None, str]
 """A method, None for particles, and a scheme."""
 
-ORDERS = {
-    "midpoint": 2, "stormer-verlet": 2, "trapezoidal": 2, "rk4": 4, "gauss-4": 4, "lobatto-4": 4, "yoshida-4": 4,
-    "suzuki-4": 4, "mclachlan-4": 4, "blanes-moan-4": 4, "gauss-6": 6, "yoshida-6": 6, "kahan-li-6": 6,
-    "blanes-moan-6": 6, "butcher-6": 6, "yoshida-8": 8, "kahan-li-8": 8,
-}  # fmt: skip
-"""Orders of the schemes that have more than one; a scheme of higher order is added here, and below to the schemes."""
-
-HIGHER_ORDER: tuple[SchemeOf, ...] = (
-    *(("hamiltonian", name) for name in ORDERS if ORDERS[name] > 2 and name != "butcher-6"),
-    *(("variational", name) for name in ("gauss-4", "gauss-6", "lobatto-4")),
+HIGHER_ORDER: tuple[SchemeOf, ...] = tuple(
+    (method, name)
+    for method in ("hamiltonian", "variational")
+    for name, scheme in schemes.METHODS[method].items()
+    if scheme.order > 2 and name in LIMITS
 )
 """Schemes of higher order for mechanical systems; what is tried with them is a family of its own."""
-
-SYMPLECTIC = (
-    "symplectic-euler", "symplectic-euler-adjoint", "stormer-verlet", "midpoint", "rectangle", "trapezoidal",
-    *(name for name in ORDERS if ORDERS[name] > 2 and name not in ("rk4", "butcher-6")),
-)  # fmt: skip
 
 EVERY_SCHEME: tuple[SchemeOf, ...] = (
     ("hamiltonian", "explicit-euler"),
@@ -56,9 +48,10 @@ def setup(problem: str, scheme: SchemeOf | None = None, **arguments: Any) -> Set
     return Setup(PROBLEMS / f"{problem}.py", name, method, tuple(arguments.items()))
 
 
-def order_of(scheme: SchemeOf) -> int:
-    """The order of a scheme."""
-    return ORDERS.get(scheme[1], 1)
+def registered(scheme: SchemeOf) -> Scheme:
+    """What the registry says of a scheme."""
+    method, name = scheme
+    return schemes.find(name, method) if method else particles.find(name, "connect")
 
 
 def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
@@ -69,7 +62,7 @@ def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
     three times these are allowed, for the nonlinear terms. Of schemes of higher order the constants are below 0.03 on
     the oscillator (`codegen.stress.linear`), and less than one is allowed.
     """
-    order = order_of(scheme)
+    order = registered(scheme).order
     error = h_omega**order * (1.0 + phase) / (4.0 if order == 2 else 1.0)
     return error if h_omega < 0.5 and error < 0.5 else math.nan
 
@@ -80,11 +73,11 @@ def oscillation(scheme: SchemeOf, h_omega: float) -> float:
     Symplectic Euler keeps p^2 + w^2 q^2 - h w^2 q p, Störmer-Verlet p^2 + w^2 q^2 (1 - (h w)^2/4), and the midpoint
     rule the energy itself, as Gauss' methods do; what other schemes of higher order keep follows from their tables.
     """
-    if scheme in HIGHER_ORDER and scheme[1] in SYMPLECTIC:
+    if scheme in HIGHER_ORDER and registered(scheme).symplectic:
         return 1e-6 + (1.1 * swing(scheme[1], h_omega) if h_omega < LIMITS[scheme[1]] else 0.1)
     half = h_omega / 2.0
     if scheme[1] == "midpoint":
         return 1e-6
-    if half >= 1.0 or scheme[1] not in SYMPLECTIC:
+    if half >= 1.0 or not registered(scheme).symplectic:
         return 0.1
-    return 1.1 * (half**2 / (1.0 - half**2) if order_of(scheme) == 2 else 2.0 * half / (1.0 - half))
+    return 1.1 * (half**2 / (1.0 - half**2) if registered(scheme).order == 2 else 2.0 * half / (1.0 - half))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from codegen.stress.cases import Case
 from codegen.stress.families import orbits, particles, stiff
-from codegen.stress.families.common import HIGHER_ORDER, SchemeOf, order_of, promised, setup
+from codegen.stress.families.common import HIGHER_ORDER, SchemeOf, promised, registered, setup
 
 KEPLER_SCHEMES = tuple(("hamiltonian", name) for name in ("rk4", "gauss-4", "yoshida-4", "blanes-moan-6", "kahan-li-8"))
 SPRING_SCHEMES = tuple(("hamiltonian", name) for name in ("gauss-4", "yoshida-4", "blanes-moan-6"))
@@ -46,7 +46,7 @@ def cases() -> Iterator[Case]:
 
 def _steps(scheme: SchemeOf, e: float) -> tuple[int, ...]:
     """Too few steps for all but round ellipses, and steps of a tenth of the time that the closest approach takes."""
-    return 300, math.ceil(3.0 * math.pi * orbits.pericentre_rate(e) / (0.1 if order_of(scheme) < 8 else 0.2))
+    return 300, math.ceil(3.0 * math.pi * orbits.pericentre_rate(e) / (0.1 if registered(scheme).order < 8 else 0.2))
 
 
 def _horizons(scheme: SchemeOf) -> Iterator[Case]:

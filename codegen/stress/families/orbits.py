@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from codegen.stress.cases import Case
-from codegen.stress.families.common import STIFF_SCHEMES, SYMPLECTIC, SchemeOf, order_of, promised, setup
+from codegen.stress.families.common import STIFF_SCHEMES, SchemeOf, promised, registered, setup
 from codegen.stress.textbook import TEXTBOOK
 
 KEPLER_SCHEMES = tuple(scheme for scheme in STIFF_SCHEMES if scheme[1] != "implicit-euler")
@@ -31,7 +31,7 @@ def cases() -> Iterator[Case]:
 
 
 def _steps(scheme: SchemeOf, e: float) -> tuple[int, ...]:
-    resolved = math.ceil(2.0 * math.pi * pericentre_rate(e) / (0.02 if order_of(scheme) > 1 else 0.005))
+    resolved = math.ceil(2.0 * math.pi * pericentre_rate(e) / (0.02 if registered(scheme).order > 1 else 0.005))
     return (1000, resolved) if resolved <= 2_000_000 else (1000, 1_000_000)
 
 
@@ -41,21 +41,21 @@ def ellipse(scheme: SchemeOf, e: float, steps: int) -> Case:
     h_omega = duration / steps * pericentre_rate(e)
     # The phase that counts is the fast one: half a turn or so at each of two passages.
     bound = promised(scheme, h_omega, 2.0 * math.pi)
-    if order_of(scheme) > 2:
+    if registered(scheme).order > 2:
         # The kinetic energy there is 1/(1 - e) times that of a circle, and its error one of the time of return.
         bound = bound / (1.0 - e) if bound / (1.0 - e) < 0.5 else math.nan
     expect, reason = "unsuitable", "a step as long as the closest approach lasts, or longer, throws the body off"
-    if scheme[1] not in SYMPLECTIC and order_of(scheme) == 1:
+    if not registered(scheme).symplectic and registered(scheme).order == 1:
         expect, reason = "unsuitable", "not symplectic: the body spirals outwards"
         bound = math.nan
     elif math.isfinite(bound):
         expect, reason = "accurate", "the step resolves the closest approach"
-    elif order_of(scheme) > 2 and h_omega < 2.0:
+    elif registered(scheme).order > 2 and h_omega < 2.0:
         expect, reason = "bounded", "a high order may pass the closest approach in steps as long as that lasts"
     return Case(
         f"Kepler, e = {e:g}, {steps} steps", "orbits", setup("kepler", scheme), expect, reason, steps,
         (("start", start(e)), ("duration", duration)), every=max(1, steps // 2000), reference="kepler", bound=bound,
-        drift=0.1 if scheme[1] in SYMPLECTIC else 0.01, h_omega=h_omega,
+        drift=0.1 if registered(scheme).symplectic else 0.01, h_omega=h_omega,
         allowed=("unsuitable",) if expect == "bounded" else (),
         textbook=steps <= 2000 and scheme[1] in TEXTBOOK,
     )  # fmt: skip

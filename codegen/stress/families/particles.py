@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from codegen.stress.cases import Case
-from codegen.stress.families.common import SchemeOf, order_of, promised, setup
+from codegen.stress.families.common import SchemeOf, promised, registered, setup
 
 CONNECT_SCHEMES = ("midpoint", "explicit-euler")
 PAIR_SCHEMES = ("stormer-verlet", "symplectic-euler")
@@ -41,7 +41,7 @@ def pair(distance: float, stretch: float) -> Rows:
 def landmarks(scheme: SchemeOf) -> Iterator[Case]:
     """One, two and six landmarks in the unit disc."""
     made = setup("landmarks", scheme)
-    steps, order = 20, order_of(scheme)
+    steps, order = 20, registered(scheme).order
 
     def case(name: str, expect: str, reason: str, points: Rows, reference: str = "", bound: float = NAN,
              allowed: tuple[str, ...] = (), number: int = steps, **more: float) -> Case:  # fmt: skip
@@ -102,7 +102,7 @@ def landmarks(scheme: SchemeOf) -> Iterator[Case]:
 def bodies(scheme: SchemeOf) -> Iterator[Case]:
     """Two bodies that circle each other at unit distance."""
     made = setup("gravity", scheme)
-    h, steps = (0.01, 2000) if order_of(scheme) < 4 else (0.1, 200)
+    h, steps = (0.01, 2000) if registered(scheme).order < 4 else (0.1, 200)
     for ratio in (1.0, 1e-6, 1e-12):
         speed = math.sqrt(1.0 + ratio)
         near, far = ratio / (1.0 + ratio), 1.0 / (1.0 + ratio)

@@ -9,11 +9,10 @@ from codegen.stress.cases import Case
 from codegen.stress.families.common import (
     EVERY_SCHEME,
     STIFF_SCHEMES,
-    SYMPLECTIC,
     SchemeOf,
-    order_of,
     oscillation,
     promised,
+    registered,
     setup,
 )
 from codegen.stress.systems import LIMITS
@@ -39,10 +38,10 @@ def expectation(scheme: SchemeOf, h_omega: float, bound: float) -> tuple[str, st
     name = scheme[1]
     if math.isfinite(bound):
         return "accurate", "the step resolves the oscillation"
-    if name not in SYMPLECTIC:
+    if not registered(scheme).symplectic:
         if 0.0 < LIMITS[name] < h_omega:
             return "unsuitable", f"not symplectic, and stable only for h omega < {LIMITS[name]:g}"
-        grows, power = "grows" if LIMITS[name] == 0.0 else "is damped", 2 if order_of(scheme) == 1 else 6
+        grows, power = "grows" if LIMITS[name] == 0.0 else "is damped", 2 if registered(scheme).order == 1 else 6
         return "unsuitable", f"not symplectic: the energy {grows} by about (h omega)^{power} in every step"
     if h_omega < LIMITS[name]:
         limit = "any step" if math.isinf(LIMITS[name]) else f"h omega < {LIMITS[name]:g}"

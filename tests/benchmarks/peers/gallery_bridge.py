@@ -8,8 +8,8 @@ import numpy as np
 
 from codegen.compiler import build
 from codegen.loading import load
+from codegen.machine_code.ahead import prepare
 from codegen.machine_code.processes import compilers
-from codegen.solving import prepare
 
 from .casadi_gallery import Array, PreparedGallery
 

@@ -11,9 +11,9 @@ from codegen.compiler import build
 from codegen.drivers.ipopt import _Callbacks
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.loading import load
+from codegen.machine_code.ahead import prepare
 from codegen.machine_code.processes import compilers
-from codegen.solutions.result import Request
-from codegen.solving import prepare
+from codegen.solutions.result import Run
 
 from .casadi_gallery import Array
 from .gallery_bridge import PROBLEMS, perturbed
@@ -56,7 +56,7 @@ class PublishedProblem:
 
     def by_ipopt(self, guess: Array) -> dict[str, Any]:
         """The report of IPOPT with its own scaling, relaxed bounds and tolerances."""
-        problem = UnscaledProblem.on_grid(self.module, Request(self.steps, guess=guess))
+        problem = UnscaledProblem.on_grid(self.module, Run(self.steps, guess=guess))
         callbacks, zero = _Callbacks(problem), np.zeros(problem.dual.size)
         with quiet_single_thread():
             sizes = problem.primal.size, problem.dual.size

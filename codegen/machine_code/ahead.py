@@ -1,0 +1,65 @@
+"""Machine code of modules that have none yet, made by processes that are quick at it before anything is called."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from codegen.machine_code.processes import Compilers, compilers
+
+if TYPE_CHECKING:
+    from codegen.errors import FileError
+    from codegen.loading import GeneratedModule
+
+_COMPILING = threading.Lock()
+"""Threads that want the same module wait for the first of them, and find what it has made."""
+
+
+def require(
+    path: Path, module: GeneratedModule, is_new: bool, working: Callable[[str], AbstractContextManager[Any]]
+) -> tuple[float, list[str]]:
+    """Have a module compiled that has no machine code; return the seconds, and what there is to say about it."""
+    from codegen.loading import has_machine_code
+
+    with _COMPILING:
+        if not is_new and not vars(module)["DAMAGED"] and has_machine_code(path, module):
+            return 0.0, []
+        with working("Compiling"), compilers() as processes:
+            return prepare(path, processes), processes.said
+
+
+def prepare(path: Path, processes: Compilers) -> float:
+    """Have all that `newton` needs of a module compiled, so that processes find machine code; return the seconds."""
+    begin = time.perf_counter()
+    if not processes.compile(path):
+        _compile_here(path)
+    return time.perf_counter() - begin
+
+
+def _compile_here(path: Path) -> None:
+    """Have all that `newton` needs of a module compiled in this process."""
+    from codegen.loading import load  # only now: importing arrays takes a fifteenth of a build
+    from codegen.machine_code.parts import solve_small
+    from codegen.tasks import task_of
+
+    module = load(path)
+    try:
+        if task_of(module).is_whole:
+            module.solve()  # which tells what is wrong, or compiles what is missing
+        else:
+            solve_small(module)
+    except OSError as error:
+        raise unkept(module, error) from error
+
+
+def unkept(module: GeneratedModule, error: OSError) -> FileError:
+    """The error that says where machine code of a module cannot be written, and what to do about it."""
+    from codegen.files import refused
+    from codegen.loading import code_folders
+
+    folder = ", ".join(sorted(code_folders(module))) or "the folder of machine code"
+    return refused(error, folder, "make room there, or let NUMBA_CACHE_DIR name a folder that may be written to")

@@ -1,0 +1,112 @@
+"""What is compiled of a module of each task: calls for its parts, and for what drivers of scipy call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+Calls = list[Callable[[], Any]]
+
+
+def control_parts(module: Any) -> Calls:
+    """Calls for a module that optimises; the factorisation comes first, and what needs its parts after it."""
+    grid = module.make_grid(2)
+    unknowns, system = module.initial_guess(grid), module.allocate_system(grid)
+    step, zeros = np.zeros_like(unknowns), np.zeros_like(unknowns)
+    calls = [
+        lambda: module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), system),
+        lambda: module.solve_kkt(grid, module.allocate_system(grid), zeros, step),  # its factors are zeros
+        lambda: module.evaluate(grid, unknowns),
+    ]
+    if hasattr(module, "fill_sizes"):
+        calls.append(lambda: module.scaled_grid(grid, unknowns))
+    if hasattr(module, "finite_bounds"):
+        calls += _interior_point_parts(module, grid, unknowns, zeros)
+    elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
+        calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
+    return [
+        *calls,
+        lambda: module.unpack(grid, unknowns),
+        lambda: module.sizes_of_terms(grid, unknowns),
+    ]
+
+
+def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
+    """Calls of what only the interior point method calls."""
+    bounds = module.finite_bounds(*module.variable_bounds(grid))
+    distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
+    duals, result = np.ones(distance.size), np.empty(distance.size)
+    places = bounds.place, bounds.side, distance
+    barrier = grid.is_multiplier, *places, duals, 1.0
+    return [
+        lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *places, duals),
+        lambda: module.measure_step(unknowns, gradient, step, *barrier, 0.99, result),
+        lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
+        lambda: module.move_duals(duals, duals, 1.0, distance, 1.0, result),
+        lambda: module.move(unknowns, step, 0.0, *places, np.empty_like(step), result),
+        lambda: module.push_inside(*module.variable_bounds(grid), unknowns, 0.1),
+        lambda: module.prescribed_beyond(grid, unknowns),
+        lambda: module.remaining_gap(unknowns, gradient, *module.variable_bounds(grid)),
+    ]
+
+
+def simulate_parts(module: Any) -> Calls:
+    """Calls for a module that follows a motion."""
+    if is_of_particles(module):
+        return [lambda: module.solve(2)]
+    grid = module.make_grid(2)
+    path, stored = np.vstack([grid.start, grid.start]), np.empty((3, grid.start.size))
+    return [
+        lambda: module.follow(grid.start, 2, grid.h, grid.parameters, 1, 1e-13, 50, stored, stored),
+        lambda: module.path_residual(grid, path),
+        lambda: module.energies(path, np.zeros(2), grid.parameters, np.empty(2)),
+    ]
+
+
+def connect_parts(module: Any) -> Calls:
+    """Calls for a module that connects points."""
+    case = small_case(module)
+    points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
+    points[:, 0] = case.start
+    return [
+        lambda: module.Linearised(case, points, None).matrix(),
+        lambda: module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)),
+    ]
+
+
+def is_of_particles(module: Any) -> bool:
+    """Whether a module is about particles, whose functions for pairs are called from Python as well."""
+    return "separable" in module.metadata
+
+
+def small_case(module: Any, steps: int = 2) -> Any:
+    """Thirteen particles near the origin that move a little, to have functions compiled by."""
+    dimension = module.metadata["coordinates"]
+    angles = np.linspace(0.0, 2.0 * np.pi, 13, endpoint=False)
+    start = np.stack([0.1 * np.cos((axis + 1) * angles + axis) for axis in range(len(dimension))], axis=1)
+    start[:, 0] += 0.01 * np.arange(13)
+    return module.make_case(start, start + 0.001, steps)
+
+
+def solve_small(module: Any) -> None:
+    """Solve for few particles, so that everything is compiled that a solution calls."""
+    module.solve_case(small_case(module))
+
+
+def control_touched(module: Any, steps: int) -> None:
+    """Call the functions of optimisers at the first guess."""
+    grid = module.make_grid(steps)
+    unknowns = module.initial_guess(grid)
+    for evaluate in (module.cost, module.cost_gradient, module.constraints, module.jacobian, module.hessian):
+        evaluate(grid, unknowns)
+
+
+def simulate_touched(module: Any, _steps: int) -> None:
+    """Make one step."""
+    module.solve(steps=1)
+
+
+def connect_touched(_module: Any, _steps: int) -> None:
+    """Nothing: machine code of particles is read when a driver first calls it, in a run that is not timed."""
