@@ -6,8 +6,9 @@ from numba import njit
 from codegen.runtime.kkt.elements import BORDER, TAIL
 from codegen.runtime.stand_ins.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS
 
-PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER)
-PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER)
+# Indices without a sign need no test for what counts from the end.
+PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER).astype(np.uint64)
+PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER).astype(np.uint64)
 
 
 def allocate_condensed(grid):
@@ -23,12 +24,9 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
-    """Add the Hessian of an interval to the element matrix."""
-    for j in range(hessian.size):
-        row, column = PLACE_ROWS[j], PLACE_COLUMNS[j]
-        element[row, column] += hessian[j]
-        if row != column:
-            element[column, row] += hessian[j]
+    """Put the Hessian of an interval into the element matrix, which is zero elsewhere."""
+    for j in range(PLACE_ROWS.size):
+        element[PLACE_ROWS[j], PLACE_COLUMNS[j]] = element[PLACE_COLUMNS[j], PLACE_ROWS[j]] = hessian[j]
     return True
 
 

@@ -61,7 +61,7 @@ def lagrangian(grid, point):
 
     The error of the Lagrangian's value is of second order.
     """
-    return point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier]
+    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0) @ point.gradient
 
 
 @njit(cache=True, error_model="numpy")
