@@ -257,7 +257,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
     if derivatives.linear_quadratic:
         solver = ("newton_linear",)
     elif program.has_inequalities:
-        solver = ("standstill", "descent", "filter", "barrier", "restoration")
+        solver = ("standstill", "descent", "filter", "barrier", "restoration", "refinement")
         solver = (*solver, "interior_steps", "exact_bounds", "interior_point")
     return (
         "arrays",

@@ -87,6 +87,10 @@ def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector, ca
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
 
+def left_over(grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector, step: Vector) -> Vector:
+    return np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
+
+
 def bounds_of(grid: Dense) -> tuple[Vector, Vector]:
     return grid.lower, grid.upper
 

@@ -15,6 +15,7 @@ from dense_problem import INFINITY, Dense, Motion, Point, transcribe
 from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, T, nlp, u, v, x1, x2, x3
 from sympy import exp, log, symbols
 
+from codegen.runtime.kkt import refinement
 from codegen.runtime.optimise import (
     barrier,
     curvature,
@@ -31,10 +32,19 @@ from codegen.runtime.optimise.iterates import Log
 def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (barrier, curvature, exact_bounds, filter, interior_point, interior_steps, restoration):
+        for module in (
+            barrier,
+            curvature,
+            exact_bounds,
+            filter,
+            interior_point,
+            interior_steps,
+            refinement,
+            restoration,
+        ):
             for name in set(vars(module)) & {
                 "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved",
-                "bounds_of", "multiplier_unknowns", "solve_kkt", "views", "with_tied_values",
+                "bounds_of", "left_over", "multiplier_unknowns", "solve_kkt", "views", "with_tied_values",
             }:  # fmt: skip
                 patch.setattr(module, name, getattr(dense_problem, name))
         yield
@@ -275,7 +285,7 @@ def test_a_filter_that_alone_shortens_five_steps_in_turn_is_emptied() -> None:
 
 def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
     """Steps of a sixteenth, a few and then more in turn: only these count; a whole step lowers the shift again."""
-    whole = interior_steps.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, 1e-3)
+    whole = interior_steps.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, 1e-3, False)
     assert interior_steps.damped(0.0, whole, 1 / 16, 1) == 0.0
     shifts = [0.0]
     for in_turn in (interior_steps.SHORT_IN_TURN, interior_steps.SHORT_IN_TURN + 1):

@@ -62,5 +62,5 @@ def last_step(search, iterate):
         unknowns = with_tied_values(grid, unknowns)
     mu = iterate.duals @ distance / max(1, distance.size)
     iterate = iterate._replace(point=evaluate(grid, unknowns), distance=distance)
-    step = regularised_step(search, iterate, mu, 0.0, 0.0)
+    step = regularised_step(search, iterate, mu, 0.0, 0.0, True)
     return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), iterate, step, mu)

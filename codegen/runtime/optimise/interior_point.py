@@ -17,12 +17,14 @@ from codegen.runtime.optimise.exact_bounds import within_bounds
 from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.unknowns.frame import views
 from codegen.runtime.optimise.interior_steps import (
+    Doubts,
     Search,
     Watch,
     barrier_error,
     begin,
     damped,
     is_acceptable,
+    leaves_much,
     line_search,
     measured_iterate,
     primal_part,
@@ -150,7 +152,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
     shift, last_shift, length, damping = 0.0, 0.0, 0.0, 0.0
-    low, shortened, watch = 0, 0, None
+    low, shortened, watch, doubts = 0, 0, None, Doubts()
     for iteration in range(max_iterations + 1):
         iterate, measured = measured_iterate(search, iterate)
         point = iterate.point
@@ -166,7 +168,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             filtered.empty()
             iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
         low += mu <= LEAST_PART * tolerance
-        trial, step = None, regularised_step(search, iterate, mu, last_shift, damping)
+        trial, step = None, regularised_step(search, iterate, mu, last_shift, damping, doubts.are_enough())
         if step is not None:
             shift, last_shift = step.shift, step.shift or last_shift
             watch = Watch(iterate, step) if shortened == SHORTENED else watch
@@ -175,6 +177,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
+            doubts.note(step, trial is not None and leaves_much(point, step, length, trial.point))
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
@@ -214,10 +217,11 @@ def conclusion(search, iterate, measured, tolerance, first_cost, acceptable_will
 def lowered(point, measured, mu, least):
     """The weight for the next step: lower where the barrier problem is solved well enough (7).
 
-    Its square would be too little while bounds are still to become active: steps would be cut at all of them.
+    The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
+    hardly active, as on singular arcs.
     """
     while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
-        mu = max(least, min(0.2 * mu, mu**1.5 if mu > 1e-5 else mu**2))
+        mu = max(least, min(0.2 * mu, mu**1.5))
     return mu
 
 

@@ -20,6 +20,7 @@ from codegen.runtime.optimise.barrier import (
 from codegen.runtime.stand_ins.example import TIED
 from codegen.runtime.unknowns.point import Point, evaluate
 from codegen.runtime.optimise.rounding import is_solved
+from codegen.runtime.kkt.refinement import refine
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
 from codegen.runtime.unknowns.tied import with_tied_values
 
@@ -27,6 +28,7 @@ CORRECTIONS = 4  # second-order corrections that are tried at one iterate
 SHORT = 0.25  # part of a step that is left when it counts as much too long
 SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
 LEAST_DAMPING = 1e-5
+UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
@@ -53,7 +55,10 @@ class Iterate(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A Newton step: its barrier gradient, slope, longest primal and dual lengths, and the Hessian's shift."""
+    """A Newton step: its barrier gradient, slope, longest primal and dual lengths, and the Hessian's shift.
+
+    `refined` says that the linear system was not solved accurately at once.
+    """
 
     primal: np.ndarray
     dual: np.ndarray
@@ -62,6 +67,7 @@ class Step(NamedTuple):
     longest: float
     dual_length: float
     shift: float
+    refined: bool
 
 
 class Watch(NamedTuple):
@@ -70,6 +76,27 @@ class Watch(NamedTuple):
     iterate: NamedTuple
     step: NamedTuple
     left: int = FULL_STEPS
+
+
+class Doubts:
+    """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
+
+    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
+    Once one was not, all are measured.
+    """
+
+    def __init__(self):
+        self.doubts, self.enough = 0, 1
+
+    def are_enough(self):
+        """Whether the next step has to be measured."""
+        return self.doubts >= self.enough
+
+    def note(self, step, leaves_much):
+        """Take note of how a step was solved for, and of whether it has left much of the equations."""
+        if self.are_enough():
+            self.doubts, self.enough = (1, 1) if step.refined else (0, 2 * self.enough)
+        self.doubts += leaves_much
 
 
 def begin(search, unknowns, attempt, central=False):
@@ -155,8 +182,11 @@ def tightened(search, iterate, before, mu):
     return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
 
 
-def regularised_step(search, iterate, mu, last_shift, damping):
-    """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None."""
+def regularised_step(search, iterate, mu, last_shift, damping, careful):
+    """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None.
+
+    With `careful`, what the step leaves of the linear system is measured, and solved for again where that is much.
+    """
     grid, bounds, system, *_ = search
     point, size = iterate.point, iterate.point.unknowns.size
     diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
@@ -168,9 +198,10 @@ def regularised_step(search, iterate, mu, last_shift, damping):
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
+            refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
             measured = measure_step(point.unknowns, gradient, primal, *barrier, max(0.99, 1.0 - mu), dual)
             if abs(measured[0]) < np.inf:
-                return Step(primal, dual, gradient, *measured, shift)
+                return Step(primal, dual, gradient, *measured, shift, refined)
         elif dual_shift == 0.0 and (excess is None or excess < 0):
             dual_shift = 1e-8 * mu**0.25  # the equations may be dependent
             continue
@@ -179,6 +210,11 @@ def regularised_step(search, iterate, mu, last_shift, damping):
         else:
             shift *= 100.0 if last_shift == 0.0 else 8.0
     return None
+
+
+def leaves_much(point, step, length, trial):
+    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
+    return length == 1.0 and step.longest == 1.0 and trial.residual > UNSOLVED * point.residual
 
 
 def damped(damping, step, length, shortened):

@@ -1,0 +1,104 @@
+"""Iterative refinement: what a solution of the KKT system leaves of its right-hand side is solved for again.
+
+The elimination pairs the state of a node with the equation of the interval after it, and so runs the dynamics
+backwards. Where that grows, as dissipative dynamics do over a long time, the factors are those of a matrix that is off
+by far more than rounding, and a step leaves equations unsolved. Refinement with residuals of the matrix itself makes up
+for it. Source: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; the measure of the residual
+is that of Waechter and Biegler (2006), section 3.10.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.arrays import zero_vector
+from codegen.runtime.unknowns.coupling import coupling_entries
+from codegen.runtime.kkt.ends_flat import end_entries
+from codegen.runtime.kkt.system import solve_kkt
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    COUPLINGS,
+    ELEMENT,
+    HESSIAN_COLUMNS,
+    HESSIAN_ROWS,
+    NODE,
+    ROOT,
+    SCALED,
+    SHARED,
+    STRIDE,
+    TIED,
+    interval_hessian,
+)
+from codegen.runtime.unknowns.equal_ends import shared_representatives
+from codegen.runtime.unknowns.layout import free_unknowns
+from codegen.runtime.unknowns.shared import read_shared, root_place
+
+ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
+LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
+SOLVED_AGAIN = 10  # times at most, as in IPOPT
+
+
+@njit(cache=True, error_model="numpy")
+def multiply_intervals(unknowns, steps, h, parameters, vector, product):
+    """Add to `product` what the second derivatives of all intervals make of a vector."""
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    for body in range(BODIES):
+        if SHARED:
+            read_shared(unknowns, body, parameters)
+        for k in range(steps):
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            for j in range(HESSIAN_ROWS.size):
+                row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
+                if SHARED and HESSIAN_ROWS[j] >= ELEMENT:
+                    row = unknowns.size - ROOT + root_place(body, HESSIAN_ROWS[j] - ELEMENT)
+                if SHARED and HESSIAN_COLUMNS[j] >= ELEMENT:
+                    column = unknowns.size - ROOT + root_place(body, HESSIAN_COLUMNS[j] - ELEMENT)
+                product[row] += hessian[j] * vector[column]
+                if row != column:
+                    product[column] += hessian[j] * vector[row]
+
+
+def left_over(grid, unknowns, diagonal, gradient, step):
+    """KKT matrix . step + gradient, which is zero for an exact step; the matrix is as `factor_kkt` says."""
+    product, vector = np.zeros(step.size), step
+    if SCALED and grid.sizes.size:
+        roots = np.sqrt(grid.sizes * grid.forces)
+        unknowns, vector = unknowns * grid.sizes, roots * step
+    multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
+    others = [end_entries(grid, unknowns)]
+    if COUPLINGS:
+        others.append(coupling_entries(grid, unknowns))
+    for rows, columns, values in others:
+        beside = rows != columns
+        np.add.at(product, rows, values * vector[columns])
+        np.add.at(product, columns[beside], (values * vector[rows])[beside])
+    if SCALED and grid.sizes.size:
+        product *= roots
+    product += diagonal * step + gradient
+    if TIED:
+        places = shared_representatives(grid, step.size)
+        (tied,) = (places != np.arange(step.size)).nonzero()
+        np.add.at(product, places[tied], product[tied])
+    return np.where(free_unknowns(grid), product, 0.0)
+
+
+def refine(grid, unknowns, diagonal, system, gradient, step):
+    """Refine a solution in place until its residual is small, or falls no more; return whether that was necessary.
+
+    The system is still factored, and the matrix as `factor_kkt` says.
+    """
+    correction, right = np.empty_like(step), np.abs(gradient).max(initial=0.0)
+    left = left_over(grid, unknowns, diagonal, gradient, step)
+    size = np.abs(left).max(initial=0.0)
+    for refinement in range(SOLVED_AGAIN):
+        scale = right + min(np.abs(step).max(initial=0.0), LARGE_STEP * right)
+        if not ACCURATE * scale < size < np.inf:
+            return refinement > 0
+        solve_kkt(grid, system, left, correction)
+        better = step + correction
+        left, before = left_over(grid, unknowns, diagonal, gradient, better), size
+        size = np.abs(left).max(initial=0.0)
+        if not size < before:
+            break
+        step[:] = better
+    return True
