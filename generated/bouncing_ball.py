@@ -930,7 +930,7 @@ def lagrangian(grid, point):
 
     The error of the Lagrangian's value is of second order.
     """
-    return point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier]
+    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0) @ point.gradient
 
 
 @njit(cache=True, error_model="numpy")
@@ -1227,8 +1227,9 @@ def solve_backward(upper, order, count, width, values):
 
 # An interval's element matrix, with all its unknowns kept: none can be eliminated beforehand.
 
-PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER)
-PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER)
+# Indices without a sign need no test for what counts from the end.
+PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER).astype(np.uint64)
+PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER).astype(np.uint64)
 
 
 def allocate_condensed(grid):
@@ -1244,12 +1245,9 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
-    """Add the Hessian of an interval to the element matrix."""
-    for j in range(hessian.size):
-        row, column = PLACE_ROWS[j], PLACE_COLUMNS[j]
-        element[row, column] += hessian[j]
-        if row != column:
-            element[column, row] += hessian[j]
+    """Put the Hessian of an interval into the element matrix, which is zero elsewhere."""
+    for j in range(PLACE_ROWS.size):
+        element[PLACE_ROWS[j], PLACE_COLUMNS[j]] = element[PLACE_COLUMNS[j], PLACE_ROWS[j]] = hessian[j]
     return True
 
 
@@ -3373,7 +3371,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_78bbfe5c18520f5d"
+_IDENTITY = "codegen_bouncing_ball_1476d1ba07cc15c7"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

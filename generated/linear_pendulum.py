@@ -396,7 +396,7 @@ def lagrangian(grid, point):
 
     The error of the Lagrangian's value is of second order.
     """
-    return point.cost + point.unknowns[grid.is_multiplier] @ point.gradient[grid.is_multiplier]
+    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0) @ point.gradient
 
 
 @njit(cache=True, error_model="numpy")
@@ -2095,7 +2095,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_b7140a33e45198d3"
+_IDENTITY = "codegen_linear_pendulum_1eed942d3c762d25"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
