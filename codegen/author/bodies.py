@@ -23,6 +23,7 @@ def together(
     maximise: Expression = 0,
     terminal_maximise: Expression = 0,
     path: Relations = (),
+    integral: Relations = (),
     start_conditions: Relations = (),
     end_conditions: Relations = (),
     constraint: Sequence[Expression] = (),
@@ -33,7 +34,7 @@ def together(
     The bodies move at the same time, each by its own equations: Lagrangians or Hamiltonians, costs and terminal costs
     add up, and every condition of every body holds. What ties them together comes beside: `interaction`, which is
     added to the Lagrangian (minus a potential energy) or to the Hamiltonian, further costs, and relations between the
-    quantities of several bodies, at every time (`path`, `constraint`) or at an end.
+    quantities of several bodies, at every time (`path`, `constraint`), over it (`integral`) or at an end.
 
     Raises a kind of CodegenError when the bodies are not given in the same way, or differ in duration or steps, when
     two of them have a coordinate in common, or when there is only one. Many identical bodies that meet at their ends
@@ -74,7 +75,7 @@ def together(
         scale=merged("scale"),
         periodic=_merged("periodic", [_shifts(body.periodic) for body in bodies]),
         path=listed("path", path),
-        integral=listed("integral", ()),
+        integral=listed("integral", integral),
         start_conditions=listed("start_conditions", start_conditions),
         end_conditions=listed("end_conditions", end_conditions),
         constraint=listed("constraint", constraint),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import sympy
@@ -66,7 +66,8 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
                 equations.append(value - values[update.begin][x] - STEP * update.fraction * rate)
     stages = unknowns[: -len(states)]
     if step.is_chain:
-        stages, equations = _without_idle_stages(values[1:-1], equations)
+        read = {symbol for value in (*integrals, *(g.value for g in path)) for symbol in value.free_symbols}
+        stages, equations = _without_idle_stages(values[1:-1], equations, read)
     cost, *others = integrals
     return OneStepInterval(q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others))
 
@@ -91,11 +92,12 @@ def _integrands(model: Model) -> tuple[Expr, ...]:
 
 
 def _without_idle_stages(
-    stages: Sequence[tuple[Symbol, ...]], equations: Sequence[Expr]
+    stages: Sequence[tuple[Symbol, ...]], equations: Sequence[Expr], read: Collection[Symbol]
 ) -> tuple[list[Symbol], list[Expr]]:
     """Drop each stage at which no field is evaluated, as in the trapezoidal rule, by adding the steps beside it.
 
-    The sum is free of such a stage because one step ends where the next begins.
+    The sum is free of such a stage because one step ends where the next begins. What cost, integrals or path conditions
+    have `read` stays.
     """
     size = len(stages[0]) if stages else len(equations)
     kept, steps = list[Symbol](), [list(equations[i : i + size]) for i in range(0, len(equations), size)]
@@ -103,7 +105,7 @@ def _without_idle_stages(
     for stage, step in zip(stages, steps[1:], strict=True):
         # A step is linear in its ends unless its field is evaluated there.
         sums = [before + after for before, after in zip(joined[-1], step, strict=True)]
-        if any(total.has(*stage) for total in sums):
+        if any(x in read for x in stage) or any(total.has(*stage) for total in sums):
             kept += stage
             joined.append(step)
         else:

@@ -227,10 +227,13 @@ def _shifts(periodic: Any) -> Iterator[Entry]:
 
 
 def _relations(what: str, values: Any) -> Iterator[Entry]:
-    seen: set[sympy.Expr] = set()
+    seen, named = set[sympy.Expr](), set[str]()
     for place, (given_name, written) in enumerate(_named(what, values)):
         found = relation(written, f"{what}[{given_name or place!r}]")
         name = given_name or found.name
+        if given_name in named:
+            raise ExpressionError(f"{what} has two relations of the name {given_name!r}", "give each another name")
+        named |= {given_name} if given_name else set()
         if found.expression in seen:
             raise ExpressionError(f"{what} lists {short(name)} twice", "list it once")
         seen.add(found.expression)

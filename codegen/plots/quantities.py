@@ -16,6 +16,9 @@ from codegen.solutions.result import Result
 CLOSE, LEAST = 2e-4, 1e-6
 """Relative and absolute distance from a limit that count as none: an interior point method ends a little inside."""
 
+_PER_INTERVAL = 9
+"""Times in an interval at which a control that is a polynomial there is drawn."""
+
 _SLACK = re.compile(r"slack of (?P<name>.*) at (?P<place>\S.*?) of an interval")
 
 
@@ -86,6 +89,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     assert result.u is not None
     assert result.multipliers is not None
     metadata, guess, bodies = module.metadata, first_guess(module, result), module.metadata["bodies"]
+    fine = (result.t[:-1, None] + np.diff(result.t)[:, None] * np.linspace(0.0, 1.0, _PER_INTERVAL)).ravel()
     coordinates, form = tuple(metadata["coordinates"]), metadata["form"]
     momenta = tuple(metadata["rates"]) if form == "hamiltonian" else tuple(f"p_{q}" for q in coordinates)
     momenta = () if form == "first-order" else momenta
@@ -96,8 +100,8 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
         "momentum": (momenta, result.p, guess.p, 1),
         "control": (
             tuple(metadata["control_names"]),
-            _present(module, result.u, result.steps),
-            _present(module, guess.u, result.steps),
+            _drawn(module, result, fine),
+            _drawn(module, guess, fine),
             2,
         ),
     }
@@ -111,7 +115,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
             Quantity(
                 name,
                 kind,
-                result.control_times if kind == "control" and result.stage_places else result.t,
+                fine if kind == "control" and result.stage_places else result.t,
                 tables[0][:, :, i],
                 _limits(module, tables[2][:, :, i], -np.inf) if is_bounded else -none,
                 _limits(module, tables[3][:, :, i], np.inf) if is_bounded else none,
@@ -219,6 +223,18 @@ def _jumps(module: ControlModule, result: Result, name: str) -> tuple[int, ...]:
     names = {name} | ({name[7:], f"p_{name[7:]}"} if name.startswith("lambda_") else set())
     switches = enumerate(module.metadata.get("jumps", ()), start=1)
     return tuple(i * result.steps for i, jumping in switches if names & set(jumping))
+
+
+def _drawn(module: ControlModule, result: Result, fine: Vector) -> Matrix:
+    """The controls as they are drawn: those at stages as polynomials, which may jump at nodes."""
+    assert result.u is not None
+    if not result.stage_places:
+        return _present(module, result.u, result.steps)
+    # At a node, the value at the end of the interval before it comes first.
+    before = np.nextafter(fine, result.t[0])
+    here = np.where(np.diff(fine, prepend=-np.inf) > 0.0, before, fine)
+    here[0] = fine[0]
+    return result.controls_at(here)
 
 
 def _present(module: ControlModule, controls: Matrix, steps: int) -> Matrix:

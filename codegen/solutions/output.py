@@ -182,6 +182,8 @@ def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
 
     names = ("t", "q", "p", "u", "multipliers", "energy", "log", "unknowns")
     arrays: dict[str, Any] = {name: getattr(result, name) for name in names if getattr(result, name) is not None}
+    if result.u is not None:
+        arrays["u_times"] = result.control_times
     labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays, **labels, result=np.array(as_json(record)))

@@ -158,6 +158,7 @@ class Result:
         On every interval the polynomial goes through the values at its stages, through the mean of those at one place.
         """
         assert self.u is not None, "a simulation has no controls"
+        times = np.atleast_1d(np.asarray(times, dtype=float))
         if not self.stage_places and len(self.u) == self.t.size:
             return np.column_stack([np.interp(times, self.t, column) for column in self.u.T])
         interval = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, self.t.size - 2)

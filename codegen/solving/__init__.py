@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ParamSpec
 
+from codegen.errors import ArgumentError
 from codegen.solving.request import Request, require_known
 
 if TYPE_CHECKING:
@@ -54,8 +55,8 @@ def solve(*positional: Any, **options: Any) -> Result:
     particles that are connected, `points` is a file of points, or a PointSet with start and target of shape (n, d) and
     sigma of shape (n,), by default the problem file's own; `tolerance` is that of an arrival, or of adaptive steps.
 
-    The result's `t` has shape (M + 1,), and `q`, `p`, `u` a row for each time (`u` for each interval), with a column
-    for each of `names`; `status` is "solved" only if all equations hold when they are evaluated again outside the
+    The result's `t` has shape (M + 1,), and `q`, `p`, `u` a row for each time (`u` for each of `control_times`), with a
+    column for each of `names`; `status` is "solved" only if all equations hold when they are evaluated again outside the
     driver, and numerical failure is a status with its reason in `message`, not an exception. All quantities are in the
     units of the problem file. Calls from several threads are safe; derivations take turns.
 
@@ -67,4 +68,9 @@ def solve(*positional: Any, **options: Any) -> Result:
     require_known(options)
     from codegen.solving.outcome import outcome_of
 
-    return outcome_of(Request(*positional, **options)).result
+    try:
+        request = Request(*positional, **options)
+    except TypeError as error:  # none, too many, or twice
+        text = str(error).replace("Request.__init__()", "codegen.solve")
+        raise ArgumentError(text, "give a problem, a driver if it is not newton, and options by name") from None
+    return outcome_of(request).result

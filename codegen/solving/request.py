@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
+from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +61,7 @@ class Request:
             value = getattr(self, name)
             if value is None and name in ("steps", "max_iterations"):
                 continue
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
                 remedy = "a positive integer" if least else "a whole number that is not negative"
                 raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
         if self.tolerance is not None and not 0.0 < _number(self.tolerance) < 1.0:
@@ -76,15 +77,20 @@ class Request:
                 raise ArgumentError(f"{_option(name)} {getattr(self, name)!r} is no name", "give one as text")
         if not (self.points is None or isinstance(self.points, Path | str) or hasattr(self.points, "target")):
             raise ArgumentError(f"--points {type(self.points).__name__}", "give a file, or a PointSet")
-        if not isinstance(self.arguments, Mapping):
+        if not isinstance(self.arguments, Mapping) or not all(isinstance(name, str) for name in self.arguments):
             raise ArgumentError(f"arguments are {self.arguments!r}", 'give names and values, such as {"craft": 3}')
+        if not isinstance(self.out, str | Path | None):
+            raise ArgumentError(f"--out {self.out!r} is no folder", "give its path")
+        if self.watch is not None and not callable(self.watch):
+            raise ArgumentError(f"watch is {self.watch!r}", "give a function of an iterate's number and row")
         self._require_problem()
 
     def _require_problem(self) -> None:
         """Refuse what is neither a problem nor a module, and choices of a build where there is nothing to build."""
-        if not isinstance(self.problem, Path | str) and not hasattr(self.problem, "metadata"):
+        if not isinstance(self.problem, Path | str) and "task" not in getattr(self.problem, "metadata", ()):
             what = type(self.problem).__name__
-            raise ArgumentError(f"a solve begins with a problem, not with {what}", "give its path, or a loaded module")
+            remedy = "give the path of a problem file, or a generated module"
+            raise ArgumentError(f"a solve begins with a problem, not with this {what}", remedy)
         given = next(filter(self._is_given, _OF_BUILDS), None)
         if given and self.is_built:
             finding = f"{_option(given)} is a choice of a build, and the problem is a generated module already"
@@ -152,4 +158,4 @@ def _option(name: str) -> str:
 
 def _number(value: Any) -> float:
     """The value, or no number."""
-    return value if isinstance(value, int | float) and not isinstance(value, bool) else float("nan")
+    return float(value) if isinstance(value, Real) and not isinstance(value, bool) else float("nan")

@@ -85,7 +85,7 @@ def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
         if saved.names and given != own[kind]:
             differ = f"its {what} are {_listed(given)}, those of the problem {_listed(own[kind])}"
             raise ArgumentError(f"--warm {saved.path}: {differ}", _REMEDY)
-    remedy = f"{_REMEDY}, by the same method and scheme"
+    remedy = f"{_REMEDY}, by the same method, scheme and controls"
     try:
         steps = source_steps(cast(ControlModule, module), saved.unknowns)
     except NumericsError:

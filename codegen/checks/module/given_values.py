@@ -7,6 +7,7 @@ one, and the tables of least and greatest values.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,6 +20,7 @@ from codegen.checks.module.flat_vector import FlatVector
 from codegen.expressions import checks as expressions
 from codegen.model import Model
 from codegen.model.values import prescribed
+from codegen.transcribe.forms import in_velocities
 from codegen.transcribe.program import ControlProgram, EndElement, Unknown
 
 _STEPS = 3
@@ -40,7 +42,11 @@ def _parameters(context: Context, program: ControlProgram) -> Finding:
     """Every body's row of parameters and boundary values; what a free end has been given cannot stand there."""
     model = context.model
     given: dict[tuple[str, str], sympy.Expr] = {}
-    for where, boundary in (("start", model.start), ("end", model.end)):
+    first, last = (model.phases or (model,))[0], (model.phases or (model,))[-1]
+    if program.method == "variational" and model.form == "hamiltonian":
+        first, last = in_velocities(first), in_velocities(last)  # momenta that are given are velocities there
+        model = replace(model, rates=first.rates)
+    for where, boundary in (("start", first.start), ("end", last.end)):
         assert boundary is not None, "a control problem has an end"
         quantities = zip((*model.coordinates, *model.rates), (*boundary.positions, *boundary.rates), strict=True)
         given |= {(where, q.name): value for q, value in quantities if value is not None}
