@@ -56,9 +56,9 @@ def solve(*positional: Any, **options: Any) -> Result:
     sigma of shape (n,), by default the problem file's own; `tolerance` is that of an arrival, or of adaptive steps.
 
     The result's `t` has shape (M + 1,), and `q`, `p`, `u` a row for each time (`u` for each of `control_times`), with a
-    column for each of `names`; `status` is "solved" only if all equations hold when they are evaluated again outside the
-    driver, and numerical failure is a status with its reason in `message`, not an exception. All quantities are in the
-    units of the problem file. Calls from several threads are safe; derivations take turns.
+    column for each of `names`; `status` is "solved" only if all equations hold when they are evaluated again outside
+    the driver, and numerical failure is a status with its reason in `message`, not an exception. All quantities are in
+    the units of the problem file. Calls from several threads are safe; derivations take turns.
 
     Raises ArgumentError for an option, driver, scheme or argument that does not exist or does not apply, NumericsError
     for an unusable number, and another kind of CodegenError when the problem cannot be read, derived or stored. Source:
