@@ -17,7 +17,7 @@ from codegen.model import Model
 
 WIDTH = 100
 _LATEX_WIDTH = 90
-_INDEX = re.compile(r"^(?P<base>.+?)(?:_(?:stage(?P<stage>\d+)|k(?P<shift>1|-1)?)|@(?P<end>[0T])|@(?P<side>[+-]))?$")
+_INDEX = re.compile(r"^(?P<base>.+?)(?:_stage(?P<stage>\d+))?(?:_k(?P<shift>1|-1)?|@(?P<end>[0T])|@(?P<side>[+-]))?$")
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma tau upsilon phi chi "
     "psi omega"
@@ -51,7 +51,7 @@ class Notation:
 
     Names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the ends of time, in `@-`
     and `@+` before and after a switch; they begin with `rate ` for one derivative by time, with `acceleration ` for
-    two, with `f- ` or `f+ ` for forces.
+    two, with `f `, `f- ` or `f+ ` for forces.
     """
 
     velocities: dict[str, str]
@@ -102,8 +102,8 @@ class Notation:
     def _parts(self, base: str) -> tuple[str, str, str, int]:
         """Letter, subscript, superscript and number of dots."""
         mark, _, rest = base.rpartition(" ")
-        if mark in ("f-", "f+"):
-            return "f", self._letter(rest), mark[1], 0
+        if mark in ("f", "f-", "f+"):
+            return "f", self._letter(rest), mark[1:], 0
         dots = {"rate": 1, "acceleration": 2}.get(mark, 0)
         if rest in self.velocities:
             rest, dots = self.velocities[rest], dots + 1

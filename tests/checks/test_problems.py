@@ -360,3 +360,27 @@ def test_area_is_preserved_by_accident_where_half_of_the_energy_is_linear(prepar
     found = checks.apply("area preservation", context)
     assert sum(finding.applies for finding in found) > 5
     assert not [*failures("area preservation", context), *failures("midpoint equivalence", context)]
+
+
+HAMILTONIAN = '''"""A mass whose momentum is given at both ends."""
+
+from codegen import Control, canonical_pair, control
+
+
+def problem() -> Control:
+    q, p = canonical_pair("q", "p")
+    u = control("u")
+    return Control(
+        hamiltonian=p**2 / 4 + q**2, force={q: u}, cost=u**2, duration=1, start={q: 0, p: 1}, end={q: 1, p: 0}, steps=8
+    )
+'''
+
+
+@pytest.mark.parametrize("method", ["variational", "hamiltonian"])
+def test_momenta_that_are_given_are_velocities_on_the_other_side(prepared, tmp_path, method):
+    path = tmp_path / "mass.py"
+    path.write_text(HAMILTONIAN, encoding="utf-8")
+    findings = checks.apply("given values", prepared(path, {}, method=method))
+    assert all(finding.passed for finding in findings), findings
+    wanted = "start q, start dq, end q, end dq" if method == "variational" else "start q, start p, end q, end p"
+    assert wanted in findings[0].detail

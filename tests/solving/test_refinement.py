@@ -86,7 +86,9 @@ class TestSavedStarts:
     @pytest.mark.parametrize("scheme", ["gauss-4", "gauss-6", "lobatto-4"])
     def test_of_another_layout(self, interpreted, saved, scheme):
         start = saved("double_integrator_effort", scheme=scheme)
-        with pytest.raises(ArgumentError, match=r"--warm .*saved.npz: its \d+ unknowns .*same method, scheme and controls"):
+        with pytest.raises(
+            ArgumentError, match=r"--warm .*saved.npz: its \d+ unknowns .*same method, scheme and controls"
+        ):
             fitting(start, interpreted("double_integrator_effort"))
 
     def test_of_no_names_but_the_right_size(self, interpreted, saved, tmp_path):

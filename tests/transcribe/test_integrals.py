@@ -159,6 +159,7 @@ def test_each_phase_has_its_own():
         (lambda x, v, u: [sympy.Eq(x, 1), sympy.Eq(x, 1)], "twice"),
         (lambda x, v, u: [sympy.Le(sympy.acos(2 + v**2), 1, evaluate=False)], "no finite real value"),
         (lambda x, v, u: {"": sympy.Eq(x, 1)}, "has the name ''"),
+        (lambda x, v, u: {"a": u <= 1, "a ": u <= 2}, "two relations of the name 'a'"),
     ],
 )
 def test_refusals(written, finding):
@@ -182,3 +183,21 @@ def test_a_wrong_quadrature_is_found():
     assert not finding.passed
     with pytest.raises(ExpressionError):
         normalise(replace(with_area(), integral=[True]))
+
+
+@pytest.mark.parametrize("scheme", ["position-verlet", "yoshida-4", "suzuki-4"])
+def test_a_stage_that_only_the_integrand_reads_stays(scheme):
+    """A free mass evaluates no force at the middle of a step, where the integrand of the area is."""
+    errors = [
+        solved(with_area("hamiltonian"), steps, method="hamiltonian", scheme=scheme)[1].cost / EFFORT - 1.0
+        for steps in (8, 16)
+    ]
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
+
+
+def test_shared_integrals_of_different_bodies():
+    """Two masses of which one may take all effort share it by convexity: each takes half of the area."""
+    one, other = with_area(relation=None), _elsewhere()
+    (x,), (y,) = one.force, other.force
+    problem = together(one, replace(other, integral=()), integral={"both": sympy.Eq(x - y, 2.0 * AREA)})
+    assert solved(problem, 10)[1].cost == pytest.approx(2.0 * solved(with_area(), 10)[1].cost, rel=1e-9)
