@@ -1,12 +1,11 @@
 """Have numba make machine code only of what Python calls: for processes that compile a module and run it no further.
 
 numba runs LLVM's whole optimiser over every function and makes machine code of it, although a function that only
-compiled functions call is optimised once more as part of each of its callers, into which its intermediate code is
-linked. A solver is made of many short functions, so that this takes a third of all time. And numba compiles a function
-anew when an argument is a constant of the module and not a variable, which makes no difference to the code.
+compiled functions call is optimised once more in each of its callers, into which its intermediate code is linked: a
+third of all time. And it compiles a function anew when an argument is a constant of the module and not a variable.
 
-This is the only file that replaces anything of numba. Where a numba is not as it expects, or of another version than
-those that were tried, it does nothing: a build then takes longer, and what it makes is the same.
+This is the only file that replaces anything of numba. Where a numba is not as it expects, it does nothing: a build then
+takes longer, and what it makes is the same.
 """
 
 from __future__ import annotations
@@ -27,11 +26,9 @@ OF_LIBRARIES = (
     "_ensure_finalized", "_finalize_dynamic_globals", "_finalize_final_module", "_optimize_final_module",
     "_verify_declare_only_symbols", "get_pointer_to_function", "serialize_using_bitcode", "serialize_using_object_code",
 )  # fmt: skip
-"""What numba's class of the code of one function must have."""
 OF_CODE = ("name", "_final_module", "_shared_module")
-"""What the code of one function must have."""
 OF_FUNCTIONS = ("get_call_template", "targetoptions", "stats")
-"""What a function that numba compiles must have."""
+"""What numba's class of the code of one function, that code, and a function that numba compiles must have."""
 
 
 class InnerLibrary(Base):  # type: ignore[misc]
@@ -74,15 +71,12 @@ def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
     """Whether numba is of a version that was tried, and has all that is replaced, set or read here."""
     try:
         generator = _generator()
-        code = generator.create_library("probe")
         found = [getattr(generator._library_class, name) for name in OF_LIBRARIES]
         found += [generator.set_env, generator._engine.is_symbol_defined, types.unliteral, types.IntegerLiteral]
-        found += [function.get_call_template for function in functions]
-        for thing, names in [(code, OF_CODE), *((function, OF_FUNCTIONS) for function in functions)]:
-            for name in names:
-                getattr(thing, name)
+        things = [(generator.create_library("probe"), OF_CODE), *((function, OF_FUNCTIONS) for function in functions)]
+        probed = [hasattr(thing, name) for thing, names in things for name in names]
         is_tried = TRIED[0] <= tuple(map(int, version.split(".")[:2])) <= TRIED[1]
-        return is_tried and all(map(callable, found))
+        return is_tried and all([*probed, *map(callable, found)])
     except (AttributeError, ImportError, ValueError):
         return False
 
@@ -108,22 +102,15 @@ def link_inner_functions(functions: Iterable[Any], long: Iterable[str] = ()) -> 
 
 def _where_defined(generator: Any, set_environment: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
     """Give functions their environment only where there is machine code that has a place for it."""
-
-    def set_environment_if_any(name: str, environment: Any) -> None:
-        if generator._engine.is_symbol_defined(name):
-            set_environment(name, environment)
-
-    return set_environment_if_any
+    defined = generator._engine.is_symbol_defined
+    return lambda name, environment: set_environment(name, environment) if defined(name) else None
 
 
 def _for_any_number(template_for: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function for the types of its arguments, whether or not a caller knows their values."""
-
-    def template(arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
-        plain = tuple(types.unliteral(a) if isinstance(a, types.IntegerLiteral) else a for a in arguments)
-        return template_for(plain, keywords)
-
-    return template
+    return lambda arguments, keywords: template_for(
+        tuple(types.unliteral(a) if isinstance(a, types.IntegerLiteral) else a for a in arguments), keywords
+    )
 
 
 def _generator() -> Any:

@@ -49,6 +49,7 @@ def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> C
         lambda: module.push_inside(*module.variable_bounds(grid), unknowns, 0.1),
         lambda: module.prescribed_beyond(grid, unknowns),
         lambda: module.remaining_gap(unknowns, gradient, *module.variable_bounds(grid)),
+        lambda: module.multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, step, np.zeros_like(step)),
     ]
 
 
