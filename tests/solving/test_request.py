@@ -152,7 +152,7 @@ REFUSED = {
     "rows": (LANDMARKS, {"points": np.zeros((3, 4))}, ArgumentError, "--points ndarray; give a file, or a PointSet"),
     "log": (EFFORT, {"driver": "slsqp", "log": True}, ArgumentError, "slsqp takes no --log .* or use newton"),
     "problem": ("nothing.py", {}, ProblemFileError, "nothing.py: no such file"),
-    "no-problem": (3, {}, ArgumentError, "begins with a problem, not with int; give its path"),
+    "no-problem": (3, {}, ArgumentError, "begins with a problem, not with this int; give the path"),
 }
 
 
