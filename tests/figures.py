@@ -84,6 +84,8 @@ def main(arguments: list[str]) -> int:
         RECORD.write_text(as_json(records.Record(machine(), tuple(with_errors(rows, ())))))
         return 0
     on_record = sorted(FOLDER.glob("*.json"), key=lambda path: [int(part) for part in path.stem.split(".")])
+    if not on_record:
+        sys.exit("no figures are on record; --update puts them there")
     before = records.read(RECORD if RECORD in on_record else on_record[-1])
     worse = compare.regressions(before.cases, with_errors(rows, before.cases))
     told = console()
