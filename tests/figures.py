@@ -13,7 +13,8 @@ import os
 
 # Before numpy loads its BLAS: more threads only slow small matrices down.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-os.environ["CODEGEN_CACHE_DIR"] = os.environ.get("CODEGEN_TEST_CACHE") or os.environ.get("CODEGEN_CACHE_DIR", "")
+if "CODEGEN_TEST_CACHE" in os.environ:
+    os.environ["CODEGEN_CACHE_DIR"] = os.environ["CODEGEN_TEST_CACHE"]
 
 import json
 import sys
