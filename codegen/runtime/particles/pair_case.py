@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.optimise.counts import checked_count
+from codegen.runtime.optimise.counts import checked_count, checked_times
 from codegen.runtime.stand_ins.example_pairs import DIMENSION, domain_margin
 from codegen.runtime.optimise.tolerances import checked_tolerance
 
@@ -43,12 +43,10 @@ def checked_case(start, target, sigma, own, own_names, parameters, steps, durati
     parameters = np.array(parameters, dtype=float)
     if not np.isfinite(parameters).all():
         raise ValueError(f"parameters must be finite, got {parameters}")
-    steps, max_iterations = checked_count("steps", steps), checked_count("max_iterations", max_iterations)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
-    own = np.ascontiguousarray(own)
+    steps, duration = checked_times(steps, duration)
+    own, max_iterations = np.ascontiguousarray(own), checked_count("max_iterations", max_iterations)
     tolerance = checked_tolerance(tolerance, 1e-6)
-    return Case(start, target, sigma, own, parameters, steps, float(duration), tolerance, max_iterations)
+    return Case(start, target, sigma, own, parameters, steps, duration, tolerance, max_iterations)
 
 
 def require_possible(what, points):

@@ -11,11 +11,12 @@ NON_FINITE = -1  # what `advance` returns when a state is infinite or not a numb
 
 
 @njit(cache=True, error_model="numpy")
-def advance(z, h, own, parameters, points, after, near=0.0):
-    """Fill `points`, shape (POINTS, 2, n, d), and the state `after` a step; return 0, or why it failed.
+def advance(z, t, h, given, work, after):
+    """Fill the state `after` a step from `z`, both of shape (2, n, d); return 0 iterations, or why it failed.
 
-    Explicit stages gain nothing from the points of a step that is `near`; see those of implicit steps.
+    The first of `work`, shape (POINTS, 2, n, d), takes the points of the step; the second is for implicit steps.
     """
+    (parameters, own), points = given, work[0]
     gradients = np.empty((POINTS, *z.shape))
     for s in range(POINTS):
         combined(z, h, gradients, ROWS[s], s, points[s])

@@ -15,9 +15,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example_pairs import BLOCKS, POINTS, domain_margin, momentum_matrix
-from codegen.runtime.kkt.lu import factor_matrix
+from codegen.runtime.lu import factor_matrix, solve_factored
 from codegen.runtime.particles.pair_algebra import cholesky, largest, solve_cholesky
-from codegen.runtime.particles.pair_lu import solve_columns
 from codegen.runtime.particles.pair_curvature import curvature_at
 from codegen.runtime.particles.pair_runge_kutta import advance_directions
 from codegen.runtime.particles.pair_secant import secant_steps
@@ -120,11 +119,11 @@ class Linearised:
         """The change of initial momenta that changes the residual by `right`; NaN where there is none."""
         if right.size > DENSE:
             return self.gmres(right, forcing)
-        matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right[:, None].copy()
+        matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right.copy()
         if factor_matrix(matrix, pivots) >= 0:
             return np.full(right.size, np.nan)
-        solve_columns(matrix, pivots, solution)
-        return solution[:, 0]
+        solve_factored(matrix, pivots, solution)
+        return solution
 
     def preconditioned(self, vector):
         """The preconditioner's inverse times a vector, shape (nd,)."""

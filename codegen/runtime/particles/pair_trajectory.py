@@ -17,9 +17,10 @@ def follow(h, own, parameters, path, points, near=0.0):
     which then begin there; else it is zero.
     Return the iterations of all implicit steps, or a negative number that says why a step failed.
     """
-    iterations = 0
+    given, iterations = (parameters, own), 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], path[k + 1], near)
+        work = points[k * POINTS : (k + 1) * POINTS], near
+        outcome = advance(path[k], k * h, h, given, work, path[k + 1])
         if outcome < 0:
             return outcome
         if not domain_margin(path[k + 1]) > 0.0:
@@ -40,9 +41,9 @@ def discrete_cost(h, own, parameters, points):
 @njit(cache=True, error_model="numpy")
 def defects(h, own, parameters, path, points, errors):
     """Fill `errors`, shape (N, 2, n, d), with a step from each state minus the next state; return as `follow` does."""
-    after, iterations = np.empty(path[0].shape), 0
+    after, given, iterations = np.empty(path[0].shape), (parameters, own), 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after, 0.0)
+        outcome = advance(path[k], k * h, h, given, (points[k * POINTS : (k + 1) * POINTS], 0.0), after)
         if outcome < 0:
             return outcome
         for s in range(2):
