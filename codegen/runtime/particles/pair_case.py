@@ -24,7 +24,7 @@ class Case(NamedTuple):
 
 
 def checked_case(start, target, sigma, own, own_names, parameters, steps, duration, tolerance, max_iterations):
-    """A Case; ValueError names the points, or the argument, that are unusable and why."""
+    """A Case, whose fields give the shapes; ValueError names the points, or the argument, that are unusable and why."""
     start, target = np.array(start, dtype=float), np.array(target, dtype=float)
     if start.ndim != 2 or start.shape[1] != DIMENSION or start.shape[0] < 1:
         raise ValueError(f"start has shape {start.shape}, expected (n, {DIMENSION}) with at least one point")
@@ -50,7 +50,7 @@ def checked_case(start, target, sigma, own, own_names, parameters, steps, durati
 
 
 def require_possible(what, points):
-    """Refuse points that are not finite, outside their domain, or given twice."""
+    """Refuse points, shape (n, d), that are not finite, outside their domain, or given twice."""
     if not np.isfinite(points).all():
         row = int(np.argmin(np.isfinite(points).all(axis=1)))
         raise ValueError(f"{what} of point {row + 1} is {points[row]}, expected finite numbers")

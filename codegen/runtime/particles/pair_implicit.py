@@ -20,7 +20,7 @@ ROUNDING = 1e-15  # relative change below which nothing is left but rounding
 
 @njit(cache=True, error_model="numpy")
 def between(before, after, a, b, point):
-    """Fill `point` with the place at which a substep evaluates the field."""
+    """Fill `point`, shape (2, n, d) as both ends, with where a substep evaluates the field."""
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):
             point[0, i, k] = before[0, i, k] + a * (after[0, i, k] - before[0, i, k])
@@ -35,7 +35,7 @@ def is_settled(change, previous, size, accuracy):
 
 @njit(cache=True, error_model="numpy")
 def implicit_substep(before, step, a, b, own, parameters, near, gradient, point, after):
-    """Solve a substep; return the iterations, or why there is no solution.
+    """Fill `after`, shape (2, n, d), with the end of a substep; return the iterations, or why there is no solution.
 
     Where `point` is near to where the field will be evaluated, `near` is the relative accuracy that suffices, and the
     iteration starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
@@ -60,7 +60,7 @@ def implicit_substep(before, step, a, b, own, parameters, near, gradient, point,
 
 @njit(cache=True, error_model="numpy")
 def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
-    """Newton's method from an explicit Euler step."""
+    """The same by Newton's method from an explicit Euler step."""
     size = before.size
     hessian, matrix, pivots = np.empty((size, size)), np.empty((size, size)), np.empty(size, np.int64)
     wanted, right = np.empty(before.shape), np.empty(size)
@@ -97,7 +97,7 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
 
 @njit(cache=True, error_model="numpy")
 def substep_matrix(hessian, step, a, b, matrix):
-    """Fill `matrix` with 1 - step J H'' diag(a, b), the derivative of a substep's equations by its end."""
+    """Fill `matrix`, shape (2nd, 2nd), with 1 - step J H'' diag(a, b): the derivative of the equations by the end."""
     size, half = hessian.shape[0], hessian.shape[0] // 2
     for row in range(half):
         for column in range(size):
@@ -110,7 +110,7 @@ def substep_matrix(hessian, step, a, b, matrix):
 
 @njit(cache=True, error_model="numpy")
 def implicit_directions(hessians, points, k, step, a, b, own, parameters, before, products, after):
-    """Fill `after` with the derivative of a substep times directions, or return False."""
+    """Fill `after` with the derivative of a substep times the directions `before`, both (2nd, m), or return False."""
     middle, half = np.empty(before.shape), before.shape[0] // 2
     for row in range(before.shape[0]):
         for c in range(before.shape[1]):

@@ -27,7 +27,7 @@ def advance(z, t, h, given, work, after):
 
 @njit(cache=True, error_model="numpy")
 def combined(z, h, gradients, weights, count, result):
-    """Fill `result` with z + h sum_r weights[r] (H_p, -H_q)_r over the first `count` stages."""
+    """Fill `result`, shape (2, n, d), with z + h sum_r weights[r] (H_p, -H_q)_r over the first `count` stages."""
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             place, momentum = z[0, i, k], z[1, i, k]
@@ -50,7 +50,7 @@ def advance_directions(hessians, points, first, h, own, parameters, directions, 
 
 @njit(cache=True, error_model="numpy")
 def combined_directions(directions, h, rates, weights, count, result):
-    """Fill `result` with directions + h sum_r weights[r] rates[r] over the first `count` stages."""
+    """Fill `result`, shape (2nd, m), with directions + h sum_r weights[r] rates[r] over the first `count` stages."""
     for row in range(directions.shape[0]):
         for c in range(directions.shape[1]):
             value = directions[row, c]

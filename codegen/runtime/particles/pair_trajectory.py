@@ -31,7 +31,7 @@ def follow(h, own, parameters, path, points, near=0.0):
 
 @njit(cache=True, error_model="numpy")
 def discrete_cost(h, own, parameters, points):
-    """The sum of 2 h H over the points at which the scheme evaluates it, with the scheme's weights."""
+    """The sum of 2 h H over the points, shape (N POINTS, 2, n, d), with the scheme's weights."""
     cost = 0.0
     for k in range(points.shape[0]):
         cost += 2.0 * h * COST_WEIGHTS[k % POINTS] * hamiltonian(points[k], own, parameters)
@@ -72,7 +72,7 @@ def cost_and_energies(h, own, parameters, path, points, energy):
 
 @njit(cache=True, error_model="numpy")
 def same_state(one, other):
-    """Whether two states are equal in every number."""
+    """Whether two states, shape (2, n, d), are equal in every number."""
     for s in range(2):
         for i in range(one.shape[1]):
             for a in range(one.shape[2]):

@@ -15,7 +15,7 @@ def allocate_parts(h, given):
 
 @njit(cache=True, error_model="numpy")
 def advance_parts(state, t, given, work, interval):
-    """Make all steps of the base scheme from `state`; `interval` is that of the last. Return as `advance` does."""
+    """Make all steps of the base scheme from `state`, shape (STATE,); otherwise as `advance` for the last of them."""
     inner_work, lengths, here = work
     iterations = 0
     for i in range(STATE):
@@ -34,7 +34,7 @@ def advance_parts(state, t, given, work, interval):
 
 @njit(cache=True, error_model="numpy")
 def parts_residual(state, end, t, given, work, interval, residual):
-    """Max-norm of the base scheme's equations over the steps from `state` to `end`, the others being made again."""
+    """Max-norm of the base scheme's equations, shape (STAGES + STATE,), over steps made again from `state` to `end`."""
     inner_work, lengths, here = work
     largest = 0.0
     for i in range(STATE):

@@ -25,7 +25,7 @@ if ITERATED:
 
 @njit(cache=True, error_model="numpy")
 def allocate_work(h, given):
-    """Unknowns and residual, shape (UNKNOWNS,), Jacobian and pivots; then sizes and last corrections of unknowns."""
+    """Unknowns and residual, shape (UNKNOWNS,), Jacobian and pivots; to iterate, sizes and last corrections as well."""
     unknowns, residual = np.zeros(UNKNOWNS), np.empty(UNKNOWNS)
     jacobian, pivots = np.empty((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS, np.int64)
     if CONSTANT:
