@@ -104,8 +104,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
     around = particle_loops(model, singles)
     implicit = _implicit(program) and not by_turns
     step = ["pair_separable"] if by_turns else [
-        "pair_algebra", "pair_curvature", *_step(program),
-        *(["lu", "pair_lu", "pair_implicit"] if implicit else []),
+        "pair_algebra", "pair_curvature", *_step(program), *(["lu", "pair_implicit"] if implicit else []),
     ]  # fmt: skip
     return ParticlesModule(
         template="particles.py.j2",
@@ -116,8 +115,8 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         metadata=tuple(_metadata_of_motion(program, derivatives, loops)),
         constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
         kernels=(),
-        runtime=(*_special(loops, around), *step, "counts", "pair_motion"),
-        sizes=(("IMPLICIT", int(implicit)),),
+        runtime=(*_special(loops, around), *step, "counts", "pair_motion", "motion"),
+        sizes=(("IMPLICIT", int(implicit)), ("STATE", 0), ("PARTS", 0)),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),
@@ -207,7 +206,6 @@ def _runtime(
     files += [
         "lu",
         "pair_algebra",
-        "pair_lu",
         "pair_curvature",
         *_step(program),
         *(["pair_implicit"] if _implicit(program) else []),

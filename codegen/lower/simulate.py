@@ -47,8 +47,8 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         metadata=tuple(_metadata(program, derivatives, kernels)),
         constants=tuple(_constants(program)),
         kernels=kernels,
-        runtime=_runtime(program, derivatives),
-        sizes=(("PARTS", len(program.fractions)),),
+        runtime=_runtime(program),
+        sizes=_sizes(program, derivatives),
         arguments=tuple(
             Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
         ),
@@ -183,19 +183,22 @@ def _solver(program: StepProgram, derivatives: StepDerivatives) -> str:
     return "constant" if derivatives.constant and not program.fractions else "linear"
 
 
-def _runtime(program: StepProgram, derivatives: StepDerivatives) -> tuple[str, ...]:
-    files = [
-        f"step_{_solver(program, derivatives)}",
-        *(["composition"] if program.fractions else []),
-        "trajectory",
-        "counts",
-        "tolerances",
-        "path",
-    ]
-    if program.unknowns:
-        files = [*(["scalar"] if len(program.unknowns) == 1 else ["lu", "dense"]), *files]
-        files += [] if program.fractions else ["step_callbacks"]
-    return tuple(files)
+def _sizes(program: StepProgram, derivatives: StepDerivatives) -> tuple[tuple[str, int], ...]:
+    """On what it depends what the runtime files say: sizes, and flags of how a step is solved."""
+    solver = _solver(program, derivatives)
+    flags = {"ITERATED": solver == "newton", "CONSTANT": solver == "constant", "SYSTEM": len(program.unknowns) > 1}
+    sizes = {"STATE": len(program.state), "PARTS": len(program.fractions), **flags}
+    return tuple((name, int(size)) for name, size in sizes.items())
+
+
+def _runtime(program: StepProgram) -> tuple[str, ...]:
+    return (
+        *(("lu",) if len(program.unknowns) > 1 else ()),
+        "step_newton" if program.unknowns else "step_explicit",
+        *(("composition",) if program.fractions else ()),
+        "counts", "tolerances", "body_motion", "motion",
+        *(("step_callbacks",) if program.unknowns and not program.fractions else ()),
+    )  # fmt: skip
 
 
 def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:

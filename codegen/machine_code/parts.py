@@ -60,9 +60,9 @@ def simulate_parts(module: Any) -> Calls:
     grid = module.make_grid(2)
     path, stored = np.vstack([grid.start, grid.start]), np.empty((3, grid.start.size))
     return [
-        lambda: module.follow(grid.start, 2, grid.h, grid.parameters, 1, 1e-13, 50, stored, stored),
+        lambda: module.follow(grid.start, 2, grid.h, grid.given, 1, stored, stored),
         lambda: module.path_residual(grid, path),
-        lambda: module.energies(path, np.zeros(2), grid.parameters, np.empty(2)),
+        lambda: module.energies(path, np.zeros(2), grid.given, np.empty(2)),
     ]
 
 

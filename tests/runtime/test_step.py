@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import interpreted
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from codegen.runtime.kkt import dense, lu
-from codegen.runtime.stepping import (
-    path,
-    scalar,
-    step_callbacks,
-    step_constant,
-    step_explicit,
-    step_linear,
-    step_newton,
-)
-from codegen.runtime.stepping.trajectory import energies, follow, largest_residual
+from codegen.emit import runtime_source
+from codegen.runtime import lu
+from codegen.runtime.stand_ins import example_step
+from codegen.runtime.stepping import body_motion, motion, step_callbacks, step_explicit, step_newton
 
 NOTHING = np.empty(0)
+GIVEN = NOTHING, 1e-13, 50
 START = np.array([0.7, 1.1])
 STEP = 0.3
 
@@ -36,7 +33,7 @@ def midpoint_step(q: float, p: float, h: float) -> tuple[float, float]:
 def follow_from(start: np.ndarray, steps: int, every: int = 1, limit: int = 50) -> tuple[np.ndarray, np.ndarray, tuple]:
     trajectory = np.full((2 - (-steps // every), 2), np.nan)
     before = np.full((trajectory.shape[0], 2), np.nan) if every > 1 else trajectory
-    outcome = follow(start, steps, STEP, NOTHING, every, 1e-13, limit, trajectory, before)
+    outcome = motion.follow(start, steps, STEP, (NOTHING, 1e-13, limit), every, trajectory, before)
     return trajectory, before, outcome
 
 
@@ -49,7 +46,7 @@ def test_dense_factorisation_agrees_with_lapack(size: int) -> None:
     expected = np.linalg.solve(matrix, right)
     pivots = np.empty(size, np.int64)
     assert lu.factor_matrix(matrix, pivots) == -1
-    dense.solve_factored(matrix, pivots, right)
+    lu.solve_factored(matrix, pivots, right)
     np.testing.assert_allclose(right, expected, rtol=1e-11)
 
 
@@ -59,36 +56,27 @@ def test_dense_factorisation_names_the_singular_column() -> None:
     assert lu.factor_matrix(np.full((2, 2), np.nan), np.empty(2, np.int64)) == 0
 
 
-def test_scalar_equation() -> None:
-    right, pivots = np.array([6.0]), np.empty(1, np.int64)
-    assert scalar.factor_matrix(np.array([[0.0]]), pivots) == 0
-    assert scalar.factor_matrix(np.array([[np.nan]]), pivots) == 0
-    assert scalar.factor_matrix(np.array([[4.0]]), pivots) == -1
-    scalar.solve_factored(np.array([[4.0]]), pivots, right)
-    assert right[0] == 1.5
-
-
 @pytest.mark.parametrize("h", [1e-3, 0.1, 1.0])
 def test_newton_solves_a_step_to_rounding(h: float) -> None:
     interval = np.empty(2)
-    work = step_newton.allocate_work(h, NOTHING)
-    iterations = step_newton.advance(START, 0.0, h, NOTHING, work, interval, 1e-13, 50)
+    work = step_newton.allocate_work(h, GIVEN)
+    iterations = step_newton.advance(START, 0.0, h, GIVEN, work, interval)
     assert 1 <= iterations <= 7
     np.testing.assert_allclose(interval, midpoint_step(*START, h), rtol=0.0, atol=4e-15)
 
 
 def test_newton_stops_at_the_equilibrium_and_without_reaching_an_impossible_tolerance() -> None:
-    interval, work = np.empty(2), step_newton.allocate_work(STEP, NOTHING)
-    assert step_newton.advance(np.zeros(2), 0.0, STEP, NOTHING, work, interval, 1e-13, 50) == 1
+    interval, work = np.empty(2), step_newton.allocate_work(STEP, GIVEN)
+    assert step_newton.advance(np.zeros(2), 0.0, STEP, GIVEN, work, interval) == 1
     assert np.array_equal(interval, np.zeros(2))
-    assert 0 < step_newton.advance(START, 0.0, STEP, NOTHING, work, interval, 0.0, 50) < 10
+    assert 0 < step_newton.advance(START, 0.0, STEP, (NOTHING, 0.0, 50), work, interval) < 10
 
 
 def test_newton_reports_why_it_failed() -> None:
-    interval, work = np.empty(2), step_newton.allocate_work(STEP, NOTHING)
-    assert step_newton.advance(START, 0.0, STEP, NOTHING, work, interval, 1e-13, 1) == step_newton.NOT_CONVERGED
+    interval, work = np.empty(2), step_newton.allocate_work(STEP, GIVEN)
+    assert step_newton.advance(START, 0.0, STEP, (NOTHING, 1e-13, 1), work, interval) == step_newton.NOT_CONVERGED
     nowhere = np.array([np.nan, 1.0])
-    assert step_newton.advance(nowhere, 0.0, STEP, NOTHING, work, interval, 1e-13, 50) == step_newton.NON_FINITE
+    assert step_newton.advance(nowhere, 0.0, STEP, GIVEN, work, interval) == step_newton.NON_FINITE
 
 
 def test_corrections_are_measured_unknown_by_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,27 +91,39 @@ def test_corrections_are_measured_unknown_by_unknown(monkeypatch: pytest.MonkeyP
     assert has_converged(unknowns, np.array([1e-9, 2e-20]), *arguments)
 
 
-def test_linear_steps_make_one_newton_step() -> None:
-    """The stand-in is not linear, so that one solve leaves a known error; both variants leave what belongs to them."""
-    expected = midpoint_step(*START, 1e-3)
-    for variant in (step_linear, step_constant):
-        interval = np.empty(2)
-        work = variant.allocate_work(1e-3, NOTHING)
-        assert variant.advance(START, 0.0, 1e-3, NOTHING, work, interval, 1e-13, 50) == 1
-        np.testing.assert_allclose(interval, expected, rtol=0.0, atol=1e-12)
+def linear_step(matrix: float = 1.0, **sizes: int) -> dict[str, Any]:
+    """What a module with linear equations has of `step_newton`, for a stand-in whose Jacobian has a factor."""
+    names = {**vars(example_step), "factor_matrix": lu.factor_matrix, "solve_factored": lu.solve_factored}
+    names |= {"np": np, "njit": interpreted.njit}
+
+    def step_jacobian(unknowns, state, t, h, parameters, residual, jacobian):
+        example_step.step_jacobian(unknowns, state, t, h, parameters, residual, jacobian)
+        jacobian[0, 0] *= matrix
+
+    names["step_jacobian"] = step_jacobian
+    exec(runtime_source(("step_newton",), (("ITERATED", 0), *sizes.items())), names)
+    return names
 
 
-def test_constant_step_reports_a_singular_matrix() -> None:
-    unknowns, residual, jacobian, pivots = step_constant.allocate_work(STEP, NOTHING)
-    pivots[0] = -1
-    work = unknowns, residual, jacobian, pivots
-    assert step_constant.advance(START, 0.0, STEP, NOTHING, work, np.empty(2), 1e-13, 50) == step_constant.SINGULAR
+@pytest.mark.parametrize("constant", [0, 1])
+@pytest.mark.parametrize("system", [0, 1])
+def test_linear_steps_make_one_newton_step(constant: int, system: int) -> None:
+    """The stand-in is not linear, so that one solve leaves a known error."""
+    variant, interval = linear_step(CONSTANT=constant, SYSTEM=system), np.empty(2)
+    assert "has_converged" not in variant
+    work = variant["allocate_work"](1e-3, GIVEN)
+    assert variant["advance"](START, 0.0, 1e-3, GIVEN, work, interval) == 1
+    np.testing.assert_allclose(interval, midpoint_step(*START, 1e-3), rtol=0.0, atol=1e-12)
+    for matrix in (0.0, np.nan):
+        variant = linear_step(matrix, CONSTANT=constant, SYSTEM=system)
+        work = variant["allocate_work"](STEP, GIVEN)
+        assert variant["advance"](START, 0.0, STEP, GIVEN, work, interval) == variant["SINGULAR"]
 
 
 def test_explicit_step() -> None:
     interval = np.empty(2)
-    work = step_explicit.allocate_work(STEP, NOTHING)
-    assert step_explicit.advance(START, 0.0, STEP, NOTHING, work, interval, 1e-13, 50) == 0
+    work = step_explicit.allocate_work(STEP, GIVEN)
+    assert step_explicit.advance(START, 0.0, STEP, GIVEN, work, interval) == 0
     momentum = 1.1 - STEP * np.sin(0.7)
     np.testing.assert_allclose(interval, [0.7 + STEP * momentum, momentum], rtol=1e-15)
 
@@ -161,22 +161,22 @@ def test_a_failed_step_leaves_the_last_good_state() -> None:
 def test_residual_is_measured_along_the_stored_path() -> None:
     for every in (1, 3):
         trajectory, before, (steps, rows, _, _) = follow_from(START, 10, every)
-        arguments = (rows, steps, STEP, NOTHING, every, 1e-13, 50)
-        assert largest_residual(before, trajectory, *arguments) < 1e-15
+        arguments = (rows, steps, STEP, GIVEN, every)
+        assert body_motion.largest_residual(before, trajectory, *arguments) < 1e-15
         trajectory[rows - 1, 1] += 1e-3
-        assert largest_residual(before, trajectory, *arguments) == pytest.approx(1e-3, rel=1e-9)
+        assert body_motion.largest_residual(before, trajectory, *arguments) == pytest.approx(1e-3, rel=1e-9)
         trajectory[rows - 1, 1] = np.nan
-        assert largest_residual(before, trajectory, *arguments) == np.inf
+        assert body_motion.largest_residual(before, trajectory, *arguments) == np.inf
 
 
 def test_energies() -> None:
     values = np.empty(2)
-    energies(np.array([[0.0, 2.0], [np.pi, 0.0]]), np.zeros(2), NOTHING, values)
+    body_motion.energies(np.array([[0.0, 2.0], [np.pi, 0.0]]), np.zeros(2), GIVEN, values)
     np.testing.assert_allclose(values, [1.0, 1.0])
 
 
 def test_callbacks_describe_one_step() -> None:
-    grid = path.checked_grid(10, 3.0, [], START)
+    grid = motion.checked_grid(10, 3.0, [], START)
     unknowns = step_callbacks.predict(grid, START)
     derivative = step_callbacks.jacobian(grid, unknowns, START)
     shift = 1e-6
@@ -186,7 +186,9 @@ def test_callbacks_describe_one_step() -> None:
     assert derivative.shape == (1, 1)
     assert derivative[0, 0] == pytest.approx(difference[0] / (2 * shift), rel=1e-9)
     solution = brentq(lambda p: step_callbacks.residual(grid, [p], START)[0], -5.0, 5.0, xtol=1e-15)
-    np.testing.assert_allclose(step_callbacks.complete(grid, [solution], START), path.step(grid, START), atol=1e-14)
+    np.testing.assert_allclose(
+        step_callbacks.complete(grid, [solution], START), body_motion.step(grid, START), atol=1e-14
+    )
 
 
 def test_unusable_arguments_are_named() -> None:
@@ -201,20 +203,22 @@ def test_unusable_arguments_are_named() -> None:
         ((5, 1.0, [], [np.nan, 0.0]), "start"),
     ):
         with pytest.raises(ValueError, match=f"^{name}"):
-            path.checked_grid(*arguments)
-    grid = path.checked_grid(5, 1.0, [], START)
+            motion.checked_grid(*arguments)
+    grid = motion.checked_grid(5, 1.0, [], START)
     with pytest.raises(ValueError, match=r"^every"):
-        path.integrate(grid, 0, 1e-13, 50)
+        motion.integrate(grid, 0)
+    with pytest.raises(ValueError, match=r"^tolerance"):
+        body_motion.with_settings(grid, 0.0, 50)
     with pytest.raises(ValueError, match=r"speed.*prescribed: q, p"):
-        path.replace_values({"q": 0.0, "p": 1.0}, {"speed": 1.0})
+        body_motion.replace_values({"q": 0.0, "p": 1.0}, {"speed": 1.0})
 
 
 def test_messages_name_step_and_time() -> None:
-    grid = path.checked_grid(10, 3.0, [], START)
-    status, message = path.integrate(grid, 1, 1e-13, 1)[:2]
+    grid = motion.checked_grid(10, 3.0, [], START)
+    status, message = motion.integrate(body_motion.with_settings(grid, 1e-13, 1), 1)[:2]
     assert status == "newton failed"
     assert message.startswith("newton failed in step 1 of 10, from t = 0 to 0.3: ")
-    status, message, steps, t, q, p, energy, residual, iterations = path.integrate(grid, 4, 1e-13, 50)
+    status, message, steps, t, q, p, energy, residual, iterations = motion.integrate(grid, 4)
     assert (status, steps) == ("solved", 10)
     assert message.startswith("all 10 steps were made with ")
     np.testing.assert_allclose(t, [0.0, 1.2, 2.4, 3.0])

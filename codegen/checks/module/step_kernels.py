@@ -64,8 +64,8 @@ def _after_a_step(context: Context, program: StepProgram, point: Point, equation
     for shorter in _SHORTER:
         shortened = {**point, **{h: shorter * point[h] for h in program.lengths}}
         arguments = _step_arguments(shortened, program)
-        work = module.allocate_work(arguments[2], arguments[3])
-        if module.advance(*arguments, work, made, 1e-14, 50) >= 0:
+        given = (arguments[3], 1e-14, 50)
+        if module.advance(*arguments[:3], given, module.allocate_work(arguments[2], given), made) >= 0:
             base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
             with mpmath.workdps(DIGITS):
                 return equations(*(mpmath.mpf(shortened[symbol]) for symbol in base), *map(mpmath.mpf, made))

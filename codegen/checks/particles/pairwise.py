@@ -155,8 +155,8 @@ def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> I
     if not hasattr(module, "advance_directions"):
         return
     own, parameters = _own(model), np.array(model.defaults)
-    points = np.zeros((module.POINTS, *state.shape))
-    made = (h for h in _LENGTHS if module.advance(state, h, own, parameters, points, np.empty_like(state)) >= 0)
+    points, given, after = np.zeros((module.POINTS, *state.shape)), (parameters, own), np.empty_like(state)
+    made = (h for h in _LENGTHS if module.advance(state, 0.0, h, given, (points, 0.0), after) >= 0)
     if (h := next(made, None)) is None:
         yield Finding(
             "symplecticity", "one step", False, f"no step could be made, down to a length of {_LENGTHS[-1]:g}"

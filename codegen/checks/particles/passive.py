@@ -78,7 +78,7 @@ def _company(module: Any, state: Any, own: Any, parameters: Any) -> Finding:
 def _way_back(module: Any, state: Any, own: Any, parameters: Any, generator: np.random.Generator) -> Iterator[Finding]:
     """Points that make a step and its inverse, and the product of the derivatives of both."""
     h, stages = 0.02, np.zeros((module.POINTS, *state.shape))
-    if module.advance(state, h, own, parameters, stages, np.empty_like(state)) < 0:
+    if module.advance(state, 0.0, h, (parameters, own), (stages, 0.0), np.empty_like(state)) < 0:
         yield Finding("consistency", "the way back", False, "the step could not be made")
         return
     size, count = state.shape[2], int(module.BLOCK)

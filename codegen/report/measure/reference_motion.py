@@ -42,10 +42,10 @@ def field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector
     shape = np.shape(module.START)  # type: ignore[attr-defined]
 
     def field(t: float, z: Vector) -> Vector:
-        grid = module.make_grid(1, duration=h, start=z.reshape(shape))
-        path, before = np.empty((2, *shape)), np.empty((1, *shape))
-        module.follow(grid.start, 1, h, grid.own, grid.parameters, 1, path, before)  # type: ignore[attr-defined]
-        return np.asarray((path[1].ravel() - z) / h)
+        grid: Any = module.make_grid(1, duration=h, start=z.reshape(shape))
+        path = np.empty((2, z.size))
+        module.follow(grid.start, 1, h, grid.given, 1, path, path)  # type: ignore[attr-defined]
+        return np.asarray((path[1] - z) / h)
 
     return field
 

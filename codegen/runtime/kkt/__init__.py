@@ -4,5 +4,5 @@
 `bordered`; both have `frontal` eliminate the elements of one body, from `elements` with its ends (`ends_flat`,
 `ends_curved`) and with what stays inside an interval kept or eliminated beforehand (`element_kept`,
 `element_condensed`, `element_barrier`, by `condensation` and `inverse`). `symmetric` chooses pivots, `substitution`
-solves; `dense` and `lu` are for small systems.
+solves.
 """

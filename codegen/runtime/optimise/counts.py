@@ -1,4 +1,6 @@
-"""Whether a number that was given can be a count of something."""
+"""Whether numbers that were given can be counts, and a duration."""
+
+import numpy as np
 
 
 def checked_count(name, number):
@@ -10,3 +12,11 @@ def checked_count(name, number):
     if not is_count:
         raise ValueError(f"{name} is {number!r}, expected a positive integer")
     return int(number)
+
+
+def checked_times(steps, duration):
+    """The number of steps and the duration of all; ValueError when they are not positive, or not finite."""
+    steps = checked_count("steps", steps)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    return steps, float(duration)

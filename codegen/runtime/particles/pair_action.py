@@ -17,7 +17,7 @@ from codegen.runtime.particles.pair_ladder import guessed_path
 
 
 def action_start(case):
-    """The unknowns of the guessed path."""
+    """The unknowns of the guessed path, shape (nd (2 N - 1),)."""
     path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
     return np.concatenate([path[1:-1, 0].ravel(), path[:-1, 1].ravel()])
 
@@ -46,7 +46,7 @@ def action_gradients(case, states):
 
 
 def action_cost_gradient(case, unknowns):
-    """Its gradient by the unknowns."""
+    """Its gradient by the unknowns, in the shape of those."""
     gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
     at_nodes = np.zeros((case.steps + 1, *case.start.shape))
     at_nodes[:-1] += (1.0 - PLACE) * gradients[:, 0]
@@ -55,14 +55,14 @@ def action_cost_gradient(case, unknowns):
 
 
 def action_constraints(case, unknowns):
-    """q_k+1 - q_k - h H_p on every interval, in one vector of length ndN."""
+    """q_k+1 - q_k - h H_p on every interval, shape (ndN,)."""
     places, states = action_states(case, unknowns)
     velocities = action_gradients(case, states)[:, 1]
     return (places[1:] - places[:-1] - case.duration / case.steps * velocities).ravel()
 
 
 def action_blocks(case, states):
-    """The second derivatives of H at every state."""
+    """The second derivatives of H at every state, shape (N, 2nd, 2nd)."""
     hessians = np.empty((len(states), states[0].size, states[0].size))
     for z, hessian in zip(states, hessians, strict=True):
         hamiltonian_hessian(z, case.own, case.parameters, hessian)
@@ -78,7 +78,7 @@ def action_columns(case, k):
 
 
 def action_jacobian(case, unknowns):
-    """The derivative of `action_constraints`, a dense matrix."""
+    """The derivative of `action_constraints`, shape (ndN, nd (2 N - 1))."""
     _, states = action_states(case, unknowns)
     size, h = case.start.size, case.duration / case.steps
     matrix = np.zeros((case.steps * size, unknowns.size))
@@ -94,7 +94,7 @@ def action_jacobian(case, unknowns):
 
 
 def action_hessian(case, unknowns, multipliers):
-    """The second derivatives of cost + multipliers . constraints, a dense matrix.
+    """The second derivatives of cost + multipliers . constraints, shape (nd (2 N - 1), nd (2 N - 1)).
 
     H is quadratic in momenta, so that v . H_p(q, P) = H(q, P + v) - H(q, P) - H(q, v) and no third derivatives are
     needed.

@@ -10,7 +10,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def mirror_lower_triangle(matrix):
-    """Copy what is below the diagonal to above it."""
+    """Copy what is below the diagonal of a matrix, shape (n, n), to above it."""
     for row in range(matrix.shape[0]):
         for column in range(row):
             matrix[column, row] = matrix[row, column]
@@ -18,7 +18,7 @@ def mirror_lower_triangle(matrix):
 
 @njit(cache=True, error_model="numpy")
 def symmetric_product(matrix, vectors, products):
-    """Fill `products`, shape (n, m), with a symmetric matrix times vectors, shape (n, m)."""
+    """Fill `products` with a symmetric matrix, shape (n, n), times vectors, both of shape (n, m)."""
     size, columns = vectors.shape
     for row in range(size):
         for c in range(columns):
@@ -41,7 +41,7 @@ def symmetric_product(matrix, vectors, products):
 
 @njit(cache=True, error_model="numpy")
 def cholesky(matrix):
-    """Replace a symmetric matrix by its factor L', upper triangular, with matrix = L L'; return whether it has one."""
+    """Replace a symmetric matrix, shape (n, n), by the upper factor L' of matrix = L L'; return whether it has one."""
     size = matrix.shape[0]
     for k in range(size):
         if not matrix[k, k] > 0.0:
@@ -76,7 +76,7 @@ def solve_cholesky(factor, vectors):
 
 @njit(cache=True, error_model="numpy")
 def largest(values):
-    """Max-norm of a vector; infinite when an entry is not a number."""
+    """Max-norm of a vector, shape (n,); infinite when an entry is not a number."""
     size = 0.0
     for k in range(values.size):
         if not abs(values[k]) < np.inf:

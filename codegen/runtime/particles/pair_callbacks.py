@@ -38,7 +38,7 @@ def jacobian(case, momenta):
 
 
 def path_cost(case, path):
-    """The discrete cost of states, shape (N + 1, 2, n, d), each of which is stepped from."""
+    """The discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
     points, errors = np.zeros((case.steps * POINTS, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
     defects(case.duration / case.steps, case.own, case.parameters, path, points, errors)
     return discrete_cost(case.duration / case.steps, case.own, case.parameters, points)
@@ -53,7 +53,7 @@ def path_errors(case, path):
 
 
 def path_of(case, unknowns):
-    """The states that belong to inner places and all momenta, in one vector; see `all_equations`."""
+    """The states, shape (N + 1, 2, n, d), that belong to the unknowns of `all_equations`."""
     path, size = np.empty((case.steps + 1, 2, *case.start.shape)), case.start.size
     inner = (case.steps - 1) * size
     path[1:-1, 0] = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
@@ -64,13 +64,13 @@ def path_of(case, unknowns):
 
 
 def first_unknowns(case):
-    """Inner places and all momenta on the guessed path."""
+    """Inner places and all momenta on the guessed path, shape (2ndN,)."""
     path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
 
 def all_equations(case, unknowns):
-    """Every step from a state minus the next state, in one vector of length 2ndN.
+    """Every step from a state minus the next state, shape (2ndN,).
 
     Unknowns are the places at inner nodes, then the momenta at all nodes; the last places are target - sigma^2 p_N.
     """
@@ -78,7 +78,7 @@ def all_equations(case, unknowns):
 
 
 def all_equations_jacobian(case, unknowns):
-    """The derivative of `all_equations`, a dense matrix of shape (2ndN, 2ndN)."""
+    """The derivative of `all_equations`, shape (2ndN, 2ndN)."""
     path, size, steps = path_of(case, unknowns), case.start.size, case.steps
     points, errors = np.zeros((steps * POINTS, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
     h = case.duration / steps

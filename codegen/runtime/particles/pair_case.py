@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.optimise.counts import checked_count
+from codegen.runtime.optimise.counts import checked_count, checked_times
 from codegen.runtime.stand_ins.example_pairs import DIMENSION, domain_margin
 from codegen.runtime.optimise.tolerances import checked_tolerance
 
@@ -24,7 +24,7 @@ class Case(NamedTuple):
 
 
 def checked_case(start, target, sigma, own, own_names, parameters, steps, duration, tolerance, max_iterations):
-    """A Case; ValueError names the points, or the argument, that are unusable and why."""
+    """A Case, whose fields give the shapes; ValueError names the points, or the argument, that are unusable and why."""
     start, target = np.array(start, dtype=float), np.array(target, dtype=float)
     if start.ndim != 2 or start.shape[1] != DIMENSION or start.shape[0] < 1:
         raise ValueError(f"start has shape {start.shape}, expected (n, {DIMENSION}) with at least one point")
@@ -43,16 +43,14 @@ def checked_case(start, target, sigma, own, own_names, parameters, steps, durati
     parameters = np.array(parameters, dtype=float)
     if not np.isfinite(parameters).all():
         raise ValueError(f"parameters must be finite, got {parameters}")
-    steps, max_iterations = checked_count("steps", steps), checked_count("max_iterations", max_iterations)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
-    own = np.ascontiguousarray(own)
+    steps, duration = checked_times(steps, duration)
+    own, max_iterations = np.ascontiguousarray(own), checked_count("max_iterations", max_iterations)
     tolerance = checked_tolerance(tolerance, 1e-6)
-    return Case(start, target, sigma, own, parameters, steps, float(duration), tolerance, max_iterations)
+    return Case(start, target, sigma, own, parameters, steps, duration, tolerance, max_iterations)
 
 
 def require_possible(what, points):
-    """Refuse points that are not finite, outside their domain, or given twice."""
+    """Refuse points, shape (n, d), that are not finite, outside their domain, or given twice."""
     if not np.isfinite(points).all():
         row = int(np.argmin(np.isfinite(points).all(axis=1)))
         raise ValueError(f"{what} of point {row + 1} is {points[row]}, expected finite numbers")

@@ -13,7 +13,7 @@ STORED = 3.0e7  # numbers in all matrices of second derivatives up to which they
 
 
 def curvature_at(points, own, parameters):
-    """The second derivatives at all points (P, 2, n, d), or None if they are too many."""
+    """The second derivatives, shape (P, 2nd, 2nd), at all points, shape (P, 2, n, d), or None if they are too many."""
     if float(points.shape[0]) * points[0].size ** 2 > STORED:
         return None
     hessians = np.empty((points.shape[0], points[0].size, points[0].size))

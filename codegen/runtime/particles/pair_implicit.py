@@ -8,9 +8,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example_pairs import hamiltonian_gradient, hamiltonian_hessian
-from codegen.runtime.kkt.lu import factor_matrix
+from codegen.runtime.lu import factor_matrix, solve_factored
 from codegen.runtime.particles.pair_algebra import copy_state
-from codegen.runtime.particles.pair_lu import solve_columns
 from codegen.runtime.particles.pair_curvature import linearised_field
 from codegen.runtime.particles.pair_moved import moved
 
@@ -21,7 +20,7 @@ ROUNDING = 1e-15  # relative change below which nothing is left but rounding
 
 @njit(cache=True, error_model="numpy")
 def between(before, after, a, b, point):
-    """Fill `point` with the place at which a substep evaluates the field."""
+    """Fill `point`, shape (2, n, d) as both ends, with where a substep evaluates the field."""
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):
             point[0, i, k] = before[0, i, k] + a * (after[0, i, k] - before[0, i, k])
@@ -36,7 +35,7 @@ def is_settled(change, previous, size, accuracy):
 
 @njit(cache=True, error_model="numpy")
 def implicit_substep(before, step, a, b, own, parameters, near, gradient, point, after):
-    """Solve a substep; return the iterations, or why there is no solution.
+    """Fill `after`, shape (2, n, d), with the end of a substep; return the iterations, or why there is no solution.
 
     Where `point` is near to where the field will be evaluated, `near` is the relative accuracy that suffices, and the
     iteration starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
@@ -61,10 +60,10 @@ def implicit_substep(before, step, a, b, own, parameters, near, gradient, point,
 
 @njit(cache=True, error_model="numpy")
 def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
-    """Newton's method from an explicit Euler step."""
+    """The same by Newton's method from an explicit Euler step."""
     size = before.size
     hessian, matrix, pivots = np.empty((size, size)), np.empty((size, size)), np.empty(size, np.int64)
-    wanted, right = np.empty(before.shape), np.empty((size, 1))
+    wanted, right = np.empty(before.shape), np.empty(size)
     ends, goals = after.reshape(size), wanted.reshape(size)
     hamiltonian_gradient(before, own, parameters, gradient)
     moved(before, step, gradient, after)
@@ -80,13 +79,13 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
             if factor_matrix(matrix, pivots) >= 0:
                 return NOT_CONVERGED
         for k in range(size):
-            right[k, 0] = goals[k] - ends[k]
-        solve_columns(matrix, pivots, right)
+            right[k] = goals[k] - ends[k]
+        solve_factored(matrix, pivots, right)
         change, scale = 0.0, 0.0
         for k in range(size):
-            ends[k] += right[k, 0]
-            change, scale = max(change, abs(right[k, 0])), max(scale, abs(ends[k]))
-            if not abs(right[k, 0]) < np.inf:
+            ends[k] += right[k]
+            change, scale = max(change, abs(right[k])), max(scale, abs(ends[k]))
+            if not abs(right[k]) < np.inf:
                 return NOT_CONVERGED
         if is_settled(change, previous, scale, ROUNDING):
             between(before, after, a, b, point)
@@ -98,7 +97,7 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
 
 @njit(cache=True, error_model="numpy")
 def substep_matrix(hessian, step, a, b, matrix):
-    """Fill `matrix` with 1 - step J H'' diag(a, b), the derivative of a substep's equations by its end."""
+    """Fill `matrix`, shape (2nd, 2nd), with 1 - step J H'' diag(a, b): the derivative of the equations by the end."""
     size, half = hessian.shape[0], hessian.shape[0] // 2
     for row in range(half):
         for column in range(size):
@@ -111,7 +110,7 @@ def substep_matrix(hessian, step, a, b, matrix):
 
 @njit(cache=True, error_model="numpy")
 def implicit_directions(hessians, points, k, step, a, b, own, parameters, before, products, after):
-    """Fill `after` with the derivative of a substep times directions, or return False."""
+    """Fill `after` with the derivative of a substep times the directions `before`, both (2nd, m), or return False."""
     middle, half = np.empty(before.shape), before.shape[0] // 2
     for row in range(before.shape[0]):
         for c in range(before.shape[1]):
@@ -136,26 +135,27 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
         previous = change
     if hessians is None:
         return False
-    return direct_directions(hessians[k], step, a, b, before, middle, after)
+    return direct_directions(hessians[k], step, a, b, before, after)
 
 
 @njit(cache=True, error_model="numpy")
-def direct_directions(hessian, step, a, b, before, middle, after):
-    """Solve the linear equations of a substep by elimination."""
+def direct_directions(hessian, step, a, b, before, after):
+    """Solve the linear equations of a substep by elimination; otherwise as `implicit_directions`."""
     size, half = hessian.shape[0], hessian.shape[0] // 2
-    matrix, pivots = np.empty((size, size)), np.empty(size, np.int64)
+    matrix, pivots, middle, right = np.empty((size, size)), np.empty(size, np.int64), np.empty(size), np.empty(size)
     substep_matrix(hessian, step, a, b, matrix)
     if factor_matrix(matrix, pivots) >= 0:
         return False
-    for row in range(size):
-        for c in range(before.shape[1]):
-            middle[row, c] = (1.0 - (a if row < half else b)) * before[row, c]
-    for row in range(half):
-        for c in range(before.shape[1]):
+    for c in range(before.shape[1]):
+        for row in range(size):
+            middle[row] = (1.0 - (a if row < half else b)) * before[row, c]
+        for row in range(half):
             place, momentum = before[row, c], before[half + row, c]
             for column in range(size):
-                place += step * hessian[half + row, column] * middle[column, c]
-                momentum -= step * hessian[row, column] * middle[column, c]
-            after[row, c], after[half + row, c] = place, momentum
-    solve_columns(matrix, pivots, after)
+                place += step * hessian[half + row, column] * middle[column]
+                momentum -= step * hessian[row, column] * middle[column]
+            right[row], right[half + row] = place, momentum
+        solve_factored(matrix, pivots, right)
+        for row in range(size):
+            after[row, c] = right[row]
     return True

@@ -3,7 +3,8 @@
 Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
 path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
 once from a guessed path, and with more steps, of which then ever fewer are taken. Only an attempt whose residual is
-below the tolerance, or below what rounding makes of it, counts as a solution.
+below the tolerance, or below what rounding makes of it, counts as a solution. All attempts fill `path`, shape
+(N + 1, 2, n, d), and `points`, shape (N POINTS, 2, n, d), from what is in them, and `log`, see `shoot`.
 """
 
 import numpy as np
@@ -49,7 +50,7 @@ def momenta_of(start, velocity, own, parameters):
 
 
 def straight_momenta(case, factor, target):
-    """`momenta_of` the velocity of the straight way to a target, from the factor of `preconditioner`."""
+    """`momenta_of` the velocity of the straight way to a target, shape (n, d), from the factor of `preconditioner`."""
     moved = target - case.start
     if factor is None:
         return moved / case.duration
@@ -58,7 +59,7 @@ def straight_momenta(case, factor, target):
 
 
 def guessed_path(start, target, steps, duration, own, parameters):
-    """States on the guessed way from start to target, momenta by the discrete Legendre transform H_pp^-1 dq/h."""
+    """States (N + 1, 2, n, d) on the guessed way, with momenta by the discrete Legendre transform H_pp^-1 dq/h."""
     path = np.zeros((steps + 1, 2, *start.shape))
     for k in range(steps + 1):
         guide(start, target, k / steps, path[k, 0])
@@ -119,7 +120,7 @@ if QUADRATIC:
 if QUADRATIC:
 
     def penalised(case, cost, end):
-        """Half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points that may miss their targets."""
+        """Half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, shape (n, d), that may miss."""
         free = case.sigma > 0.0
         missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
         return 0.5 * (cost + missed.sum())
@@ -128,7 +129,7 @@ if QUADRATIC:
 if QUADRATIC:
 
     def misses_by_far(case, end):
-        """Whether some point that may miss its target does so by more than sigma."""
+        """Whether some of the points `end`, shape (n, d), that may miss its target does so by more than sigma."""
         return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
 
 
@@ -191,7 +192,7 @@ def by_continuation(case, factor, path, points, log):
 
 
 def room(case, start_momenta=None):
-    """States and points for the steps of a case, with its points at the start and given momenta."""
+    """A `path` and `points` for the steps of a case, with its points at the start and given momenta, shape (n, d)."""
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
     return path, np.zeros((case.steps * POINTS, *path.shape[1:]))

@@ -62,7 +62,7 @@ def action_of(case, places):
 
 
 def stiffness(case, inverses):
-    """Pivots and couplings of the block-tridiagonal second derivatives by the places at the nodes 1 ... N."""
+    """Pivots (N, m, m) and couplings (N - 1, m, m) of the block-tridiagonal second derivatives at the nodes 1 ... N."""
     blocks = inverses * (len(inverses) / case.duration)
     size = blocks.shape[1]
     free = np.repeat(case.sigma > 0.0, size // len(case.sigma))
@@ -92,7 +92,7 @@ def relaxed(pivots, couplings, forces):
 
 
 def direction(pivots, couplings, memory, gradient):
-    """Where to go from a gradient at the nodes 1 ... N, by the two loops over pairs of (step, change of gradient)."""
+    """Where to go from a gradient, shape (N, n, d), by the two loops over pairs of (step, change of gradient)."""
     forces, weights = -gradient, []
     for step, change in reversed(memory):
         weights.append((step * forces).sum() / (step * change).sum())
@@ -104,7 +104,7 @@ def direction(pivots, couplings, memory, gradient):
 
 
 def bent_path(case, count, bend):
-    """Places on the guessed way at count + 1 nodes, in the middle aside by a part of its length, all to one hand."""
+    """Places (count + 1, n, d) on the guessed way, in the middle aside by a part of its length, all to one hand."""
     places, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
     for k in range(count + 1):
         guide(case.start, case.target, k / count, places[k])

@@ -5,7 +5,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def moved(before, step, gradient, after):
-    """Fill `after` with before + step (H_p, -H_q); return the largest change of its entries and their size."""
+    """Fill `after`, shape (2, n, d), with before + step (H_p, -H_q); return the largest change and entry."""
     change, size = 0.0, 0.0
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):

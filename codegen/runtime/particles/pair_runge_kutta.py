@@ -11,11 +11,12 @@ NON_FINITE = -1  # what `advance` returns when a state is infinite or not a numb
 
 
 @njit(cache=True, error_model="numpy")
-def advance(z, h, own, parameters, points, after, near=0.0):
-    """Fill `points`, shape (POINTS, 2, n, d), and the state `after` a step; return 0, or why it failed.
+def advance(z, t, h, given, work, after):
+    """Fill the state `after` a step from `z`, both of shape (2, n, d); return 0 iterations, or why it failed.
 
-    Explicit stages gain nothing from the points of a step that is `near`; see those of implicit steps.
+    The first of `work`, shape (POINTS, 2, n, d), takes the points of the step; the second is for implicit steps.
     """
+    (parameters, own), points = given, work[0]
     gradients = np.empty((POINTS, *z.shape))
     for s in range(POINTS):
         combined(z, h, gradients, ROWS[s], s, points[s])
@@ -26,7 +27,7 @@ def advance(z, h, own, parameters, points, after, near=0.0):
 
 @njit(cache=True, error_model="numpy")
 def combined(z, h, gradients, weights, count, result):
-    """Fill `result` with z + h sum_r weights[r] (H_p, -H_q)_r over the first `count` stages."""
+    """Fill `result`, shape (2, n, d), with z + h sum_r weights[r] (H_p, -H_q)_r over the first `count` stages."""
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             place, momentum = z[0, i, k], z[1, i, k]
@@ -49,7 +50,7 @@ def advance_directions(hessians, points, first, h, own, parameters, directions, 
 
 @njit(cache=True, error_model="numpy")
 def combined_directions(directions, h, rates, weights, count, result):
-    """Fill `result` with directions + h sum_r weights[r] rates[r] over the first `count` stages."""
+    """Fill `result`, shape (2nd, m), with directions + h sum_r weights[r] rates[r] over the first `count` stages."""
     for row in range(directions.shape[0]):
         for c in range(directions.shape[1]):
             value = directions[row, c]

@@ -44,7 +44,7 @@ def approximate_inverse(factor, left, right, count, values, change):
 
 @njit(cache=True, error_model="numpy")
 def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, points):
-    """Improve path[0, 1] as long as the residual falls; return how many steps were made.
+    """Improve path[0, 1], shape (n, d), as long as the residual falls; return how many steps were made.
 
     `path` and `points` belong to the best momenta at the end, whose residual the caller has to look at.
     """

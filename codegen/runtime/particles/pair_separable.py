@@ -8,16 +8,15 @@ from numba import njit
 
 from codegen.runtime.stand_ins.example_pairs import POINTS, SUBSTEPS, slope, velocity
 
-NON_FINITE = -1  # what `advance` returns when a state is infinite or not a number
-
 
 @njit(cache=True, error_model="numpy")
-def advance(z, h, own, parameters, points, after):
-    """Fill the state `after` a step; return 0, or why it failed.
+def advance(z, t, h, given, work, after):
+    """Fill the state `after` a step from `z`, both of shape (2, n, d); return 0 iterations.
 
     Neighbouring substeps share what has not changed between them: H_q as long as places rest, H_p as long as momenta
     do. `points[0]` keeps H_q and the places to which it belongs, for the step that follows.
     """
+    (parameters, own), points = given, work[0]
     rates, slopes, places = np.empty(z[0].shape), points[0, 0], points[0, 1]
     has_rates, has_slopes = False, True
     for i in range(z.shape[1]):
@@ -44,17 +43,15 @@ def advance(z, h, own, parameters, points, after):
             slope(after, own, parameters, slopes)
             moved(after, 1, -step, slopes)
             has_rates, has_slopes = False, True
-    total = 0.0
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             places[i, k] = after[0, i, k] if has_slopes else np.nan
-            total += abs(after[0, i, k]) + abs(after[1, i, k])
-    return 0 if total < np.inf else NON_FINITE
+    return 0
 
 
 @njit(cache=True, error_model="numpy")
 def moved(z, part, step, rates):
-    """Add step times rates to the places (part 0) or momenta (part 1) of a state."""
+    """Add step times rates, shape (n, d), to the places (part 0) or momenta (part 1) of a state, shape (2, n, d)."""
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             z[part, i, k] += step * rates[i, k]

@@ -15,9 +15,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example_pairs import BLOCKS, POINTS, domain_margin, momentum_matrix
-from codegen.runtime.kkt.lu import factor_matrix
+from codegen.runtime.lu import factor_matrix, solve_factored
 from codegen.runtime.particles.pair_algebra import cholesky, largest, solve_cholesky
-from codegen.runtime.particles.pair_lu import solve_columns
 from codegen.runtime.particles.pair_curvature import curvature_at
 from codegen.runtime.particles.pair_runge_kutta import advance_directions
 from codegen.runtime.particles.pair_secant import secant_steps
@@ -59,9 +58,10 @@ def end_residual(state, target, sigma):
 
 @njit(cache=True, error_model="numpy")
 def extend_basis(k, basis, rotated, rotations, remainder):
-    """One step of GMRES: make row k + 1 of `basis` orthonormal to those before, and rotate its coefficients.
+    """One step of GMRES: make row k + 1 of `basis`, shape (m + 1, nd), orthonormal; rotate its coefficients.
 
-    Row k of `rotated` takes them as a column of a triangular matrix; the size of remainder[k + 1] is the residual.
+    Row k of `rotated`, shape (m, m + 1), takes them as a column of a triangular matrix, `rotations`, shape (m, 2),
+    cosine and sine; the size of remainder[k + 1], shape (m + 1,), is the residual.
     Source: Saad (2003), Iterative methods for sparse linear systems, algorithm 6.9 and section 6.5.3.
     """
     new, before = basis[k + 1], 0.0
@@ -92,7 +92,7 @@ class Linearised:
     """The derivative of the residual by the initial momenta, about one trajectory or one sequence of states."""
 
     def __init__(self, case, points, factor):
-        """Take the second derivatives at all points; `factor` is that of `preconditioner`."""
+        """Take second derivatives at all points, shape (N POINTS, 2, n, d); `factor` is that of `preconditioner`."""
         self.case, self.points, self.factor, self.count = case, points, factor, 0
         self.hessians = curvature_at(points, case.own, case.parameters)
 
@@ -117,14 +117,14 @@ class Linearised:
         return arrival(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
 
     def solved(self, right, forcing):
-        """The change of initial momenta that changes the residual by `right`; NaN where there is none."""
+        """The change of initial momenta that changes the residual by `right`, both (nd,); NaN where there is none."""
         if right.size > DENSE:
             return self.gmres(right, forcing)
-        matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right[:, None].copy()
+        matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right.copy()
         if factor_matrix(matrix, pivots) >= 0:
             return np.full(right.size, np.nan)
-        solve_columns(matrix, pivots, solution)
-        return solution[:, 0]
+        solve_factored(matrix, pivots, solution)
+        return solution
 
     def preconditioned(self, vector):
         """The preconditioner's inverse times a vector, shape (nd,)."""
@@ -135,7 +135,7 @@ class Linearised:
         return result.ravel()
 
     def gmres(self, right, forcing):
-        """Solve to a relative residual of `forcing`, as far as BASIS directions go."""
+        """The same to a relative residual of `forcing`, as far as BASIS directions go."""
         most, norm = min(BASIS, right.size), np.linalg.norm(right)
         basis, rotated = np.empty((most + 1, right.size)), np.zeros((most, most + 1))
         rotations, remainder = np.zeros((most, 2)), np.zeros(most + 1)
@@ -153,7 +153,7 @@ class Linearised:
 
 
 def preconditioner(case):
-    """The Cholesky factor of duration times H_pp at the start, None if that is not positive definite."""
+    """The Cholesky factor of duration times H_pp at the start, shape (n, n) or (nd, nd); None if it is not definite."""
     size = case.start.shape[0] if BLOCKS == 1 else case.start.size
     matrix = np.empty((size, size))
     momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
@@ -183,7 +183,7 @@ def rounding(case, path):
 
 
 def rounding_of_states(case, path, errors):
-    """The same for the defects of all steps, when all states move by a unit in the last place."""
+    """The same for the defects of all steps, shape (N, 2, n, d), when all states move by a unit in the last place."""
     h, noise = case.duration / case.steps, 0.0
     found, points = np.empty_like(errors), np.empty((case.steps * POINTS, *path.shape[1:]))
     for trial in jittered(path):
@@ -207,8 +207,8 @@ def first_steps(case, h, factor, path, points):
 def shoot(case, factor, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
-    `factor` is that of `preconditioner`. A row of `log` is (residual, tangents, step length). Return how it ended, the
-    iterations and the last residual.
+    `factor` is that of `preconditioner`. A row of `log`, one for each iteration, is (residual, tangents, step length).
+    Return how it ended, the iterations and the last residual.
     """
     h = case.duration / case.steps
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
@@ -290,7 +290,7 @@ def all_states(case, factor, path, points, log):
 
 
 def shift_states(linear, errors, shifts):
-    """Fill shifts[1:] with the linearised trajectory from shifts[0] that removes the defects."""
+    """Fill shifts[1:], (N, 2nd, 1), with the linearised trajectory from shifts[0] that removes defects (N, 2, n, d)."""
     case = linear.case
     h = case.duration / case.steps
     for k, error in enumerate(errors):

@@ -16,12 +16,14 @@ NON_FINITE = -1  # what `advance` returns when a state is infinite or not a numb
 
 
 @njit(cache=True, error_model="numpy")
-def advance(z, h, own, parameters, points, after, near=0.0):
-    """Fill `points`, shape (POINTS, 2, n, d), and the state `after` a step; return iterations, or why it failed.
+def advance(z, t, h, given, work, after):
+    """Fill the state `after` a step from `z`, both of shape (2, n, d); return iterations, or why it failed.
 
-    Where `points` are those of a step from a nearby state, `near` is the relative accuracy that suffices for implicit
-    substeps, which then begin there; else it is zero.
+    Of `work`, the first, shape (POINTS, 2, n, d), takes the points of the step. Where it holds those of a step from a
+    nearby state, the second is the relative accuracy that suffices for implicit substeps, which then begin there; else
+    it is zero.
     """
+    (parameters, own), (points, near) = given, work
     before, gradient, iterations = np.empty(z.shape), np.empty(z.shape), 0
     copy_state(z, before)
     for s in range(POINTS):

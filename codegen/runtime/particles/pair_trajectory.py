@@ -17,9 +17,10 @@ def follow(h, own, parameters, path, points, near=0.0):
     which then begin there; else it is zero.
     Return the iterations of all implicit steps, or a negative number that says why a step failed.
     """
-    iterations = 0
+    given, iterations = (parameters, own), 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], path[k + 1], near)
+        work = points[k * POINTS : (k + 1) * POINTS], near
+        outcome = advance(path[k], k * h, h, given, work, path[k + 1])
         if outcome < 0:
             return outcome
         if not domain_margin(path[k + 1]) > 0.0:
@@ -30,7 +31,7 @@ def follow(h, own, parameters, path, points, near=0.0):
 
 @njit(cache=True, error_model="numpy")
 def discrete_cost(h, own, parameters, points):
-    """The sum of 2 h H over the points at which the scheme evaluates it, with the scheme's weights."""
+    """The sum of 2 h H over the points, shape (N POINTS, 2, n, d), with the scheme's weights."""
     cost = 0.0
     for k in range(points.shape[0]):
         cost += 2.0 * h * COST_WEIGHTS[k % POINTS] * hamiltonian(points[k], own, parameters)
@@ -40,9 +41,9 @@ def discrete_cost(h, own, parameters, points):
 @njit(cache=True, error_model="numpy")
 def defects(h, own, parameters, path, points, errors):
     """Fill `errors`, shape (N, 2, n, d), with a step from each state minus the next state; return as `follow` does."""
-    after, iterations = np.empty(path[0].shape), 0
+    after, given, iterations = np.empty(path[0].shape), (parameters, own), 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after, 0.0)
+        outcome = advance(path[k], k * h, h, given, (points[k * POINTS : (k + 1) * POINTS], 0.0), after)
         if outcome < 0:
             return outcome
         for s in range(2):
@@ -71,7 +72,7 @@ def cost_and_energies(h, own, parameters, path, points, energy):
 
 @njit(cache=True, error_model="numpy")
 def same_state(one, other):
-    """Whether two states are equal in every number."""
+    """Whether two states, shape (2, n, d), are equal in every number."""
     for s in range(2):
         for i in range(one.shape[1]):
             for a in range(one.shape[2]):

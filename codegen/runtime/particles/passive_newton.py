@@ -1,6 +1,7 @@
 """Newton's method for blocks of passive points: when it has come to an end, and linear equations of each point.
 
-A matrix of each point, d rows of some columns, is kept entry after entry, with all points of the block in each.
+A matrix of each point, d rows of c columns, is kept entry after entry, with all points of the block in each: in an
+array of shape (d*c*BLOCK,). Places, velocities and their changes have shape (d*BLOCK,).
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ NEAR = 3e-5  # a change after which the derivative at hand serves for another it
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def eliminated(matrices, right, columns):
-    """Solve the equations of each point, `right` with some columns, in place.
+    """Solve the equations of each point, with a number of `columns` on the right, in place.
 
     The matrices are close to the unit matrix, or their steps would be too long to be inverted: there is no pivoting.
     """

@@ -1,7 +1,7 @@
 """A step of passive points by an explicit Runge-Kutta method, among particles that make the same step, and its inverse.
 
 As for particles, V_i = V(x0 + h sum_j a_ij V_j) at the particles' stage i, and x1 = x0 + h sum_i b_i V_i. The inverse
-solves this equation for x0 by Newton's method, with the derivative of the step.
+solves this equation for x0 by Newton's method, with the derivative of the step. Shapes are those of `passive_newton`.
 """
 
 import numpy as np
@@ -73,7 +73,7 @@ def explicit_step(places, h, first, stages, own, parameters, rates, derivative):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def combined_places(places, h, velocities, weights, count, result):
-    """Fill `result` with places + h sum_r weights[r] velocities[r] over the first `count` stages."""
+    """Fill `result` with places + h sum_r weights[r] velocities[r], shape (POINTS, d*BLOCK), over `count` stages."""
     for m in range(places.size):
         result[m] = places[m]
         for r in range(count):
@@ -82,7 +82,7 @@ def combined_places(places, h, velocities, weights, count, result):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def unit_and_combined(h, slopes, weights, count, result):
-    """Fill `result` with 1 + h sum_r weights[r] slopes[r] over the first `count` stages."""
+    """Fill `result` with 1 + h sum_r weights[r] slopes[r], shape (POINTS, d*d*BLOCK), over the first `count` stages."""
     for a in range(DIMENSION):
         for b in range(DIMENSION):
             row = (a * DIMENSION + b) * BLOCK

@@ -1,7 +1,8 @@
 """A step of passive points by a composition method, among particles that make the same step, and its inverse.
 
 As for particles, x1 = x0 + f h V(x) at x = (1 - a) x0 + a x1, where V belongs to the particles' place at which their
-field was evaluated. The inverse of a substep is a substep of length -f h with 1 - a in place of a.
+field was evaluated. The inverse of a substep is a substep of length -f h with 1 - a in place of a. Shapes are those of
+`passive_newton`.
 """
 
 import numpy as np

@@ -8,20 +8,20 @@ from codegen.runtime.stepping.step_newton import advance, allocate_work
 
 
 @njit(cache=True, error_model="numpy")
-def allocate_parts(h, parameters):
-    """What the base scheme needs, the lengths of its steps, and the state before each of them."""
-    return allocate_work(h, parameters), h * FRACTIONS, np.empty(STATE)
+def allocate_parts(h, given):
+    """What the base scheme needs, the lengths of its steps, shape as FRACTIONS, and the state before each of them."""
+    return allocate_work(h, given), h * FRACTIONS, np.empty(STATE)
 
 
 @njit(cache=True, error_model="numpy")
-def advance_parts(state, t, parameters, work, interval, tolerance, max_iterations):
-    """Make all steps of the base scheme from `state`; `interval` is that of the last. Return as `advance` does."""
+def advance_parts(state, t, given, work, interval):
+    """Make all steps of the base scheme from `state`, shape (STATE,); otherwise as `advance` for the last of them."""
     inner_work, lengths, here = work
     iterations = 0
     for i in range(STATE):
         here[i] = state[i]
     for part in range(PARTS):
-        outcome = advance(here, t, lengths[part], parameters, inner_work, interval, tolerance, max_iterations)
+        outcome = advance(here, t, lengths[part], given, inner_work, interval)
         if outcome < 0:
             return outcome
         iterations += outcome
@@ -33,18 +33,18 @@ def advance_parts(state, t, parameters, work, interval, tolerance, max_iteration
 
 
 @njit(cache=True, error_model="numpy")
-def parts_residual(state, end, t, parameters, work, interval, residual, tolerance, max_iterations):
-    """Max-norm of the base scheme's equations over the steps from `state` to `end`, the others being made again."""
+def parts_residual(state, end, t, given, work, interval, residual):
+    """Max-norm of the base scheme's equations, shape (STAGES + STATE,), over steps made again from `state` to `end`."""
     inner_work, lengths, here = work
     largest = 0.0
     for i in range(STATE):
         here[i] = state[i]
     for part in range(PARTS):
-        advance(here, t, lengths[part], parameters, inner_work, interval, tolerance, max_iterations)
+        advance(here, t, lengths[part], given, inner_work, interval)
         if part == PARTS - 1:
             for i in range(STATE):
                 interval[STAGES + i] = end[i]
-        step_equations(here, interval, t, lengths[part], parameters, residual)
+        step_equations(here, interval, t, lengths[part], given[0], residual)
         for i in range(STAGES + STATE):
             if not abs(residual[i]) < np.inf:
                 return np.inf

@@ -18,14 +18,14 @@ from codegen.runtime.stand_ins.example_step import (
 
 
 def predict(grid, state, t=0.0):
-    """Unknowns from which to start."""
+    """Unknowns from which to start, shape (UNKNOWNS,), for a step from `state`, shape (STATE,)."""
     unknowns = np.empty(UNKNOWNS)
     predict_step(np.array(state, dtype=float), t, grid.h, grid.parameters, unknowns)
     return unknowns
 
 
 def residual(grid, unknowns, state, t=0.0):
-    """Residual of the step from `state` at time t."""
+    """Residual, shape (UNKNOWNS,), of the step from `state` at time t."""
     values = np.empty(UNKNOWNS)
     step_residual(np.array(unknowns, dtype=float), np.array(state, dtype=float), t, grid.h, grid.parameters, values)
     return values
@@ -40,7 +40,7 @@ def jacobian(grid, unknowns, state, t=0.0):
 
 
 def complete(grid, unknowns, state, t=0.0):
-    """State (q, p) at the right node that belongs to a solution of the step's equations."""
+    """State (q, p), shape (STATE,), at the right node that belongs to a solution of the step's equations."""
     interval = np.empty(STAGES + STATE)
     unknowns, state = np.array(unknowns, dtype=float), np.array(state, dtype=float)
     complete_step(unknowns, state, t, grid.h, grid.parameters, interval)

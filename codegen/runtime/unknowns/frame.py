@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from codegen.runtime.optimise.counts import checked_count
+from codegen.runtime.optimise.counts import checked_times
 from codegen.runtime.stand_ins.example import BODIES, NODE, PHASES, SEVERAL, SHARED, STRIDE
 from codegen.runtime.unknowns.layout import layout
 from codegen.runtime.unknowns.point import Grid
@@ -15,9 +15,7 @@ NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
 def checked_grid(steps, duration, parameters):
     """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
-    steps = checked_count("steps", steps)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    steps, duration = checked_times(steps, duration)
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
@@ -30,7 +28,7 @@ def checked_grid(steps, duration, parameters):
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     if PHASES:
         steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+    return Grid(steps, duration / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
 
 
 def plain_grid(grid):
