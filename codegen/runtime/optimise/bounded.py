@@ -43,7 +43,7 @@ class Attempt(NamedTuple):
     bend: float = 0.0
 
 
-FROM_GUESS, NEARBY = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4), Attempt(0.1, 1e-2, 1e-2, 1e-12, 1e4)
+FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
 WARM = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)  # its duals begin on the central path; far from a solution ones are better
 OTHERS = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
@@ -88,7 +88,7 @@ class Iterate(NamedTuple):
     distance: np.ndarray
     logarithms: float
     duals: np.ndarray
-    measured: NamedTuple | None = None
+    measured: Measured | None = None
 
 
 class Step(NamedTuple):

@@ -11,7 +11,6 @@ import numpy as np
 from codegen.runtime.kkt.system import factor_kkt
 from codegen.runtime.optimise.bounded import (
     FROM_GUESS,
-    NEARBY,
     OTHERS,
     WARM,
     barrier_curvature,
@@ -45,15 +44,17 @@ from codegen.runtime.optimise.restoration import restore
 from codegen.runtime.optimise.rounding import is_solved, sizes_of_terms
 from codegen.runtime.optimise.saddles import ESCAPES, LEFT, is_below, is_nearly_stationary, steps_aside
 from codegen.runtime.optimise.standstill import is_rounding
-from codegen.runtime.stand_ins.example import INEQUALITIES
+from codegen.runtime.optimise.unbounded import NEARBY
+from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 from codegen.runtime.unknowns.frame import views
 from codegen.runtime.unknowns.layout import free_unknowns
 
 BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
-GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
-NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+if UNBOUNDED:
+    GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
+    NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
 if INEQUALITIES:
     LARGEST = 1e20  # unknowns beyond it are taken for infinite
     LEAST_PART = 0.025  # of the tolerance is the last weight: at a tenth the cost of the crane is off by 2e-9 of it
@@ -63,55 +64,55 @@ if INEQUALITIES:
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    Where the guess violates the equations grossly, the search begins at a point near it that nearly obeys them: a full
-    Newton step, which knows of no distance, would leave for another optimum. Where that does not succeed soon, it
-    begins at the guess itself, and then in other ways; if none succeeds, the end of the search from the guess is
-    reported. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds. A row
-    (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate. `max_iterations`
-    is for all searches together; steps of the restoration are not counted.
+    Where the search from the guess fails, it begins anew in other ways; if none succeeds, the end of the first one is
+    reported. With `warm`, the barrier of bounds begins with a small weight and leaves unknowns close to them. A row
+    (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate, and the
+    barrier's weight where there is one. `max_iterations` is for all searches together; steps of the restoration are not
+    counted.
     """
     search, first, total = search_on(grid), None, 0
-    for attempt, iterate in starts(search, np.where(grid.is_multiplier, 0.0, unknowns), warm, log):
-        limit = max_iterations - total
-        if attempt is NEARBY:
-            limit = min(limit // 2, NEARBY_ITERATIONS)
-        status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, limit, log)
-        total += iterations
-        if status == "solved" or (first is None and status == "time limit"):
-            first = status, iterate
-            break
-        if attempt is not NEARBY:
+    primal, attempts = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *OTHERS)
+    guess = begin(search, primal, attempts[0])
+    if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):
+        status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
+        if status in ("solved", "time limit"):
+            return status, iterate.point, total
+    for attempt in attempts:
+        iterate = begin(search, bent(grid, primal, attempt.bend), attempt) if first else guess
+        status = "restored"
+        if attempt.nearby < 1.0 and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
+        if status == "restored":
+            left = max_iterations - total
+            status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
+            total += iterations
             first = first or (status, iterate)
-            if first[0] not in UNLUCKY or total >= max_iterations:
-                break
-    status, iterate = first
+        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+            break
+    status, iterate = (status, iterate) if status == "solved" else first
     point = iterate.point
     if INEQUALITIES:
         point = within_bounds(search, iterate, tolerance)
     return status, point, total
 
 
-def starts(search, unknowns, warm, log):
-    """The attempts in turn, each with the iterate at which it begins."""
-    grid, attempt = search.grid, WARM if warm else FROM_GUESS
-    guess = begin(search, unknowns, attempt)
-    if guess.point.error < np.inf and is_gross(grid, guess.point):
-        status, near = restored(search, guess, NEARBY.nearby, Filter(np.inf), log)
-        if status == "restored":
-            yield NEARBY, near
-    yield attempt, guess
-    for attempt in OTHERS:
-        status, iterate = "restored", begin(search, bent(grid, unknowns, attempt.bend), attempt)
-        if attempt.nearby < 1.0:
-            status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
-        if status == "restored":
-            yield attempt, iterate
+if UNBOUNDED:
 
+    def is_gross(grid, point):
+        """Whether the residual is more than a small part of the equations' largest terms."""
+        terms, _ = sizes_of_terms(grid, point.unknowns)
+        return point.residual > GROSS * terms
 
-def is_gross(grid, point):
-    """Whether the residual is more than a small part of the equations' largest terms."""
-    terms, _ = sizes_of_terms(grid, point.unknowns)
-    return point.residual > GROSS * terms
+    def from_nearby(search, guess, tolerance, max_iterations, log):
+        """(status, iterate, iterations) of a search that begins near a guess, at a point that nearly obeys the equations.
+
+        A full Newton step, which knows of no distance, would leave for another optimum.
+        """
+        status, iterate = restored(search, guess, NEARBY.nearby, Filter(np.inf), log)
+        if status != "restored":
+            return status, iterate, 0
+        limit = min(max_iterations // 2, NEARBY_ITERATIONS)
+        return leave_saddles(search, iterate, NEARBY, tolerance, limit, log)
 
 
 def bent(grid, unknowns, part):
