@@ -90,10 +90,10 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
     status, iterate = (status, iterate) if status == "solved" else first
-    point = iterate.point
     if INEQUALITIES:
-        point = within_bounds(search, iterate, tolerance)
-    return status, point, total
+        return status, within_bounds(search, iterate, tolerance), total
+    else:
+        return status, iterate.point, total
 
 
 if UNBOUNDED:
@@ -149,9 +149,11 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
 
 def neighbours(search, saddle, attempt, escapes):
     """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
-    grid, unknowns, curvature = search.grid, saddle.point.unknowns, 0.0
+    grid, unknowns = search.grid, saddle.point.unknowns
     if INEQUALITIES:
         curvature = barrier_curvature(search, saddle)
+    else:
+        curvature = 0.0
     for step in steps_aside(grid, unknowns, curvature, escapes):
         yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
 
@@ -217,11 +219,9 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             if not convex and is_nearly_stationary(point):
                 return "saddle point", iterate, iteration
             if is_rounding(grid, point):
-                # Rounding has the last word.
-                status = "solved"
-                if INEQUALITIES:
-                    status = "solved" if is_closed(search, iterate, tolerance) else "stalled"
-                return status, iterate, iteration
+                if INEQUALITIES and not is_closed(search, iterate, tolerance):
+                    return "stalled", iterate, iteration
+                return "solved", iterate, iteration  # rounding has the last word
             filtered.add(point.violation, merit(iterate))
             status, trial = restored(search, iterate, 0.9, filtered, log)
             if status != "restored":
