@@ -29,7 +29,6 @@ from codegen.runtime.optimise import (
 )
 from codegen.runtime.optimise.iterates import Log
 
-
 LINEAR_ALGEBRA = {
     "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved", "bounds_of", "left_over",
     "multiplier_unknowns", "sizes_of_terms", "solve_kkt", "views", "with_tied_values",
@@ -296,7 +295,7 @@ def test_a_filter_that_alone_shortens_five_steps_in_turn_is_emptied() -> None:
 
 def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
     """Steps of a sixteenth, a few and then more in turn: only these count; a whole step lowers the shift again."""
-    whole = bounded.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, newton_steps.Shift(1e-3), False)
+    whole = bounded.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, bounded.Shift(1e-3), False)
     assert newton_steps.damped(0.0, whole, 1 / 16, 1) == 0.0
     shifts = [0.0]
     for in_turn in (newton_steps.SHORT_IN_TURN, newton_steps.SHORT_IN_TURN + 1):
@@ -339,7 +338,6 @@ def test_a_cost_that_falls_without_end_is_not_followed_to_infinity() -> None:
 FREE_PROBLEMS = [
     nlp((-1.2, 1), 100 * (x2 - x1**2) ** 2 + (1 - x1) ** 2),
     nlp((2, 1, 0.5), x1**2 + x2**2 + x3**4, [x1 * x2 * x3 - 1, x1 - x2**2]),
-    nlp((0, 0.1), x1**2 - x2**2 + x2**4),
     nlp((3, 3), (x1 - 1) ** 2 + exp(-x2), [exp(x1) * x2 - 1]),
     nlp((1, 1), x1**2 + x2**2, [x1**2 + x2**2 + 1]),
 ]
@@ -347,7 +345,7 @@ FREE_PROBLEMS = [
 
 @pytest.mark.parametrize("grid", FREE_PROBLEMS)
 def test_an_empty_barrier_leaves_the_iterates_as_they_are(grid: Dense, request: pytest.FixtureRequest) -> None:
-    """One loop: without bounds it takes the same steps whether it knows of the barrier or not."""
+    """Where no shift is needed, which either seeks in its own way, the steps are the same with the barrier as without."""
     rows = []
     for fixture in ((), ("without_bounds",)):
         for name in fixture:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from codegen.runtime.optimise import newton_steps, unbounded
-from codegen.runtime.optimise.newton_steps import SMALL_SHIFT, Shift, regularised_step
+from codegen.runtime.optimise.newton_steps import regularised_step
+from codegen.runtime.optimise.unbounded import SMALL_SHIFT, Shift
 
 GRID = SimpleNamespace(is_multiplier=np.array([False, True]), steps=1)
 POINT = SimpleNamespace(unknowns=np.zeros(2), gradient=np.array([1.0, 0.0]))
@@ -32,8 +33,8 @@ def tried(monkeypatch):
     monkeypatch.setattr(newton_steps, "factor_kkt", factor_kkt)
     monkeypatch.setattr(newton_steps, "solve_kkt", solve_kkt)
     monkeypatch.setattr(newton_steps, "INEQUALITIES", 0)
-    monkeypatch.setattr(newton_steps, "newton_system", unbounded.newton_system)
-    monkeypatch.setattr(newton_steps, "step_along", unbounded.step_along)
+    for name in ("found", "newton_system", "shifts_to_try", "step_along"):
+        monkeypatch.setattr(newton_steps, name, getattr(unbounded, name))
     monkeypatch.setattr(unbounded, "primal_ones", lambda steps: np.array([1.0, 0.0]))
     return shifts
 

@@ -91,6 +91,13 @@ class Iterate(NamedTuple):
     measured: Measured | None = None
 
 
+class Shift(NamedTuple):
+    """The Hessian's shift at an iterate, and the last one that was not zero."""
+
+    value: float = 0.0
+    last: float = 0.0
+
+
 class Step(NamedTuple):
     """A Newton step: its barrier gradient, slope, longest primal and dual lengths, and the Hessian's shift.
 
@@ -231,6 +238,16 @@ def newton_system(search, iterate, gradient, shift, dual_shift):
     barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
     add_barrier(gradient, search.grid.is_multiplier, *barrier, shift, dual_shift, right, diagonal)
     return right, diagonal
+
+
+def shifts_to_try(before):
+    """The shift that is tried first, and the least one after none; `before` is that of the iterate before."""
+    return 0.0, max(1e-20, before.last / 3.0) if before.last > 0.0 else 1e-4
+
+
+def found(before, shift, singular):
+    """The shift that was enough."""
+    return Shift(shift, shift or before.last)
 
 
 def step_along(search, iterate, gradient, primal, shift, refined):

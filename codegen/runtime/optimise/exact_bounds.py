@@ -8,8 +8,8 @@ relaxed then lead back to its optimum.
 import numpy as np
 
 from codegen.runtime.optimise.barrier import measure_optimality
-from codegen.runtime.optimise.bounded import moved, with_duals
-from codegen.runtime.optimise.newton_steps import Shift, regularised_step
+from codegen.runtime.optimise.bounded import Shift, moved, with_duals
+from codegen.runtime.optimise.newton_steps import regularised_step
 from codegen.runtime.stand_ins.example import TIED
 from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.tied import with_tied_values

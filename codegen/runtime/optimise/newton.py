@@ -13,6 +13,7 @@ from codegen.runtime.optimise.bounded import (
     FROM_GUESS,
     OTHERS,
     WARM,
+    Shift,
     barrier_curvature,
     begin,
     central_duals,
@@ -32,7 +33,6 @@ from codegen.runtime.optimise.exact_bounds import within_bounds
 from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.optimise.newton_steps import (
     Doubts,
-    Shift,
     Watch,
     damped,
     leaves_much,
@@ -104,7 +104,7 @@ if UNBOUNDED:
         return point.residual > GROSS * terms
 
     def from_nearby(search, guess, tolerance, max_iterations, log):
-        """(status, iterate, iterations) of a search that begins near a guess, at a point that nearly obeys the equations.
+        """(status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
 
         A full Newton step, which knows of no distance, would leave for another optimum.
         """
@@ -150,10 +150,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
 def neighbours(search, saddle, attempt, escapes):
     """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
     grid, unknowns = search.grid, saddle.point.unknowns
-    if INEQUALITIES:
-        curvature = barrier_curvature(search, saddle)
-    else:
-        curvature = 0.0
+    curvature = barrier_curvature(search, saddle)
     for step in steps_aside(grid, unknowns, curvature, escapes):
         yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
 

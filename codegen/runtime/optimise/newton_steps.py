@@ -10,28 +10,15 @@ import numpy as np
 
 from codegen.runtime.kkt.refinement import refine
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
-from codegen.runtime.optimise.bounded import merit, moved, newton_system, step_along, with_duals
+from codegen.runtime.optimise.bounded import found, merit, moved, newton_system, shifts_to_try, step_along, with_duals
 from codegen.runtime.stand_ins.example import INEQUALITIES
 
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
 SHORT = 0.25  # part of a step that is left when it counts as much too long
 SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
 LEAST_DAMPING = 1e-5
-SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
-
-
-class Shift(NamedTuple):
-    """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered.
-
-    `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
-    """
-
-    value: float = 0.0
-    last: float = 0.0
-    lowered: int = 0
-    singular: bool = False
 
 
 class Watch(NamedTuple):
@@ -66,25 +53,20 @@ class Doubts:
 def regularised_step(search, iterate, before, damping, careful):
     """A Newton step with the least shift of the Hessian, from `damping` on, that makes it one of descent, or None.
 
-    This is algorithm IC with two changes that save factorisations. Where the iterate `before` needed a shift for its
-    curvatures, a lower one is tried at once, and none only when that has become small; and the more often in turn a
-    lower shift was enough, the lower the next one is. With `careful`, what the step leaves of the linear system is
-    measured, and solved for again where that is much. There is no step where the system stays singular.
+    This is algorithm IC; `before` is the shift at the last iterate. With `careful`, what the step leaves of the linear
+    system is measured, and solved for again where that is much. There is no step where the system stays singular.
     """
     grid, system, point = search.grid, search.system, iterate.point
-    primal = np.empty(point.unknowns.size)
-    lower = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
-    at_once = before.value > 0.0 and lower > SMALL_SHIFT and not before.singular
-    shift, dual_shift, singular = max(damping, lower if at_once else 0.0), 0.0, before.singular
+    primal, singular, dual_shift = np.empty(point.unknowns.size), False, 0.0
+    at_once, least = shifts_to_try(before)
+    shift = max(damping, at_once)
     while shift < 1e20:
         gradient, diagonal = newton_system(search, iterate, point.gradient, shift, dual_shift)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            lowered = before.lowered + 1 if shift == lower and not singular else 0
-            found = Shift(shift, shift or before.last, lowered, singular)
-            step = step_along(search, iterate, gradient, primal, found, refined)
+            step = step_along(search, iterate, gradient, primal, found(before, shift, singular), refined)
             if abs(step.slope) < np.inf:
                 return step
         elif dual_shift == 0.0 and (excess is None or excess < 0):
@@ -93,7 +75,7 @@ def regularised_step(search, iterate, before, damping, careful):
                 dual_shift *= iterate.mu**0.25
             continue
         if shift == 0.0:
-            shift = lower
+            shift = least
         else:
             shift *= 100.0 if before.last == 0.0 else 8.0
     return None

@@ -9,8 +9,7 @@ Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), se
 import numpy as np
 
 from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
-from codegen.runtime.optimise.bounded import central_duals, merit, moved, newton_system, step_along, with_duals
-from codegen.runtime.optimise.newton_steps import Shift
+from codegen.runtime.optimise.bounded import Shift, central_duals, merit, moved, newton_system, step_along, with_duals
 from codegen.runtime.stand_ins.example import INEQUALITIES
 from codegen.runtime.unknowns.point import evaluate
 

@@ -36,6 +36,9 @@ OTHERS = (
 )
 
 
+SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
+
+
 class Search(NamedTuple):
     """What stays the same during a solve: grid, storage of the linear system, indices of multipliers."""
 
@@ -48,6 +51,18 @@ class Iterate(NamedTuple):
     """A point of the search."""
 
     point: NamedTuple
+
+
+class Shift(NamedTuple):
+    """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered.
+
+    `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
+    """
+
+    value: float = 0.0
+    last: float = 0.0
+    lowered: int = 0
+    singular: bool = False
 
 
 class Step(NamedTuple):
@@ -90,6 +105,11 @@ def with_multipliers(search, iterate):
     return Iterate(evaluate(grid, point.unknowns + multipliers)) if np.abs(multipliers).max() <= 1e3 else iterate
 
 
+def barrier_curvature(search, iterate):
+    """What a barrier adds to the Hessian's diagonal: nothing."""
+    return 0.0
+
+
 def newton_system(search, iterate, gradient, shift, dual_shift):
     """Right-hand side and diagonal (unknowns,) of Newton's equations, given the gradient of the Lagrangian."""
     return gradient, shifts(search.grid, shift, dual_shift)
@@ -106,6 +126,25 @@ def shifts(grid, shift, dual_shift):
 def primal_ones(steps):
     """Ones for primal unknowns and zeros for multipliers, kept for the next solve."""
     return np.where(layout(steps).is_multiplier, 0.0, 1.0)
+
+
+def shifts_to_try(before):
+    """The shift that is tried first, and the least one after none; `before` is that of the iterate before.
+
+    Two changes to algorithm IC save factorisations. Where the iterate before needed a shift for its curvatures, a lower
+    one is tried at once, and none only when that has become small; and the more often in turn a lower shift was enough,
+    the lower the next one is.
+    """
+    least = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
+    at_once = before.value > 0.0 and least > SMALL_SHIFT and not before.singular
+    return least if at_once else 0.0, least
+
+
+def found(before, shift, singular):
+    """The shift that was enough; `singular` says whether the matrix was, on the way there."""
+    singular = singular or before.singular
+    lowered = before.lowered + 1 if shift == shifts_to_try(before)[1] and not singular else 0
+    return Shift(shift, shift or before.last, lowered, singular)
 
 
 def step_along(search, iterate, gradient, primal, shift, refined):
