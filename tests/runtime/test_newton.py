@@ -345,7 +345,7 @@ FREE_PROBLEMS = [
 
 @pytest.mark.parametrize("grid", FREE_PROBLEMS)
 def test_an_empty_barrier_leaves_the_iterates_as_they_are(grid: Dense, request: pytest.FixtureRequest) -> None:
-    """Where no shift is needed, which either seeks in its own way, the steps are the same with the barrier as without."""
+    """Where no shift is needed, which each seeks in its own way, steps are the same with a barrier as without."""
     rows = []
     for fixture in ((), ("without_bounds",)):
         for name in fixture:
