@@ -253,12 +253,11 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
     """The files of `codegen/runtime` that the module needs, in the order in which they are to be read."""
     differ = program.has_inequalities or program.phases
     condensed = ("inverse", "condensation", "element_barrier" if differ else "element_condensed")
-    solver: tuple[str, ...] = ("standstill", "descent", "filter", "newton_filter")
-    if derivatives.linear_quadratic:
-        solver = ("newton_linear",)
-    elif program.has_inequalities:
-        solver = ("standstill", "descent", "filter", "barrier", "restoration", "refinement")
-        solver = (*solver, "interior_steps", "exact_bounds", "interior_point")
+    solver: tuple[str, ...] = ("newton_linear",)
+    if not derivatives.linear_quadratic:
+        kind = ("barrier", "bounded") if program.has_inequalities else ("unbounded",)
+        solver = ("standstill", "descent", "filter", "refinement", *kind, "newton_steps", "restoration")
+        solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "newton")
     return (
         "arrays",
         *(("shared",) if program.shared else ()),

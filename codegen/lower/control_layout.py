@@ -35,6 +35,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("SHARED_MULTIPLIERS", sum(u.multiplier for u in program.shared)),
         ("PHASES", len(program.phases)),
         ("INEQUALITIES", int(program.has_inequalities)),
+        ("UNBOUNDED", int(not program.has_inequalities)),
         ("SCALED", int(not derivatives.linear_quadratic)),
         ("CARRIED", int(is_carried(program, derivatives))),
     )

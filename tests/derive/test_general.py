@@ -58,7 +58,7 @@ def test_a_step_that_needs_no_iteration_is_the_same_by_newtons_method(scheme, me
         assert np.hypot(other.q[-1, 0], other.p[-1, 0]) == pytest.approx((1.0 + h**2) ** 10, rel=1e-13)
 
 
-def test_an_optimum_is_the_same_by_the_interior_point_method_with_everything_in_place():
+def test_an_optimum_is_the_same_by_an_interior_point_method_with_everything_in_place():
     own, general = (of_problem(effort(), general=g) for g in (False, True))
     exact = 12.0 * 20**2 / (20**2 - 1)
     for module in (own, general):

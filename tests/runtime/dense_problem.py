@@ -91,6 +91,12 @@ def left_over(grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector,
     return np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
 
 
+def sizes_of_terms(grid: Dense, unknowns: Vector) -> tuple[float, float]:
+    """Largest sum of absolute terms in an equation, and in a stationarity condition."""
+    sums = np.abs(kkt_matrix(grid, unknowns)) @ np.abs(unknowns)
+    return float(sums[grid.is_multiplier].max(initial=0.0)), float(sums[~grid.is_multiplier].max(initial=0.0))
+
+
 def bounds_of(grid: Dense) -> tuple[Vector, Vector]:
     return grid.lower, grid.upper
 

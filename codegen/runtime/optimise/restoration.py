@@ -1,48 +1,62 @@
 """Feasibility restoration: lower the violation of the equations when the line search finds no way on.
 
-Minimises half the sum of squares of the residuals c inside the bounds, by Levenberg and Marquardt's method with a
-barrier: with A the Jacobian of the equations and the bounds' duals as in `barrier`, the step d solves
-(A'A + damping + z/d) d = -(A'c - nu s / d), which is the KKT matrix without cost, with -1 on the multipliers' diagonal.
+Minimises half the sum of squares of the residuals c by Levenberg and Marquardt's method, with a barrier where there are
+bounds: with A the Jacobian of the equations and the bounds' distances r and duals z as in `barrier`, the step d solves
+(A'A + damping + z/r) d = -(A'c - nu s / r), which is the KKT matrix without cost, with -1 on the multipliers' diagonal.
 Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3, for the purpose.
 """
 
 import numpy as np
 
-from codegen.runtime.kkt.system import factor_kkt, solve_kkt
-from codegen.runtime.optimise.barrier import add_barrier, measure_step, move, move_duals
+from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.optimise.bounded import Shift, central_duals, merit, moved, newton_system, step_along, with_duals
+from codegen.runtime.stand_ins.example import INEQUALITIES
 from codegen.runtime.unknowns.point import evaluate
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
 
 
-def restore(search, iterate, reduction, is_acceptable, is_late):
-    """("restored", unknowns, distances) that the filter accepts, or (what went wrong, and the last ones).
+def restore(search, iterate, reduction, filtered, is_late):
+    """("restored", an iterate that the filter accepts), or (what went wrong, the last iterate); no multipliers.
 
-    When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up.
+    When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up. With
+    bounds, the weight and the duals are those of the restoration.
     """
-    grid, bounds, *_ = search
-    unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
-    logarithms, point = iterate.logarithms, evaluate(grid, unknowns)
-    first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 0.0
-    duals = np.minimum(nu / distance, 1e3)
+    grid, damping = search.grid, 0.0
+    first, current = iterate.point.violation, begun(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
-            return "time limit", point.unknowns, distance
+            return "time limit", current
+        point = current.point
         pull = attraction(grid, point)
         damping = damping or first_damping(grid, point, pull)
-        error = restoration_error(grid, bounds, pull, distance, duals)
+        error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
-            return "infeasible", point.unknowns, distance
-        while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
-            nu = max(1e-14, min(0.2 * nu, nu**1.5))
-        taken = damped_step(search, point, pull, distance, logarithms, duals, nu, damping)
+            return "infeasible", current
+        if INEQUALITIES:
+            current = current._replace(mu=lower_weight(current.mu, error))
+        taken = damped_step(search, current, pull, damping)
         if taken is None:
-            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), point.unknowns, distance
-        (point, distance, logarithms), duals, damping = taken
-        if point.violation <= reduction * first and is_acceptable(point, logarithms):
-            return "restored", point.unknowns, distance
-    return "stalled", point.unknowns, distance
+            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
+        current, damping = taken
+        if current.point.violation <= reduction * first:
+            accepted = current
+            if INEQUALITIES:
+                accepted = current._replace(mu=iterate.mu)
+            if filtered.lets_pass(accepted.point.violation, merit(accepted)):
+                return "restored", accepted
+    return "stalled", current
+
+
+def begun(search, iterate):
+    """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
+    grid = search.grid
+    start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
+    if INEQUALITIES:
+        nu = max(1e-12, 1e-2 * iterate.point.residual**2)
+        start = start._replace(mu=nu, duals=central_duals(nu, start.distance))
+    return start
 
 
 def attraction(grid, point):
@@ -62,38 +76,53 @@ def first_damping(grid, point, pull):
     return max(1e-12, FIRST_DAMPING * (pull @ pull) / squares) if squares > 0.0 else 1e-4
 
 
-def restoration_error(grid, bounds, pull, distance, duals):
+def restoration_error(search, current, pull):
     """Error of the optimality conditions of the least violation."""
-    stationary = pull.copy()
-    np.subtract.at(stationary, bounds.place, bounds.side * duals)
-    return max(np.abs(stationary).max(), np.max(duals * distance, initial=0.0))
+    if INEQUALITIES:
+        stationary, bounds = pull.copy(), search.bounds
+        np.subtract.at(stationary, bounds.place, bounds.side * current.duals)
+        return max(np.abs(stationary).max(), np.max(current.duals * current.distance, initial=0.0))
+    else:
+        return np.abs(pull).max()
 
 
-def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
-    """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
-    grid, bounds, system, equations, _ = search
-    size = point.unknowns.size
-    diagonal, step, slopes = np.empty(size), np.empty(size), np.empty(size)
-    dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
-    barrier = grid.is_multiplier, bounds.place, bounds.side, distance, duals, nu
-    merit = sum_of_squares(grid, point) - nu * logarithms
+if INEQUALITIES:
+
+    def lower_weight(nu, error):
+        """The weight of the restoration's barrier for the next step."""
+        while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
+            nu = max(1e-14, min(0.2 * nu, nu**1.5))
+        return nu
+
+
+def damped_step(search, current, pull, damping):
+    """(iterate, damping) after a step that lowers the sum of squares, or None."""
+    grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
+    least = restoration_merit(grid, current)
     while damping < 1e12:
-        add_barrier(pull, *barrier, damping, 0.0, slopes, diagonal)
-        diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
+        slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
+        diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system, right) is not None:
-            solve_kkt(grid, system, right, step, carried=True)
+        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
+            solve_kkt(grid, search.system, right, step, carried=True)
             step[grid.is_multiplier] = 0.0
-            _, length, dual_length = measure_step(point.unknowns, slopes, step, *barrier, 0.99, dual_step)
-            unknowns, new_distance = np.empty(size), np.empty_like(distance)
-            new_logarithms = move(point.unknowns, step, length, *bounds[::2], distance, unknowns, new_distance)
-            trial = evaluate(grid, unknowns)
-            lowered = sum_of_squares(grid, trial) - nu * new_logarithms
-            if trial.error < np.inf and lowered <= merit + 1e-4 * length * min(0.0, slopes @ step):
-                move_duals(duals, dual_step, dual_length, new_distance, nu, new_duals)
-                return (trial, new_distance, new_logarithms), new_duals, max(damping / 5.0, 1e-12)
+            taken = step_along(search, current, slopes, step, Shift(), False)
+            trial = moved(search, current, step, taken.longest)
+            expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
+            if trial.point.error < np.inf and restoration_merit(grid, trial) <= least + expected:
+                if INEQUALITIES:
+                    trial = with_duals(trial, taken)
+                return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None
+
+
+def restoration_merit(grid, current):
+    """Half the sum of squared residuals, with the restoration's barrier where there are bounds."""
+    value = sum_of_squares(grid, current.point)
+    if INEQUALITIES:
+        value -= current.mu * current.logarithms
+    return value
 
 
 def sum_of_squares(grid, point):

@@ -22,7 +22,7 @@ from codegen.runtime.stand_ins.example import (
 )
 from codegen.runtime.unknowns.frame import NONE, plain_grid
 from codegen.runtime.optimise.messages import describe
-from codegen.runtime.optimise.newton_filter import minimise
+from codegen.runtime.optimise.newton import minimise
 from codegen.runtime.optimise.limits import bounds_of
 from codegen.runtime.unknowns.point import evaluate, lagrangian
 from codegen.runtime.optimise.rounding import is_solved

@@ -18,41 +18,51 @@ from sympy import exp, log, symbols
 from codegen.runtime.kkt import refinement
 from codegen.runtime.optimise import (
     barrier,
+    bounded,
     curvature,
     exact_bounds,
     filter,
-    interior_point,
-    interior_steps,
+    newton,
+    newton_steps,
     restoration,
+    unbounded,
 )
 from codegen.runtime.optimise.iterates import Log
+
+LINEAR_ALGEBRA = {
+    "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved", "bounds_of", "left_over",
+    "multiplier_unknowns", "sizes_of_terms", "solve_kkt", "views", "with_tied_values",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module", autouse=True)
 def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (
-            barrier,
-            curvature,
-            exact_bounds,
-            filter,
-            interior_point,
-            interior_steps,
-            refinement,
-            restoration,
-        ):
-            for name in set(vars(module)) & {
-                "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved",
-                "bounds_of", "left_over", "multiplier_unknowns", "solve_kkt", "views", "with_tied_values",
-            }:  # fmt: skip
+        loop = newton, newton_steps, restoration
+        for module in (*loop, barrier, bounded, unbounded, curvature, exact_bounds, refinement):
+            for name in set(vars(module)) & LINEAR_ALGEBRA:
                 patch.setattr(module, name, getattr(dense_problem, name))
+        patch.setattr(unbounded, "shifts", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))
+        for module in loop:
+            patch.setattr(module, "INEQUALITIES", 1)
+        patch.setattr(newton, "UNBOUNDED", 0)
         yield
+
+
+@pytest.fixture
+def without_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop as a module has it where no unknown is bounded."""
+    for module in (newton, newton_steps, restoration):
+        monkeypatch.setattr(module, "INEQUALITIES", 0)
+        monkeypatch.setattr(module, "UNBOUNDED", 0, raising=False)  # no search from nearby, which the barrier has not
+        for name in set(vars(module)) & set(vars(unbounded)) - LINEAR_ALGEBRA - {"np"}:
+            monkeypatch.setattr(module, name, getattr(unbounded, name))
 
 
 def solve(grid: Dense, limit: int = 300, warm: bool = False, guess: Any = None) -> tuple[str, Point, int]:
     unknowns = grid.guess.copy() if guess is None else guess
-    status, point, iterations = interior_point.minimise(grid, unknowns, 1e-10, limit, warm, Log())
+    status, point, iterations = newton.minimise(grid, unknowns, 1e-10, limit, warm, Log())
     assert iterations <= limit + restoration.RESTORATION_STEPS
     return status, point, iterations
 
@@ -285,14 +295,14 @@ def test_a_filter_that_alone_shortens_five_steps_in_turn_is_emptied() -> None:
 
 def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
     """Steps of a sixteenth, a few and then more in turn: only these count; a whole step lowers the shift again."""
-    whole = interior_steps.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, 1e-3, False)
-    assert interior_steps.damped(0.0, whole, 1 / 16, 1) == 0.0
+    whole = bounded.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, bounded.Shift(1e-3), False)
+    assert newton_steps.damped(0.0, whole, 1 / 16, 1) == 0.0
     shifts = [0.0]
-    for in_turn in (interior_steps.SHORT_IN_TURN, interior_steps.SHORT_IN_TURN + 1):
-        shifts.append(interior_steps.damped(shifts[-1], whole, 1 / 16, in_turn))
+    for in_turn in (newton_steps.SHORT_IN_TURN, newton_steps.SHORT_IN_TURN + 1):
+        shifts.append(newton_steps.damped(shifts[-1], whole, 1 / 16, in_turn))
     assert shifts == pytest.approx([0.0, 4e-3, 16e-3])
-    assert interior_steps.damped(shifts[-1], whole, 1.0, 0) == pytest.approx(8e-3)
-    assert interior_steps.damped(1e-6, whole, 1.0, 0) == 0.0
+    assert newton_steps.damped(shifts[-1], whole, 1.0, 0) == pytest.approx(8e-3)
+    assert newton_steps.damped(1e-6, whole, 1.0, 0) == 0.0
 
 
 def test_chattering_takes_no_more_than_half_as_many_iterations_again_as_ipopt() -> None:
@@ -308,13 +318,10 @@ def test_chattering_takes_no_more_than_half_as_many_iterations_again_as_ipopt() 
 def test_restoration_goes_no_farther_than_it_has_to() -> None:
     """The second equation is a millionth as steep as the first: all of it would take a step of 100."""
     grid = nlp((2, 0), x1**2 + x2**2, [1000 * (x1 - 1), 0.01 * (x2 - 100)], [], {x1: POSITIVE})
-    bounds = barrier.finite_bounds(grid.lower, grid.upper)
-    search = interior_steps.Search(
-        grid, bounds, [None, None], np.flatnonzero(grid.is_multiplier), (grid.lower, grid.upper)
-    )
-    iterate = interior_steps.begin(search, grid.guess, interior_point.COLD)
-    status, unknowns, _ = restoration.restore(search, iterate, 0.9, lambda *_: True, lambda: False)
-    first, second = unknowns[~grid.is_multiplier]
+    search = bounded.search_on(grid)
+    iterate = bounded.begin(search, grid.guess, bounded.FROM_GUESS)
+    status, found = restoration.restore(search, iterate, 0.9, filter.Filter(np.inf), lambda: False)
+    first, second = found.point.unknowns[~grid.is_multiplier]
     assert status == "restored"
     assert abs(first - 1.0) < 0.1
     assert abs(second) < 1.0
@@ -325,4 +332,30 @@ def test_a_cost_that_falls_without_end_is_not_followed_to_infinity() -> None:
     status, point, iterations = solve(nlp((1, 1), -x1 - x2, [x1 - x2], [], {x1: POSITIVE}))
     assert status == "unbounded"
     assert iterations <= 15
-    assert point.cost < -interior_point.BOTTOMLESS
+    assert point.cost < -newton.BOTTOMLESS
+
+
+FREE_PROBLEMS = [
+    nlp((-1.2, 1), 100 * (x2 - x1**2) ** 2 + (1 - x1) ** 2),
+    nlp((2, 1, 0.5), x1**2 + x2**2 + x3**4, [x1 * x2 * x3 - 1, x1 - x2**2]),
+    nlp((3, 3), (x1 - 1) ** 2 + exp(-x2), [exp(x1) * x2 - 1]),
+    nlp((1, 1), x1**2 + x2**2, [x1**2 + x2**2 + 1]),
+]
+
+
+@pytest.mark.parametrize("grid", FREE_PROBLEMS)
+def test_an_empty_barrier_leaves_the_iterates_as_they_are(grid: Dense, request: pytest.FixtureRequest) -> None:
+    """Where no shift is needed, which each seeks in its own way, steps are the same with a barrier as without."""
+    rows = []
+    for fixture in ((), ("without_bounds",)):
+        for name in fixture:
+            request.getfixturevalue(name)
+        log = Log()
+        status, point, iterations = newton.minimise(grid, grid.guess.copy(), 1e-10, 300, False, log)
+        rows.append((status, iterations, point.cost, np.array([row[:5] for row in log.rows])))
+    (status, iterations, cost, path), (other, others, least, other_path) = rows
+    assert status == other
+    assert iterations == others or status == "infeasible"  # an attempt with another weight is none without bounds
+    assert cost == pytest.approx(least, rel=1e-12)
+    shared = min(len(path), len(other_path))
+    np.testing.assert_allclose(path[: shared // 2], other_path[: shared // 2], rtol=1e-6, atol=1e-9)

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from codegen.runtime.optimise import newton_filter
-from codegen.runtime.optimise.newton_filter import SMALL_SHIFT, Shift, regularised_step
+from codegen.runtime.optimise import newton_steps, unbounded
+from codegen.runtime.optimise.newton_steps import regularised_step
+from codegen.runtime.optimise.unbounded import SMALL_SHIFT, Shift
 
 GRID = SimpleNamespace(is_multiplier=np.array([False, True]), steps=1)
 POINT = SimpleNamespace(unknowns=np.zeros(2), gradient=np.array([1.0, 0.0]))
@@ -29,9 +30,12 @@ def tried(monkeypatch):
     def solve_kkt(grid, system, gradient, step, carried):
         step[:] = -gradient
 
-    monkeypatch.setattr(newton_filter, "factor_kkt", factor_kkt)
-    monkeypatch.setattr(newton_filter, "solve_kkt", solve_kkt)
-    monkeypatch.setattr(newton_filter, "primal_ones", lambda steps: np.array([1.0, 0.0]))
+    monkeypatch.setattr(newton_steps, "factor_kkt", factor_kkt)
+    monkeypatch.setattr(newton_steps, "solve_kkt", solve_kkt)
+    monkeypatch.setattr(newton_steps, "INEQUALITIES", 0)
+    for name in ("found", "newton_system", "shifts_to_try", "step_along"):
+        monkeypatch.setattr(newton_steps, name, getattr(unbounded, name))
+    monkeypatch.setattr(unbounded, "primal_ones", lambda steps: np.array([1.0, 0.0]))
     return shifts
 
 
@@ -39,8 +43,10 @@ def follow(tried, curvatures, shift=Shift()):  # noqa: B008  a constant
     """The shift at every iterate, and the shifts that were tried there."""
     for curvature in curvatures:
         tried.clear()
-        slope, shift = regularised_step(GRID, POINT, shift, curvature, np.empty(2))
-        assert slope < 0.0
+        search = unbounded.Search(GRID, curvature, np.array([1]))
+        step = regularised_step(search, unbounded.Iterate(POINT), shift, 0.0, False)
+        assert step.slope < 0.0
+        shift = step.shift
         yield shift, list(tried)
 
 

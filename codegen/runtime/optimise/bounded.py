@@ -1,0 +1,280 @@
+"""Iterates where unknowns have bounds: how they begin, are measured, and follow each other by steps of the barrier.
+
+Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
+large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.kkt.apart import allocate_system
+from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.optimise.barrier import (
+    add_barrier,
+    finite_bounds,
+    measure_optimality,
+    measure_step,
+    move,
+    move_duals,
+    push_inside,
+    relaxation,
+)
+from codegen.runtime.optimise.limits import bounds_of
+from codegen.runtime.optimise.rounding import is_solved
+from codegen.runtime.stand_ins.example import TIED
+from codegen.runtime.unknowns.layout import multiplier_unknowns
+from codegen.runtime.unknowns.point import Point, evaluate
+from codegen.runtime.unknowns.tied import with_tied_values
+
+
+class Attempt(NamedTuple):
+    """How a search begins: first weight of the barrier, how far inside their bounds unknowns are, and how nearby.
+
+    `nearby` is the part of the guess's violation that may be left before the search begins. Steps below the shortest
+    make way for restoration; the violation may grow by the factor `funnel`. The guess is bent by a part of its size.
+    """
+
+    weight: float
+    push: float
+    nearby: float
+    shortest: float
+    funnel: float
+    bend: float = 0.0
+
+
+FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
+WARM = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)  # its duals begin on the central path; far from a solution ones are better
+OTHERS = (
+    Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
+    Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
+    Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
+)
+
+
+class Search(NamedTuple):
+    """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
+
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound.
+    """
+
+    grid: NamedTuple
+    bounds: NamedTuple
+    system: tuple[NamedTuple, int]
+    equations: np.ndarray
+    box: tuple[np.ndarray, np.ndarray]
+
+
+class Measured(NamedTuple):
+    """What is measured of an iterate with the duals of its bounds, as `measure_optimality` says."""
+
+    stationarity: float
+    gap: float
+    lowest: float
+    highest: float
+    mean: float
+    mean_dual: float
+    largest: float
+
+
+class Iterate(NamedTuple):
+    """A point, the barrier's weight mu, and what belongs to the bounds.
+
+    These are the distances of unknowns to them (bounds,), the sum of their logarithms, and the duals (bounds,).
+    """
+
+    point: NamedTuple
+    mu: float
+    distance: np.ndarray
+    logarithms: float
+    duals: np.ndarray
+    measured: Measured | None = None
+
+
+class Shift(NamedTuple):
+    """The Hessian's shift at an iterate, and the last one that was not zero."""
+
+    value: float = 0.0
+    last: float = 0.0
+
+
+class Step(NamedTuple):
+    """A Newton step: its barrier gradient, slope, longest primal and dual lengths, and the Hessian's shift.
+
+    `refined` says that the linear system was not solved accurately at once.
+    """
+
+    primal: np.ndarray
+    dual: np.ndarray
+    gradient: np.ndarray
+    slope: float
+    longest: float
+    dual_length: float
+    shift: NamedTuple
+    refined: bool
+
+
+def search_on(grid):
+    """What stays the same during a solve on a grid."""
+    box = bounds_of(grid)
+    return Search(grid, finite_bounds(*box), allocate_system(grid), multiplier_unknowns(grid), box)
+
+
+def begin(search, unknowns, attempt):
+    """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
+    bounds, mu = search.bounds, attempt.weight
+    unknowns = push_inside(*search.box, unknowns, attempt.push)
+    if TIED:
+        unknowns = with_tied_values(search.grid, unknowns)  # nodes move with the shared unknowns that they equal
+    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(mu) * bounds.magnitude
+    duals = central_duals(mu, distance) if attempt is WARM else np.ones(distance.size)
+    return Iterate(evaluate(search.grid, unknowns), mu, distance, np.log(distance).sum(), duals)
+
+
+def central_duals(mu, distance):
+    """Duals (bounds,) on the central path, or large ones where a bound is closer."""
+    return np.minimum(mu / distance, 1e3)
+
+
+def with_multipliers(search, iterate):
+    """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
+
+    All multipliers of `iterate` are zero.
+    """
+    grid, bounds, system, *_ = search
+    point, step = iterate.point, np.empty_like(iterate.point.unknowns)
+    gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
+    np.subtract.at(gradient, bounds.place, bounds.side * iterate.duals)
+    diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient)):
+        return iterate
+    solve_kkt(grid, system, gradient, step, carried=True)
+    multipliers = np.where(grid.is_multiplier, step, 0.0)
+    if not np.abs(multipliers).max(initial=0.0) <= 1e3:
+        return iterate
+    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers))
+
+
+def measured_iterate(search, iterate):
+    """The iterate with the duals of bounds taking part in its stationarity, and with what is measured."""
+    point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
+    measured = measure_optimality(
+        point.gradient, point.unknowns, is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals
+    )
+    error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
+    # Building the tuples anew takes a third of the time of replacing fields.
+    point = Point(point.unknowns, point.gradient, point.cost, point.residual, point.violation, measured[0], error)
+    return Iterate(point, *iterate[1:5], Measured(*measured))
+
+
+def is_optimal(search, iterate, tolerance, acceptable_will_do):
+    """Whether a measured iterate obeys all optimality conditions."""
+    closed = iterate.measured.highest <= tolerance and is_solved(search.grid, iterate.point, tolerance)
+    return closed or (acceptable_will_do and is_acceptable(search.grid, iterate, tolerance))
+
+
+def is_acceptable(grid, iterate, tolerance):
+    """Whether an iterate is optimal to the tolerance, with complementarities one by one and scaled multipliers (5)."""
+    point, measured = iterate.point, iterate.measured
+    scaled = measured.stationarity / (max(100.0, measured.mean) / 100.0)
+    if measured.highest / (max(100.0, measured.mean_dual) / 100.0) > tolerance:
+        return False
+    return is_solved(grid, point._replace(stationarity=scaled, error=max(point.residual, scaled)), tolerance)
+
+
+def is_closed(search, iterate, tolerance):
+    """Whether the gap is at most one tolerance for every bound, which is as good as rounding allows."""
+    return iterate.measured.gap <= tolerance * search.bounds.place.size
+
+
+def barrier_error(point, measured, mu):
+    """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
+    off_centre = max(measured.highest - mu, mu - measured.lowest)
+    scale, dual_scale = max(100.0, measured.mean) / 100.0, max(100.0, measured.mean_dual) / 100.0
+    return max(measured.stationarity / scale, point.residual, off_centre / dual_scale)
+
+
+def lowered(iterate, least):
+    """The weight for the next step: lower where the barrier problem is solved well enough (7).
+
+    The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
+    hardly active, as on singular arcs.
+    """
+    mu = iterate.mu
+    while mu > least and barrier_error(iterate.point, iterate.measured, mu) <= 10.0 * mu:
+        mu = max(least, min(0.2 * mu, mu**1.5))
+    return mu
+
+
+def tightened(search, iterate, mu):
+    """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
+    bounds, by = search.bounds, relaxation(iterate.mu) - relaxation(mu)
+    iterate = iterate._replace(mu=mu)
+    if by == 0.0:
+        return iterate
+    least = 0.1 * relaxation(mu) * bounds.magnitude
+    distance = iterate.distance - by * bounds.magnitude
+    outside = distance < least
+    if not outside.any():
+        return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
+    unknowns = iterate.point.unknowns.copy()
+    unknowns[bounds.place[outside]] += bounds.side[outside] * (least - distance)[outside]
+    distance[outside] = least[outside]
+    if TIED:
+        unknowns = with_tied_values(search.grid, unknowns)
+    return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
+
+
+def barrier_curvature(search, iterate):
+    """What the barrier adds to the Hessian's diagonal (unknowns,)."""
+    curvature = np.zeros(iterate.point.unknowns.size)
+    np.add.at(curvature, search.bounds.place, iterate.duals / iterate.distance)
+    return curvature
+
+
+def newton_system(search, iterate, gradient, shift, dual_shift):
+    """Right-hand side and diagonal (unknowns,) of Newton's equations (13), given the gradient of the Lagrangian."""
+    bounds, right, diagonal = search.bounds, np.empty(gradient.size), np.empty(gradient.size)
+    barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    add_barrier(gradient, search.grid.is_multiplier, *barrier, shift, dual_shift, right, diagonal)
+    return right, diagonal
+
+
+def shifts_to_try(before):
+    """The shift that is tried first, and the least one after none; `before` is that of the iterate before."""
+    return 0.0, max(1e-20, before.last / 3.0) if before.last > 0.0 else 1e-4
+
+
+def found(before, shift, singular):
+    """The shift that was enough."""
+    return Shift(shift, shift or before.last)
+
+
+def step_along(search, iterate, gradient, primal, shift, refined):
+    """The step with a primal part, a barrier gradient and a shift: its dual part, slope and longest lengths."""
+    bounds, dual = search.bounds, np.empty(iterate.duals.size)
+    barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    measured = measure_step(
+        iterate.point.unknowns, gradient, primal, search.grid.is_multiplier, *barrier, max(0.99, 1.0 - iterate.mu), dual
+    )
+    return Step(primal, dual, gradient, *measured, shift, refined)
+
+
+def merit(iterate):
+    """The barrier function, which a line search lowers (3)."""
+    return iterate.point.cost - iterate.mu * iterate.logarithms
+
+
+def moved(search, iterate, primal, length):
+    """The iterate after a primal step of some length, with the duals where they were."""
+    unknowns, bounds = iterate.point.unknowns, search.bounds
+    trial, distance = np.empty(unknowns.size), np.empty(bounds.place.size)
+    logarithms = move(unknowns, primal, length, bounds.place, bounds.side, iterate.distance, trial, distance)
+    return Iterate(evaluate(search.grid, trial), iterate.mu, distance, logarithms, iterate.duals)
+
+
+def with_duals(trial, step):
+    """A trial iterate with duals after the step's dual part."""
+    duals = np.empty(trial.duals.size)
+    move_duals(trial.duals, step.dual, step.dual_length, trial.distance, trial.mu, duals)
+    return Iterate(*trial[:4], duals)

@@ -1,0 +1,166 @@
+"""Newton's steps: the Hessian's shift that makes them lead downhill, and how far to go along them.
+
+Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
+large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.kkt.refinement import refine
+from codegen.runtime.kkt.system import factor_kkt, solve_kkt
+from codegen.runtime.optimise.bounded import found, merit, moved, newton_system, shifts_to_try, step_along, with_duals
+from codegen.runtime.stand_ins.example import INEQUALITIES
+
+CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+SHORT = 0.25  # part of a step that is left when it counts as much too long
+SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
+LEAST_DAMPING = 1e-5
+UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
+FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
+
+
+class Watch(NamedTuple):
+    """Where full steps began: the iterate, its Newton step, and how many may still follow."""
+
+    iterate: NamedTuple
+    step: NamedTuple
+    left: int = FULL_STEPS
+
+
+class Doubts:
+    """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
+
+    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
+    Once one was not, all are measured.
+    """
+
+    def __init__(self):
+        self.doubts, self.enough = 0, 1
+
+    def are_enough(self):
+        """Whether the next step has to be measured."""
+        return self.doubts >= self.enough
+
+    def note(self, step, leaves_much):
+        """Take note of how a step was solved for, and of whether it has left much of the equations."""
+        if self.are_enough():
+            self.doubts, self.enough = (1, 1) if step.refined else (0, 2 * self.enough)
+        self.doubts += leaves_much
+
+
+def regularised_step(search, iterate, before, damping, careful):
+    """A Newton step with the least shift of the Hessian, from `damping` on, that makes it one of descent, or None.
+
+    This is algorithm IC; `before` is the shift at the last iterate. With `careful`, what the step leaves of the linear
+    system is measured, and solved for again where that is much. There is no step where the system stays singular.
+    """
+    grid, system, point = search.grid, search.system, iterate.point
+    primal, singular, dual_shift = np.empty(point.unknowns.size), False, 0.0
+    at_once, least = shifts_to_try(before)
+    shift = max(damping, at_once)
+    while shift < 1e20:
+        gradient, diagonal = newton_system(search, iterate, point.gradient, shift, dual_shift)
+        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
+        if excess == 0:
+            solve_kkt(grid, system, gradient, primal, carried=True)
+            refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
+            step = step_along(search, iterate, gradient, primal, found(before, shift, singular), refined)
+            if abs(step.slope) < np.inf:
+                return step
+        elif dual_shift == 0.0 and (excess is None or excess < 0):
+            dual_shift, singular = 1e-8, True  # the equations may be dependent
+            if INEQUALITIES:
+                dual_shift *= iterate.mu**0.25
+            continue
+        if shift == 0.0:
+            shift = least
+        else:
+            shift *= 100.0 if before.last == 0.0 else 8.0
+    return None
+
+
+def leaves_much(point, step, length, trial):
+    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
+    return length == 1.0 and step.longest == 1.0 and trial.residual > UNSOLVED * point.residual
+
+
+def damped(damping, step, length, shortened):
+    """The least shift of the Hessian for the next step: more where steps in turn had to be shortened much, else less.
+
+    A Hessian that is barely positive definite sends steps far beyond where it means something.
+    """
+    if length <= SHORT * step.longest and shortened >= SHORT_IN_TURN:
+        return 4.0 * max(step.shift.value, damping, LEAST_DAMPING)
+    if length < step.longest:
+        return damping
+    return damping / 2.0 if damping > LEAST_DAMPING else 0.0
+
+
+def line_search(search, iterate, step, shortest, small_violation, filtered):
+    """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
+    length = step.longest
+    while length > shortest:
+        trial = moved(search, iterate, step.primal, length)
+        if is_better(trial, iterate, step, length, small_violation, filtered):
+            if INEQUALITIES:
+                trial = with_duals(trial, step)
+            return trial, length
+        if length == step.longest and trial.point.violation >= iterate.point.violation:
+            better = corrected(search, iterate, step, trial.point, small_violation, filtered)
+            if better is not None:
+                return better, length
+        length *= 0.5
+    return None, length
+
+
+def watched(search, iterate, step, watch, small_violation, filtered):
+    """(next iterate, length, watch) after a full step that is taken untested, in the hope that one soon is better.
+
+    The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
+    better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
+    """
+    trial = moved(search, iterate, step.primal, step.longest)
+    better = is_better(trial, watch.iterate, watch.step, watch.step.longest, small_violation, filtered)
+    if not better and (watch.left == 1 or not trial.point.error < np.inf):
+        return watch.iterate, 0.0, None
+    if INEQUALITIES:
+        trial = with_duals(trial, step)
+    return trial, step.longest, None if better else watch._replace(left=watch.left - 1)
+
+
+def is_better(trial, iterate, step, length, small_violation, filtered):
+    """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
+    new, old = trial.point, iterate.point
+    return new.error < np.inf and filtered.accept(
+        old.violation, merit(iterate), new.violation, merit(trial), step.slope, length, small_violation
+    )
+
+
+def corrected(search, iterate, step, refused, small_violation, filtered):
+    """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
+
+    `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
+    refused belong to other distances.
+    """
+    grid, right, length = search.grid, step.gradient.copy(), step.longest
+    residual = iterate.point.gradient[grid.is_multiplier]
+    for _ in range(CORRECTIONS):
+        residual = length * residual + refused.gradient[grid.is_multiplier]
+        right[grid.is_multiplier] = residual
+        correction = np.empty_like(step.primal)
+        solve_kkt(grid, search.system, right, correction)
+        if not np.isfinite(correction).all():
+            return None
+        better = step_along(search, iterate, right, correction, step.shift, False)
+        length = better.longest
+        trial = moved(search, iterate, correction, length)
+        if is_better(trial, iterate, step, step.longest, small_violation, filtered):
+            if INEQUALITIES:
+                trial = with_duals(trial, better)
+            return trial
+        if not trial.point.violation < 0.99 * refused.violation:
+            return None
+        refused = trial.point
+    return None
