@@ -172,7 +172,7 @@ def _interval_kernels(
     program: ControlProgram, element: ElementDerivatives, stem: str, where: str
 ) -> tuple[Kernel, Kernel]:
     places = _places(program, element.unknowns)
-    arguments, share = ("unknowns", "t", "h", "parameters", "gradient"), "an interval's share l of the"
+    arguments, share = ("unknowns", "t", "h", "parameters", "gradient"), "an interval's share l"
     gradient = [
         Output(f"gradient[{i}]", value, f"dl/d{symbol}")
         for i, (symbol, value) in enumerate(zip(element.unknowns, element.gradient, strict=True))
@@ -184,12 +184,12 @@ def _interval_kernels(
     return (
         kernel(
             f"{stem}_gradient",
-            f"Gradient of {share} optimisation problem's Lagrangian{where}; returns Cd.",
+            f"Gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; returns Cd.",
             arguments, places, gradient, element.cost, decorators=INNER, straight_line=element.gradient_assignments,
         ),
         kernel(
             f"{stem}_hessian",
-            f"Hessian (lower triangle, structural nonzeros) of {share} Lagrangian{where}.",
+            f"Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
             (*arguments[:-1], "hessian"), places, hessian,
             decorators=INNER, straight_line=element.hessian_assignments,
         ),
@@ -212,7 +212,7 @@ def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -
         if row - first in controls and column - first in controls
     ]
     places = _places(program, derivatives.element.unknowns)
-    summary = "Controls' block of the Hessian (lower triangle), the same on every interval."
+    summary = "Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on every interval."
     return (kernel("control_hessian", summary, ("h", "parameters", "block"), places, block, decorators=PLAIN),)
 
 
@@ -227,7 +227,7 @@ def _end_kernels(
         if value != 0 and i not in pinned
     ]
     arguments = ("unknowns", "t", "parameters", "gradient")
-    summary = f"Add the gradient of the {name}'s own share of the Lagrangian; returns its cost."
+    summary = f"Add the gradient (NODE + SHARED,) of the {name}'s own share, at `unknowns` (NODE,); returns its cost."
     before = derivatives.gradient_assignments
     kernels = [
         kernel(
@@ -240,7 +240,7 @@ def _end_kernels(
             Output(f"hessian[{j}]", value, f"{derivatives.unknowns[row]}, {derivatives.unknowns[column]}")
             for j, (row, column, value) in enumerate(derivatives.hessian)
         ]
-        summary = f"Hessian (lower triangle, structural nonzeros) of the {name}'s own share."
+        summary = f"Hessian ({name.upper()}_HESSIAN_ROWS.size,), lower triangle, of the {name}'s own share."
         arguments = ("unknowns", "t", "parameters", "hessian")
         before = derivatives.hessian_assignments
         kernels.append(

@@ -54,7 +54,7 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
     made = kernel("", "", (), places, [Output(f"place[i, {a}]", e, "") for a, e in enumerate(model.path)])
     loops.append(
         ParticleLoop(
-            "guide", "Fill `place`, shape (n, d), with where particles may be after a fraction of their way.",
+            "guide", "Fill `place`, shape (n, d) as all are, with where particles may be after a part of their way.",
             ("start", "target", "fraction", "place"), (), ("for i in range(start.shape[0]):",),
             (*made.inputs, *made.body, *made.outputs), (),
         )

@@ -33,7 +33,8 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
         _equations_kernel(program),
         kernel(
-            "energy", "The Hamiltonian.", ("state", "t", "parameters"), _places(program), (), program.energy,
+            "energy", "The Hamiltonian at `state` (STATE,).",
+            ("state", "t", "parameters"), _places(program), (), program.energy,
             straight_line=_needed(program.state_assignments, (program.energy,)),
         ),
     )  # fmt: skip
@@ -86,7 +87,7 @@ def _interval_outputs(program: StepProgram) -> list[Output]:
 def _explicit_kernel(program: StepProgram) -> Kernel:
     return kernel(
         "explicit_step",
-        "Inner stages, if there are any, and the state at the right node.",
+        "Fill `interval` (STAGES + STATE,) with inner stages and the state at the right node, from `state` (STATE,).",
         (*_arguments(program), "interval"), _places(program), _interval_outputs(program), None, program.before,
     )  # fmt: skip
 
@@ -109,21 +110,23 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
     straight = bool(derivatives.assignments)
     return (
         kernel(
-            "predict_step", f"Where to start solving for {listed}.", (*arguments, "unknowns"), places, guess,
+            "predict_step", f"Where to start solving from `state` (STATE,) for `unknowns` (UNKNOWNS,): {listed}.",
+            (*arguments, "unknowns"), places, guess,
             straight_line=_needed(program.state_assignments, program.guess),
         ),
         kernel(
-            "step_residual", f"What must vanish, as a function of {listed}.",
+            "step_residual", f"What must vanish, `residual` (UNKNOWNS,), as a function of {listed}.",
             ("unknowns", *arguments, "residual"), places, residual, None,
             () if straight else of_residual, straight_line=of_residual if straight else (),
         ),
         kernel(
-            "step_jacobian", f"Residual, and its Jacobian by {listed}.",
+            "step_jacobian", f"Residual, and its `jacobian` (UNKNOWNS, UNKNOWNS) by {listed}.",
             ("unknowns", *arguments, "residual", "jacobian"), places, [*residual, *entries], None,
             () if straight else of_both, straight_line=of_both if straight else (),
         ),
         kernel(
-            "complete_step", f"Inner stages, if there are any, and the state at the right node, given {listed}.",
+            "complete_step",
+            f"Fill `interval` (STAGES + STATE,): inner stages, and the state at the right node, given {listed}.",
             ("unknowns", *arguments, "interval"), places, _interval_outputs(program), None,
             (*program.before, *program.after),
         ),
@@ -150,7 +153,8 @@ def _equations_kernel(program: StepProgram) -> Kernel:
         straight = values_of(values)
     outputs = [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)]
     return kernel(
-        "step_equations", "The scheme's equations as they stand above; a step makes them vanish.",
+        "step_equations",
+        "The scheme's equations as they stand above, `residual` (STAGES + STATE,); a step makes them vanish.",
         ("state", "interval", *_arguments(program)[1:], "residual"), places, outputs,
         straight_line=straight.assignments,
     )  # fmt: skip

@@ -5,7 +5,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def solve_factored(matrix, pivots, right_hand_side):
-    """Solve in place with the factors that `factor_matrix` left in the matrix."""
+    """Solve in place, `right_hand_side` (m,), with what `factor_matrix` left in `matrix` (m, m) and `pivots` (m,)."""
     size = matrix.shape[0]
     for i in range(size):
         pivot = pivots[i]

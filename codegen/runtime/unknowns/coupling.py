@@ -21,7 +21,7 @@ from codegen.runtime.stand_ins.example import (
 
 @njit(error_model="numpy")
 def add_coupling_gradient(unknowns, parameters, gradient):
-    """Add the conditions to the gradient by their multipliers, and what they exert to that by shared unknowns."""
+    """Add the conditions to `gradient` (n,) by their multipliers, and what they exert to that by shared unknowns."""
     first, multipliers = unknowns.size - ROOT, unknowns.size - COUPLINGS
     width = COUPLING_PLACES.shape[1]
     values, slopes, curvatures = zero_vector(width), zero_vector(width), zero_vector(width * width)
@@ -36,7 +36,7 @@ def add_coupling_gradient(unknowns, parameters, gradient):
 
 @njit(cache=True, error_model="numpy")
 def add_coupling_matrix(unknowns, parameters, weight, matrix):
-    """Add the second derivatives of the conditions' share to the matrix of the shared unknowns and multipliers."""
+    """Add the second derivatives of the conditions' share to `matrix` (ROOT, ROOT or more); `unknowns` (n,)."""
     first, multipliers = unknowns.size - ROOT, unknowns.size - COUPLINGS
     width = COUPLING_PLACES.shape[1]
     values, slopes, curvatures = zero_vector(width), zero_vector(width), zero_vector(width * width)

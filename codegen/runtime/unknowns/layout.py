@@ -24,7 +24,7 @@ from codegen.runtime.unknowns.phases import lacking_unknowns
 
 
 class Layout(NamedTuple):
-    """Masks of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+    """Masks (n,) of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
 
     is_multiplier: np.ndarray
     is_free: np.ndarray
@@ -61,7 +61,7 @@ def layout(steps):
 
 
 def free_unknowns(grid):
-    """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
+    """Boolean mask (n,) of the unknowns that no boundary condition fixes and that mean something."""
     return layout(grid.steps).is_free
 
 

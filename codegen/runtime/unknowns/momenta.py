@@ -17,7 +17,7 @@ from codegen.runtime.unknowns.shared import read_shared
 
 
 def discrete_momenta(grid, unknowns):
-    """Momenta (bodies, N + 1, n): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
+    """Momenta (BODIES, N + 1, m): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
 
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
@@ -28,7 +28,7 @@ def discrete_momenta(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def interval_momenta(unknowns, steps, h, parameters, momenta):
-    """Fill `momenta` from the gradient of every interval's l."""
+    """Fill `momenta` (BODIES, N + 1, EQUATIONS.size) from the gradient of every interval's l at `unknowns` (n,)."""
     part = zero_vector(ELEMENT + SHARED)
     for body in range(BODIES):
         if SHARED:
