@@ -91,8 +91,7 @@ def finite_numbers(file: Path | str, line: int, row: Sequence[str], header: Sequ
     """The numbers of one line of a file; PointsError names the file, the line and the column of what is none."""
     if len(row) != len(header):
         raise PointsError(
-            f"{file}:{line}: {len(row)} values for {len(header)} columns",
-            f"give {','.join(header)} in every row",
+            f"{file}:{line}: {len(row)} values for {len(header)} columns", f"give {','.join(header)} in every row"
         )
     numbers = []
     for name, text in zip(header, row, strict=True):

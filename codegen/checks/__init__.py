@@ -26,14 +26,7 @@ from codegen.checks.derivation import (
     symplecticity,
 )
 from codegen.checks.derivation.phases import phase_contexts
-from codegen.checks.module import (
-    assembly,
-    derivatives,
-    given_values,
-    layout,
-    provenance,
-    sparsity,
-)
+from codegen.checks.module import assembly, derivatives, given_values, layout, provenance, sparsity
 from codegen.checks.particles import pairwise
 from codegen.checks.particles.pairwise import is_pairwise_module
 from codegen.checks.solution import holonomic_drift, optimum, second_order

@@ -26,11 +26,7 @@ def control_parts(module: Any) -> Calls:
         calls += _interior_point_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
         calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
-    return [
-        *calls,
-        lambda: module.unpack(grid, unknowns),
-        lambda: module.sizes_of_terms(grid, unknowns),
-    ]
+    return [*calls, lambda: module.unpack(grid, unknowns), lambda: module.sizes_of_terms(grid, unknowns)]
 
 
 def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:

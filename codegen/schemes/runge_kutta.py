@@ -48,10 +48,7 @@ def _table(*rows: str) -> tuple[tuple[Expr, ...], ...]:
 
 
 _ROOT_3, _ROOT_15 = sqrt(Integer(3)), sqrt(Integer(15))
-_GAUSS_4 = (
-    (Rational(1, 4), Rational(1, 4) - _ROOT_3 / 6),
-    (Rational(1, 4) + _ROOT_3 / 6, Rational(1, 4)),
-)
+_GAUSS_4 = ((Rational(1, 4), Rational(1, 4) - _ROOT_3 / 6), (Rational(1, 4) + _ROOT_3 / 6, Rational(1, 4)))
 _GAUSS_6 = (
     (Rational(5, 36), Rational(2, 9) - _ROOT_15 / 15, Rational(5, 36) - _ROOT_15 / 30),
     (Rational(5, 36) + _ROOT_15 / 24, Rational(2, 9), Rational(5, 36) - _ROOT_15 / 24),
@@ -137,9 +134,6 @@ HERMITE_SIMPSON = RungeKutta(
     momenta=_LOBATTO_IIIA,
 )
 
-SCHEMES = {
-    "hamiltonian": (GAUSS_4, GAUSS_6, LOBATTO_4, RK4),
-    FIRST_ORDER: (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4),
-}
+SCHEMES = {"hamiltonian": (GAUSS_4, GAUSS_6, LOBATTO_4, RK4), FIRST_ORDER: (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4)}
 OF_PARTICLES = (RK4, BUTCHER_6)
 """Those for particles, whose steps are explicit."""

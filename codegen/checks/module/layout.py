@@ -16,12 +16,7 @@ from codegen import mangling
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import random_points
 from codegen.checks.module.flat_vector import FlatVector
-from codegen.checks.module.kernel_arguments import (
-    all_shared_symbols,
-    kernel_stems,
-    other_symbols,
-    parameter_vector,
-)
+from codegen.checks.module.kernel_arguments import all_shared_symbols, kernel_stems, other_symbols, parameter_vector
 from codegen.checks.module.step_kernels import step_length
 from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram, StepProgram

@@ -9,28 +9,13 @@ from codegen.runtime.unknowns.coupling import add_coupling_matrix
 from codegen.runtime.kkt.elements import BLOCK, padded
 from codegen.runtime.unknowns.equal_ends import follow_shared, release_tied
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    CARRIED,
-    COUPLINGS,
-    ELEMENT,
-    NODE,
-    ROOT,
-    SCALED,
-    SHARED,
-    STRIDE,
-    TIED,
-)
+    BODIES, CARRIED, COUPLINGS, ELEMENT, NODE, ROOT, SCALED, SHARED, STRIDE, TIED,
+)  # fmt: skip
 from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body, fill_parts
 from codegen.runtime.unknowns.layout import multiplier_unknowns
 from codegen.runtime.unknowns.shared import read_shared, root_place
 from codegen.runtime.kkt.substitution import backward, forward
-from codegen.runtime.kkt.symmetric import (
-    eliminate_rows,
-    solve_backward,
-    solve_forward,
-    solve_pivots,
-    subtract_products,
-)
+from codegen.runtime.kkt.symmetric import eliminate_rows, solve_backward, solve_forward, solve_pivots, subtract_products
 
 SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
 

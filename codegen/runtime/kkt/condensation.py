@@ -6,15 +6,8 @@ from numba import njit
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.elements import BLOCK, COLUMNS, RIGHT, ROWS, SIZE, TAIL
 from codegen.runtime.stand_ins.example import (
-    CARRIED,
-    CONDENSED,
-    ELEMENT,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    NODE,
-    SHARED,
-    STRIDE,
-)
+    CARRIED, CONDENSED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, SHARED, STRIDE,
+)  # fmt: skip
 from codegen.runtime.kkt.symmetric import subtract_row
 
 

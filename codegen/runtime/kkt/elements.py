@@ -9,25 +9,10 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    CARRIED,
-    CONDENSED,
-    END_PINNED,
-    END_SHARED,
-    END_SHARED_PLACES,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    IS_MULTIPLIER,
-    NODE,
-    ONLY_AT_ENDS,
-    SHARED,
-    SHARED_IS_MULTIPLIER,
-    SHARED_MULTIPLIERS,
-    START_PINNED,
-    START_SHARED,
-    START_SHARED_PLACES,
-    STRIDE,
-    TIED,
-)
+    CARRIED, CONDENSED, END_PINNED, END_SHARED, END_SHARED_PLACES, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE,
+    ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED, START_SHARED_PLACES,
+    STRIDE, TIED,
+)  # fmt: skip
 from codegen.runtime.unknowns.equal_ends import release_tied_rows
 
 

@@ -6,20 +6,9 @@ from numba import njit
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.elements import BLOCK, LOCAL_IS_MULTIPLIER, TAIL, pin_ends
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    ELEMENT,
-    END_HESSIAN_COLUMNS,
-    END_HESSIAN_ROWS,
-    NODE,
-    ROOT,
-    SCALED,
-    SHARED,
-    START_HESSIAN_COLUMNS,
-    START_HESSIAN_ROWS,
-    STRIDE,
-    end_hessian,
-    start_hessian,
-)
+    BODIES, ELEMENT, END_HESSIAN_COLUMNS, END_HESSIAN_ROWS, NODE, ROOT, SCALED, SHARED, START_HESSIAN_COLUMNS,
+    START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
+)  # fmt: skip
 from codegen.runtime.unknowns.shared import global_place, root_place
 from codegen.runtime.optimise.steepness import add_entry
 

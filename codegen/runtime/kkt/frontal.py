@@ -20,35 +20,13 @@ from numba import njit
 from codegen.runtime.arrays import clear, copy_part, zero_matrix, zero_vector
 from codegen.runtime.kkt.element_condensed import add_element, allocate_condensed, prepare_condensed
 from codegen.runtime.kkt.elements import (
-    BLOCK,
-    BORDER,
-    COLUMNS,
-    FIRST,
-    INNER,
-    IS_CURVATURE,
-    LOCAL_IS_MULTIPLIER,
-    RIGHT,
-    ROWS,
-    SIZE,
-    TAIL,
-    WIDTH,
-    padded,
-)
+    BLOCK, BORDER, COLUMNS, FIRST, INNER, IS_CURVATURE, LOCAL_IS_MULTIPLIER, RIGHT, ROWS, SIZE, TAIL, WIDTH, padded,
+)  # fmt: skip
 from codegen.runtime.kkt.ends_flat import close_element
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    CARRIED,
-    ELEMENT,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    IS_MULTIPLIER,
-    NODE,
-    ROOT,
-    SCALED,
-    SHARED,
-    STRIDE,
+    BODIES, CARRIED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE, ROOT, SCALED, SHARED, STRIDE,
     interval_hessian,
-)
+)  # fmt: skip
 from codegen.runtime.unknowns.shared import root_place
 from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
 

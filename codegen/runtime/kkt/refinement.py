@@ -15,18 +15,8 @@ from codegen.runtime.unknowns.coupling import coupling_entries
 from codegen.runtime.kkt.ends_flat import end_entries
 from codegen.runtime.kkt.system import solve_kkt
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    COUPLINGS,
-    ELEMENT,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    NODE,
-    SCALED,
-    SHARED,
-    STRIDE,
-    TIED,
-    interval_hessian,
-)
+    BODIES, COUPLINGS, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, SCALED, SHARED, STRIDE, TIED, interval_hessian,
+)  # fmt: skip
 from codegen.runtime.unknowns.equal_ends import shared_representatives
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.shared import global_place, read_shared

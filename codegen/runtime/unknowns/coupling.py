@@ -9,14 +9,8 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.stand_ins.example import (
-    COUPLING_COUNTS,
-    COUPLING_KINDS,
-    COUPLING_PLACES,
-    COUPLING_ROWS,
-    COUPLINGS,
-    ROOT,
-    coupling_term,
-)
+    COUPLING_COUNTS, COUPLING_KINDS, COUPLING_PLACES, COUPLING_ROWS, COUPLINGS, ROOT, coupling_term,
+)  # fmt: skip
 
 
 @njit(error_model="numpy")

@@ -4,16 +4,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    END_SHARED,
-    END_SHARED_PLACES,
-    NODE,
-    ROOT,
-    SHARED,
-    START_SHARED,
-    START_SHARED_PLACES,
-    STRIDE,
-)
+    BODIES, END_SHARED, END_SHARED_PLACES, NODE, ROOT, SHARED, START_SHARED, START_SHARED_PLACES, STRIDE,
+)  # fmt: skip
 from codegen.runtime.unknowns.shared import root_place
 
 

@@ -11,20 +11,9 @@ from numba import njit
 from codegen.runtime.arrays import copy_part, zero_vector
 from codegen.runtime.unknowns.coupling import add_coupling_gradient
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    COUPLINGS,
-    ELEMENT,
-    END_PINNED,
-    NODE,
-    ROOT,
-    SHARED,
-    START_PINNED,
-    STRIDE,
-    TIED,
-    end_gradient,
-    interval_gradient,
-    start_gradient,
-)
+    BODIES, COUPLINGS, ELEMENT, END_PINNED, NODE, ROOT, SHARED, START_PINNED, STRIDE, TIED, end_gradient,
+    interval_gradient, start_gradient,
+)  # fmt: skip
 from codegen.runtime.unknowns.shared import add_shared, read_shared
 from codegen.runtime.unknowns.equal_ends import release_tied
 

@@ -6,20 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    COUPLINGS,
-    END_PINNED,
-    IS_MULTIPLIER,
-    NODE,
-    ONLY_AT_ENDS,
-    OWN,
-    PHASES,
-    ROOT,
-    SHARED_IS_MULTIPLIER,
-    SHARED_MULTIPLIERS,
-    START_PINNED,
-    STRIDE,
-)
+    BODIES, COUPLINGS, END_PINNED, IS_MULTIPLIER, NODE, ONLY_AT_ENDS, OWN, PHASES, ROOT, SHARED_IS_MULTIPLIER,
+    SHARED_MULTIPLIERS, START_PINNED, STRIDE,
+)  # fmt: skip
 from codegen.runtime.unknowns.phases import lacking_unknowns
 
 

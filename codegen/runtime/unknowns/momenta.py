@@ -4,15 +4,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
-from codegen.runtime.stand_ins.example import (
-    BODIES,
-    ELEMENT,
-    EQUATIONS,
-    NODE,
-    SHARED,
-    STRIDE,
-    interval_gradient,
-)
+from codegen.runtime.stand_ins.example import BODIES, ELEMENT, EQUATIONS, NODE, SHARED, STRIDE, interval_gradient
 from codegen.runtime.unknowns.shared import read_shared
 
 

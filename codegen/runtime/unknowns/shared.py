@@ -2,16 +2,7 @@
 
 from numba import njit
 
-from codegen.runtime.stand_ins.example import (
-    BODIES,
-    COUPLINGS,
-    OWN,
-    PHASES,
-    ROOT,
-    SHARED,
-    duration_of,
-    phase_durations,
-)
+from codegen.runtime.stand_ins.example import BODIES, COUPLINGS, OWN, PHASES, ROOT, SHARED, duration_of, phase_durations
 
 
 @njit(error_model="numpy", inline="always")
