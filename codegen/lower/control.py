@@ -15,7 +15,7 @@ from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
 from codegen.lower.coupling import Couplings, lower_couplings
 from codegen.lower.kernels import INNER, PLAIN, Kernel, Line, Output, kernel
-from codegen.lower.module import Argument, ControlModule
+from codegen.lower.module import ControlModule, arguments_of
 from codegen.lower.printer import array_code, scalar_code
 from codegen.lower.statement import description
 from codegen.model.kinks import kinks
@@ -49,9 +49,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         kernels=kernels,
         runtime=_runtime(program, derivatives),
         sizes=layout.sizes(program, derivatives),
-        arguments=tuple(
-            Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
-        ),
+        arguments=arguments_of(model),
         steps=model.steps,
         boundary_values=tuple(
             Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values

@@ -13,7 +13,7 @@ from codegen.discretise import STEP
 from codegen.expressions import StraightLine, values_of
 from codegen.expressions.checks import longer_than
 from codegen.lower.kernels import Kernel, Line, Output, kernel
-from codegen.lower.module import Argument, SimulateModule
+from codegen.lower.module import SimulateModule, arguments_of
 from codegen.lower.printer import readable, scalar_code
 from codegen.transcribe.program import StepProgram
 
@@ -50,9 +50,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         kernels=kernels,
         runtime=_runtime(program, derivatives),
         sizes=(("PARTS", len(program.fractions)),),
-        arguments=tuple(
-            Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
-        ),
+        arguments=arguments_of(model),
         steps=model.steps,
         duration=scalar_code(model.duration),
         start_values=tuple(
