@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import sympy
 from sympy import Dummy, Symbol, expand
@@ -13,7 +12,7 @@ from codegen.discretise import STEP, at_nodes
 from codegen.lower import control_guesses, phases
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
-from codegen.lower.coupling import Couplings, lower_couplings
+from codegen.lower.coupling import lower_couplings
 from codegen.lower.kernels import INNER, PLAIN, Kernel, Line, Output, kernel
 from codegen.lower.module import ControlModule, arguments_of
 from codegen.lower.printer import array_code, scalar_code
@@ -34,6 +33,11 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         *couplings.kernels,
     )
     boundary_code = array_code if program.bodies > 1 else scalar_code
+    numbers_bodies = program.body is not None and any(v.value.has(program.body) for v in program.boundary_values)
+    first = next(iter(program.boundary_values), None)
+    parts = (control_guesses.guesses, layout.duration, layout.bounds)
+    if program.phases:
+        parts = (phases.guesses, phases.duration, phases.bounds)
     return ControlModule(
         template="control.py.j2",
         name=model.name,
@@ -54,12 +58,12 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         boundary_values=tuple(
             Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values
         ),
-        boundary_inputs=(Line("body", "np.arange(BODIES)"),) if _numbers_bodies(program) else (),
-        coupling_kinds=_dispatch(couplings),
-        boundary_example=_boundary_example(program),
+        boundary_inputs=(Line("body", "np.arange(BODIES)"),) if numbers_bodies else (),
+        coupling_kinds=(tuple(k.name for k in couplings.kernels),) if couplings.kernels else (),
+        boundary_example=f'as in {first.where}={{"{first.quantity}": 0.5}}' if first else "of which there are none",
         **layout.pins(program),
         **layout.views(program),
-        **(_of_phases(program) if program.phases else _of_one_phase(program)),
+        **{name: value for part in parts for name, value in part(program).items()},
     )
 
 
@@ -122,32 +126,6 @@ def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
     total = Dummy("sum", real=True)
     alone = (expand(program.cost.xreplace({b: total - a})).has(a) for a, b in zip(left, right, strict=True))
     return tuple(u.name for u, is_seen in zip(controls, alone, strict=True) if not is_seen)
-
-
-def _of_one_phase(program: ControlProgram) -> dict[str, Any]:
-    times = "duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps"
-    return {
-        **control_guesses.guesses(program),
-        **layout.duration(program),
-        **layout.bounds(program),
-        "node_times": times,
-        "phase_durations": (),
-        "choices": (),
-        "of_each_phase": "",
-    }
-
-
-def _of_phases(program: ControlProgram) -> dict[str, Any]:
-    return {**phases.guesses(program), **phases.duration(program), **phases.bounds(program)}
-
-
-def _dispatch(couplings: Couplings) -> tuple[tuple[str, ...], ...]:
-    """The functions among which the kind of a coupling's term chooses, as one group where there are any."""
-    return (tuple(k.name for k in couplings.kernels),) if couplings.kernels else ()
-
-
-def _numbers_bodies(program: ControlProgram) -> bool:
-    return program.body is not None and any(v.value.has(program.body) for v in program.boundary_values)
 
 
 def _places(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:
@@ -282,10 +260,3 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "messages",
         *(("unscaled",) if derivatives.linear_quadratic else ("steepness", "sizes", "scales")),
     )  # fmt: skip
-
-
-def _boundary_example(program: ControlProgram) -> str:
-    if not program.boundary_values:
-        return "of which there are none"
-    value = program.boundary_values[0]
-    return f'as in {value.where}={{"{value.quantity}": 0.5}}'

@@ -16,8 +16,8 @@ from sympy import Max
 from codegen.derive.pairwise import PairDerivatives
 from codegen.errors import ExpressionError
 from codegen.lower.blocks import BlockLoop, entry, packed
-from codegen.lower.kernels import Line, Output, kernel
-from codegen.lower.pair_writer import CLOSEST, STATE, Writer, needed
+from codegen.lower.kernels import Line, Output, kernel, needed
+from codegen.lower.pair_writer import CLOSEST, STATE, Writer
 from codegen.model.pairwise import PairwiseModel
 
 GROUP = 64

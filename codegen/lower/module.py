@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from codegen.lower.kernels import Kernel, Line
-from codegen.model import Model
-from codegen.model.pairwise import PairwiseModel
+
+if TYPE_CHECKING:
+    from codegen.model import Model
+    from codegen.model.pairwise import PairwiseModel
 
 
 @dataclass(frozen=True)

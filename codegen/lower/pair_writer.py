@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import sympy
 from sympy import Expr, Symbol
 
 from codegen.derive.pairwise import Assignment, PairDerivatives, TermDerivatives
-from codegen.lower.kernels import Kernel, Line, Output, kernel
+from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
 from codegen.model.pairwise import PairwiseModel
 
 CLOSEST = Symbol("CLOSEST", positive=True)
@@ -145,17 +145,6 @@ class Writer:
             over_pairs=("for j in range(i):",) if pair.outputs or directions[1] else (),
             over_directions=("for c in range(directions.shape[1]):",) if directions[1] else (),
         )
-
-
-def needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assignment]:
-    """Those assignments that the expressions read, directly or through others."""
-    symbols: set[Symbol] = set().union(*(expression.free_symbols for expression in read))
-    kept: list[Assignment] = []
-    for symbol, value in reversed(assignments):
-        if symbol in symbols:
-            kept.append((symbol, value))
-            symbols |= value.free_symbols
-    return kept[::-1]
 
 
 def _of_pair(line: Line) -> bool:

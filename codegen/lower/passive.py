@@ -14,8 +14,8 @@ from sympy import Expr, Max
 from codegen.derive.pairwise import PairDerivatives
 from codegen.derive.passive import PassiveDerivatives, passive_derivatives
 from codegen.lower.blocks import BlockLoop, entry, packed
-from codegen.lower.kernels import Line, Output, kernel
-from codegen.lower.pair_writer import CLOSEST, Writer, needed
+from codegen.lower.kernels import Line, Output, kernel, needed
+from codegen.lower.pair_writer import CLOSEST, Writer
 from codegen.lower.particle_loops import accurate_sum
 from codegen.model.pairwise import PairwiseModel
 

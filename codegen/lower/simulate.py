@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import sympy
@@ -12,7 +12,7 @@ from codegen.derive import StepDerivatives
 from codegen.discretise import STEP
 from codegen.expressions import StraightLine, values_of
 from codegen.expressions.checks import longer_than
-from codegen.lower.kernels import Kernel, Line, Output, kernel
+from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
 from codegen.lower.module import SimulateModule, arguments_of
 from codegen.lower.printer import readable, scalar_code
 from codegen.transcribe.program import StepProgram
@@ -35,7 +35,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         kernel(
             "energy", "The Hamiltonian at `state` (STATE,).",
             ("state", "t", "parameters"), _places(program), (), program.energy,
-            straight_line=_needed(program.state_assignments, (program.energy,)),
+            straight_line=needed(program.state_assignments, (program.energy,)),
         ),
     )  # fmt: skip
     quantity = program.start_values[0].quantity
@@ -102,15 +102,15 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
     ]
     listed = ", ".join(names)
     written = (*program.before, *derivatives.assignments)
-    of_residual = _needed(written, derivatives.residual)
-    of_both = _needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
+    of_residual = needed(written, derivatives.residual)
+    of_both = needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
     # A program for long expressions holds all that is common to them.
     straight = bool(derivatives.assignments)
     return (
         kernel(
             "predict_step", f"Where to start solving from `state` (STATE,) for `unknowns` (UNKNOWNS,): {listed}.",
             (*arguments, "unknowns"), places, guess,
-            straight_line=_needed(program.state_assignments, program.guess),
+            straight_line=needed(program.state_assignments, program.guess),
         ),
         kernel(
             "step_residual", f"What must vanish, `residual` (UNKNOWNS,), as a function of {listed}.",
@@ -129,17 +129,6 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
             (*program.before, *program.after),
         ),
     )  # fmt: skip
-
-
-def _needed(assignments: Assignments, read: Iterable[Expr]) -> tuple[tuple[Symbol, Expr], ...]:
-    """Those assignments that the expressions read, directly or through others."""
-    symbols = set().union(*(expression.free_symbols for expression in read))
-    kept: list[tuple[Symbol, Expr]] = []
-    for symbol, value in reversed(assignments):
-        if symbol in symbols:
-            kept.append((symbol, value))
-            symbols |= value.free_symbols
-    return tuple(reversed(kept))
 
 
 def _equations_kernel(program: StepProgram) -> Kernel:

@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import GeneratedModule, load
-from codegen.machine_code.parts import is_of_particles
+from codegen.loading import GeneratedModule, is_of_particles, load
 from codegen.machine_code.processes import UNFINISHED
 from codegen.tasks import task_of
 

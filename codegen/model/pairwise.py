@@ -77,12 +77,6 @@ class PairwiseModel:
     unused: tuple[str, ...] = ()
     drawing: tuple[()] = ()
 
-    @property
-    def exchanged(self) -> dict[Symbol, Symbol]:
-        """The substitution that makes the second particle of the first, and back."""
-        one, other = (*self.first.moving, *self.first.own), (*self.second.moving, *self.second.own)
-        return dict(zip((*one, *other), (*other, *one), strict=True))
-
 
 def is_pairwise(problem: Any) -> bool:
     """Whether an author's problem is about particles that interact in pairs."""
