@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import sympy
@@ -105,6 +105,24 @@ class Writer:
             [Output(target, self.renamed(term, value), "", operator) for target, operator, value in outputs],
             assignments=assignments,
         )  # fmt: skip
+
+    def summed(
+        self,
+        assignments: Sequence[Assignment],
+        reads: dict[Symbol, str],
+        outputs: Sequence[tuple[str, Expr]],
+        known: Collection[Symbol],
+    ) -> Kernel:
+        """Outputs (target, value) that are added up over all particles; `known` are the symbols that stay as read."""
+        distances = self.derivatives.pair.distances
+        written = [
+            (symbol, sympy.Max(value, CLOSEST) if symbol in distances else value)
+            for symbol, value in needed(assignments, [value for _, value in outputs])
+            if symbol not in known
+        ]
+        reads = reads | {s: f"parameters[{k}]" for k, s in enumerate(self.model.parameters)}
+        added = [Output(target, value, "", "+=") for target, value in outputs if value != 0]
+        return kernel("", "", (), reads, added, assignments=written)
 
     def loop(
         self,
