@@ -220,6 +220,11 @@ def is_simulation(module: GeneratedModule) -> TypeGuard[SimulateModule]:
     return bool(module.metadata["task"] == "simulate")
 
 
+def is_of_particles(module: GeneratedModule) -> bool:
+    """Whether a generated module is about particles."""
+    return "separable" in module.metadata
+
+
 def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
     """Whether a simulation solves equations in every step."""
     return all(callable(getattr(module, name, None)) for name in ("predict", "residual", "jacobian", "complete"))

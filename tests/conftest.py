@@ -30,8 +30,8 @@ FAST = frozenset(
     "rounding newton_steps terms trials shapes printer verdict phase_programs images landmark_formats quantities"
     " pairs_and_frame first_order_programs inequalities output dense_assembly zeros bodies least_action packing"
     " drawing large_constants general ends_and_bodies holonomic_constraints copies pairwise orders legendre specialise"
-    " model problem_file phase_checks kinks path_modes damage damage_beyond_kernels phase_solutions newton"
-    " import_graph batch solver refinement limits tasks".split()
+    " set_values relations model problem_file phase_checks kinks path_modes damage damage_beyond_kernels"
+    " phase_solutions newton import_graph batch solver refinement limits tasks".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 
@@ -54,6 +54,13 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = Path(os.environ.get("CODEGEN_TEST_CACHE") or own)
     os.environ["CODEGEN_CACHE_DIR"] = str(folder)
     return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture(scope="session")

@@ -139,6 +139,9 @@ def _coupled_hamiltonian(q: Any, p: Any, t: Any) -> Any:
     return kinetic + k * (q[0] - q[1]) ** 2 / 2 - mpmath.cos(q[0])
 
 
+H, T = 0.1, 0.7
+"""Step and time of single steps that are checked."""
+
 SYSTEMS = {
     system.name: system
     for system in (

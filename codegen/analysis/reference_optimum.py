@@ -164,10 +164,7 @@ class _BoundaryValueProblem:
 
 
 def _vectorised(
-    time: sympy.Symbol,
-    z: Sequence[sympy.Symbol],
-    numbers: Mapping[sympy.Symbol, float],
-    outputs: Sequence[sympy.Expr],
+    time: sympy.Symbol, z: Sequence[sympy.Symbol], numbers: Mapping[sympy.Symbol, float], outputs: Sequence[sympy.Expr]
 ) -> Callable[[Array, Array], Array]:
     """A function of times (M,) and values (at least len(z), M) that returns the outputs as (len(outputs), M)."""
     names = list(numbers)

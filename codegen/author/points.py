@@ -43,7 +43,7 @@ def read_points(path: Path, dimension: int) -> PointSet:
     columns = [f"{axis}{end}" for end in "01" for axis in _AXES[:dimension]]
     if not path.is_file():
         raise PointsError(f"{path}: no such file", f"give a table with the columns {','.join(columns)}")
-    _require_size(path, dimension)
+    _require_size(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [(number, row) for number, row in enumerate(csv.reader(file), 1) if any(map(str.strip, row))]
@@ -72,7 +72,7 @@ def _halves(columns: Sequence[str]) -> Iterable[Sequence[str]]:
     return columns[:half], columns[half:]
 
 
-def _require_size(path: Path, dimension: int) -> None:
+def _require_size(path: Path) -> None:
     """Refuse, before it is parsed, a file whose points have a matrix of interactions that exceeds the memory."""
     if not hasattr(os, "sysconf"):
         return
@@ -91,8 +91,7 @@ def finite_numbers(file: Path | str, line: int, row: Sequence[str], header: Sequ
     """The numbers of one line of a file; PointsError names the file, the line and the column of what is none."""
     if len(row) != len(header):
         raise PointsError(
-            f"{file}:{line}: {len(row)} values for {len(header)} columns",
-            f"give {','.join(header)} in every row",
+            f"{file}:{line}: {len(row)} values for {len(header)} columns", f"give {','.join(header)} in every row"
         )
     numbers = []
     for name, text in zip(header, row, strict=True):

@@ -26,19 +26,11 @@ from codegen.checks.derivation import (
     symplecticity,
 )
 from codegen.checks.derivation.phases import phase_contexts
-from codegen.checks.module import (
-    assembly,
-    derivatives,
-    given_values,
-    layout,
-    provenance,
-    sparsity,
-)
+from codegen.checks.module import assembly, derivatives, given_values, layout, provenance, sparsity
 from codegen.checks.particles import pairwise
-from codegen.checks.particles.pairwise import is_pairwise_module
 from codegen.checks.solution import holonomic_drift, optimum, second_order
 from codegen.deadline import CHECK, Overdue, interrupted_after
-from codegen.loading import load
+from codegen.loading import is_of_particles, load
 from codegen.model import Model
 from codegen.model.from_file import load_problem
 from codegen.naming import Choices
@@ -114,7 +106,7 @@ def run(
     choices = naming.chosen(scheme, method, controls)
     if module is None:
         module = compiler.build(path, arguments, scheme=scheme, method=method, controls=controls).path
-    if is_pairwise_module(load(module)):
+    if is_of_particles(load(module)):
         return list(pairwise.findings(path, arguments, choices, module))
     context, text = _prepared(path, arguments, choices, module)
     inputs = naming.origin_of(path, arguments, choices).inputs

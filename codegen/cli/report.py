@@ -21,8 +21,7 @@ def report(
         float | None, typer.Option(min=0.1, metavar="S", help="Go no further after a solve of S seconds.")
     ] = None,
     compare: Annotated[
-        Path | None,
-        typer.Option(metavar="OLD", help="An earlier report; exit status 1 if more than times is worse."),
+        Path | None, typer.Option(metavar="OLD", help="An earlier report; exit status 1 if more than times is worse.")
     ] = None,
 ) -> None:
     """Measure everything about problems and write one page; what DIR holds already is not measured again."""

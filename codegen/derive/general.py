@@ -35,9 +35,7 @@ def general_model(model: Model) -> Model:
     idle = Symbol(IDLE, real=True)
     free = FreeParameter(idle, sympy.S.Zero, -sympy.S.One, sympy.S.One)
     return replace(
-        model,
-        free_parameters=(*model.free_parameters, free),
-        terminal_cost=model.terminal_cost + idle**2 / 2,
+        model, free_parameters=(*model.free_parameters, free), terminal_cost=model.terminal_cost + idle**2 / 2
     )
 
 

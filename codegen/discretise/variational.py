@@ -139,10 +139,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
 
 
 def _slopes_and_impulse(
-    model: Model,
-    scheme: DiscreteLagrangian,
-    motion: PolynomialMotion,
-    at: Callable[[Expr, int, Expr], Expr],
+    model: Model, scheme: DiscreteLagrangian, motion: PolynomialMotion, at: Callable[[Expr, int, Expr], Expr]
 ) -> tuple[tuple[Expr, ...], tuple[Expr, ...]]:
     """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i.
 

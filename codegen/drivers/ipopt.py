@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, Vector
 from codegen.solutions.result import ControlAttempt, Run
@@ -59,12 +59,8 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
             program.add_option(name, value)
         x, details = program.solve(problem.start)
     status = _STATUSES.get(int(details["status"]), "stalled")
-    message = (
-        f"IPOPT found a local minimum in {callbacks.iterations} iterations"
-        if status == "solved"
-        else f"{status}: IPOPT gave up after {callbacks.iterations} iterations; {REMEDIES.get(status, OTHER)}"
-    )
-    return ControlAttempt(status, message, callbacks.iterations, problem.unknowns(x, details["mult_g"]), 10 * tolerance)
+    unknowns, remedy = problem.unknowns(x, details["mult_g"]), f"; {REMEDIES.get(status, OTHER)}"
+    return claim("IPOPT", status, callbacks.iterations, unknowns, 10 * tolerance, remedy)
 
 
 class _Callbacks:

@@ -24,7 +24,7 @@ from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
 from codegen.loading import ControlModule, Entries, Grid, Indices, Vector
-from codegen.solutions.result import Run, max_norm
+from codegen.solutions.result import ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500
@@ -42,6 +42,16 @@ def _of_the_process() -> Iterator[None]:
     with _libraries().limit(limits=1), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
+
+
+def claim(
+    name: str, status: str, iterations: int, unknowns: Vector, tolerance: float, remedy: str = "; try driver newton"
+) -> ControlAttempt:
+    """What an optimiser says that it has found, or with what status it gave up."""
+    message = f"{name} found a local minimum in {iterations} iterations"
+    if status != "solved":
+        message = f"{status}: {name} gave up after {iterations} iterations{remedy}"
+    return ControlAttempt(status, message, iterations, unknowns, tolerance)
 
 
 class _Shared:

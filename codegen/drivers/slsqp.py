@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from codegen.drivers.connect import slsqp as connect
-from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
 from codegen.loading import ControlModule
 from codegen.solutions.result import ControlAttempt, Run
 
@@ -40,9 +40,4 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
         unknowns = problem.unknowns(found.x, problem.multipliers(found.x))
     status = "solved" if found.success else _FAILURES.get(int(found.status), "stalled")
     status = status if np.isfinite(found.fun) else "non-finite"
-    message = (
-        f"SLSQP found a local minimum in {found.nit} iterations"
-        if status == "solved"
-        else f"{status}: SLSQP gave up after {found.nit} iterations ({found.message}); try driver newton"
-    )
-    return ControlAttempt(status, message, int(found.nit), unknowns, TOLERANCE)
+    return claim("SLSQP", status, int(found.nit), unknowns, TOLERANCE, f" ({found.message}); try driver newton")

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from codegen.drivers.connect import trust_constr as connect
-from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
 from codegen.loading import ControlModule
 from codegen.solutions.result import ControlAttempt, Run
 
@@ -54,9 +54,4 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     # A vanishing trust region is how the method ends at rounding level; where it ends elsewhere, the residuals tell.
     status = "solved" if found.status in (_GRADIENT_SMALL, _STEP_SMALL) else "iteration limit"
     status = status if np.isfinite(found.fun) else "non-finite"
-    message = (
-        f"trust-constr found a local minimum in {found.nit} iterations"
-        if status == "solved"
-        else f"{status}: trust-constr gave up after {found.nit} iterations; try driver newton"
-    )
-    return ControlAttempt(status, message, int(found.nit), unknowns, TOLERANCE)
+    return claim("trust-constr", status, int(found.nit), unknowns, TOLERANCE)

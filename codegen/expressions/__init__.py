@@ -59,9 +59,7 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
     places = tuple(sorted(place for place, node in entries.items() if node not in absent))
     taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
     return SecondDerivatives(
-        _written(graph, [*first, *further], taken),
-        _written(graph, [entries[place] for place in places], taken),
-        places,
+        _written(graph, [*first, *further], taken), _written(graph, [entries[place] for place in places], taken), places
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from fractions import Fraction
 from typing import Any
 
 import mpmath
@@ -13,7 +12,7 @@ from sympy import Expr, Symbol
 
 from codegen.expressions.adjoint import accumulate
 from codegen.expressions.graph import Graph, Leaf, Product, Sum
-from codegen.expressions.zeros import vanishing
+from codegen.expressions.zeros import precise, vanishing
 
 _DIGITS = 100
 _FUNCTIONS = {"Heaviside": lambda x: (1 + mpmath.sign(x)) / 2, "DiracDelta": lambda *_: mpmath.mpf(0)}
@@ -66,13 +65,9 @@ def _values(
             given = point[node.expression] if node.expression.is_Symbol else node.expression.evalf(_DIGITS + 5)
             known[number] = mpmath.mpmathify(given)
         elif isinstance(node, Sum):
-            known[number] = _number(node.constant) + sum(_number(c) * known[a] for a, c in node.terms)
+            known[number] = precise(node.constant) + sum(precise(c) * known[a] for a, c in node.terms)
         elif isinstance(node, Product):
-            known[number] = mpmath.fprod(known[a] ** _number(exponent) for a, exponent in node.factors)
+            known[number] = mpmath.fprod(known[a] ** precise(exponent) for a, exponent in node.factors)
         else:
             known[number] = functions[node.template](*(known[a] for a in node.arguments))
     return known
-
-
-def _number(fraction: Fraction) -> Any:
-    return mpmath.mpf(fraction.numerator) / fraction.denominator

@@ -149,11 +149,11 @@ class _Evaluation:
                 symbolic = node.expression in self.point
                 value = mpmath.mpf(self.point[node.expression]) if symbolic else self._constant(node.expression)
             elif isinstance(node, Sum):
-                terms = [_number(node.constant), *(_number(c) * known[a] for a, c in node.terms)]
+                terms = [precise(node.constant), *(precise(c) * known[a] for a, c in node.terms)]
                 value = mpmath.fsum(terms)
                 self._note(number, [abs(term) for term in terms if term])
             elif isinstance(node, Product):
-                value = mpmath.fprod(known[a] ** _number(exponent) for a, exponent in node.factors)
+                value = mpmath.fprod(known[a] ** precise(exponent) for a, exponent in node.factors)
             else:
                 value = self._called(number, node, [known[a] for a in node.arguments])
             if not mpmath.isfinite(value) or isinstance(value, mpmath.mpc):
@@ -192,5 +192,6 @@ def _dependent(graph: Graph, order: Sequence[int], chosen: Callable[[Call], bool
     return found
 
 
-def _number(fraction: Fraction) -> Any:
+def precise(fraction: Fraction) -> Any:
+    """A fraction as a number of mpmath."""
     return mpmath.mpf(fraction.numerator) / fraction.denominator

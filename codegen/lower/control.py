@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import sympy
 from sympy import Dummy, Symbol, expand
@@ -13,9 +12,9 @@ from codegen.discretise import STEP, at_nodes
 from codegen.lower import control_guesses, phases
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
-from codegen.lower.coupling import Couplings, lower_couplings
+from codegen.lower.coupling import lower_couplings
 from codegen.lower.kernels import INNER, PLAIN, Kernel, Line, Output, kernel
-from codegen.lower.module import Argument, ControlModule
+from codegen.lower.module import ControlModule, arguments_of
 from codegen.lower.printer import array_code, scalar_code
 from codegen.lower.statement import description
 from codegen.model.kinks import kinks
@@ -34,6 +33,11 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         *couplings.kernels,
     )
     boundary_code = array_code if program.bodies > 1 else scalar_code
+    numbers_bodies = program.body is not None and any(v.value.has(program.body) for v in program.boundary_values)
+    first = next(iter(program.boundary_values), None)
+    parts = (control_guesses.guesses, layout.duration, layout.bounds)
+    if program.phases:
+        parts = (phases.guesses, phases.duration, phases.bounds)
     return ControlModule(
         template="control.py.j2",
         name=model.name,
@@ -49,19 +53,17 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         kernels=kernels,
         runtime=_runtime(program, derivatives),
         sizes=layout.sizes(program, derivatives),
-        arguments=tuple(
-            Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
-        ),
+        arguments=arguments_of(model),
         steps=model.steps,
         boundary_values=tuple(
             Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values
         ),
-        boundary_inputs=(Line("body", "np.arange(BODIES)"),) if _numbers_bodies(program) else (),
-        coupling_kinds=_dispatch(couplings),
-        boundary_example=_boundary_example(program),
+        boundary_inputs=(Line("body", "np.arange(BODIES)"),) if numbers_bodies else (),
+        coupling_kinds=(tuple(k.name for k in couplings.kernels),) if couplings.kernels else (),
+        boundary_example=f'as in {first.where}={{"{first.quantity}": 0.5}}' if first else "of which there are none",
         **layout.pins(program),
         **layout.views(program),
-        **(_of_phases(program) if program.phases else _of_one_phase(program)),
+        **{name: value for part in parts for name, value in part(program).items()},
     )
 
 
@@ -126,32 +128,6 @@ def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
     return tuple(u.name for u, is_seen in zip(controls, alone, strict=True) if not is_seen)
 
 
-def _of_one_phase(program: ControlProgram) -> dict[str, Any]:
-    times = "duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps"
-    return {
-        **control_guesses.guesses(program),
-        **layout.duration(program),
-        **layout.bounds(program),
-        "node_times": times,
-        "phase_durations": (),
-        "choices": (),
-        "of_each_phase": "",
-    }
-
-
-def _of_phases(program: ControlProgram) -> dict[str, Any]:
-    return {**phases.guesses(program), **phases.duration(program), **phases.bounds(program)}
-
-
-def _dispatch(couplings: Couplings) -> tuple[tuple[str, ...], ...]:
-    """The functions among which the kind of a coupling's term chooses, as one group where there are any."""
-    return (tuple(k.name for k in couplings.kernels),) if couplings.kernels else ()
-
-
-def _numbers_bodies(program: ControlProgram) -> bool:
-    return program.body is not None and any(v.value.has(program.body) for v in program.boundary_values)
-
-
 def _places(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:
     """The code that reads each symbol inside a kernel; shared unknowns stand behind the parameters."""
     places = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(unknowns)}
@@ -172,7 +148,7 @@ def _interval_kernels(
     program: ControlProgram, element: ElementDerivatives, stem: str, where: str
 ) -> tuple[Kernel, Kernel]:
     places = _places(program, element.unknowns)
-    arguments, share = ("unknowns", "t", "h", "parameters", "gradient"), "an interval's share l of the"
+    arguments, share = ("unknowns", "t", "h", "parameters", "gradient"), "an interval's share l"
     gradient = [
         Output(f"gradient[{i}]", value, f"dl/d{symbol}")
         for i, (symbol, value) in enumerate(zip(element.unknowns, element.gradient, strict=True))
@@ -184,12 +160,12 @@ def _interval_kernels(
     return (
         kernel(
             f"{stem}_gradient",
-            f"Gradient of {share} optimisation problem's Lagrangian{where}; returns Cd.",
+            f"Gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; returns Cd.",
             arguments, places, gradient, element.cost, decorators=INNER, straight_line=element.gradient_assignments,
         ),
         kernel(
             f"{stem}_hessian",
-            f"Hessian (lower triangle, structural nonzeros) of {share} Lagrangian{where}.",
+            f"Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
             (*arguments[:-1], "hessian"), places, hessian,
             decorators=INNER, straight_line=element.hessian_assignments,
         ),
@@ -212,7 +188,7 @@ def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -
         if row - first in controls and column - first in controls
     ]
     places = _places(program, derivatives.element.unknowns)
-    summary = "Controls' block of the Hessian (lower triangle), the same on every interval."
+    summary = "Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on every interval."
     return (kernel("control_hessian", summary, ("h", "parameters", "block"), places, block, decorators=PLAIN),)
 
 
@@ -227,7 +203,7 @@ def _end_kernels(
         if value != 0 and i not in pinned
     ]
     arguments = ("unknowns", "t", "parameters", "gradient")
-    summary = f"Add the gradient of the {name}'s own share of the Lagrangian; returns its cost."
+    summary = f"Add the gradient (NODE + SHARED,) of the {name}'s own share, at `unknowns` (NODE,); returns its cost."
     before = derivatives.gradient_assignments
     kernels = [
         kernel(
@@ -240,7 +216,7 @@ def _end_kernels(
             Output(f"hessian[{j}]", value, f"{derivatives.unknowns[row]}, {derivatives.unknowns[column]}")
             for j, (row, column, value) in enumerate(derivatives.hessian)
         ]
-        summary = f"Hessian (lower triangle, structural nonzeros) of the {name}'s own share."
+        summary = f"Hessian ({name.upper()}_HESSIAN_ROWS.size,), lower triangle, of the {name}'s own share."
         arguments = ("unknowns", "t", "parameters", "hessian")
         before = derivatives.hessian_assignments
         kernels.append(
@@ -283,10 +259,3 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "messages",
         *(("unscaled",) if derivatives.linear_quadratic else ("steepness", "sizes", "scales")),
     )  # fmt: skip
-
-
-def _boundary_example(program: ControlProgram) -> str:
-    if not program.boundary_values:
-        return "of which there are none"
-    value = program.boundary_values[0]
-    return f'as in {value.where}={{"{value.quantity}": 0.5}}'

@@ -41,7 +41,10 @@ def shared_guesses(program: ControlProgram) -> dict[str, Any]:
     common = program.shared_guess[program.own :]
     return {
         "shared_guess_inputs": (*_scalar_inputs(program, common), *shared_views(program, "own, common", "unknowns")),
-        "common_guess": _common_guess(program, common),
+        "common_guess": tuple(
+            Line(f"common[{j}]", scalar_code(sympy.sympify(value)), unknown.name)
+            for j, (unknown, value) in enumerate(zip(program.shared[program.own :], common, strict=True))
+        ),
         "own_guess": _own_guess(program),
         "guess_result": "with_slacks(grid, unknowns)" if slack_places(program) else "unknowns",
     }
@@ -70,11 +73,6 @@ def _interval_guess(program: ControlProgram) -> tuple[Line, ...]:
         guessed += enumerate(controls, start=len(program.interval))
     lines = [Line(str(i), array_code(guess), symbol.name) for i, (symbol, guess) in guessed]
     return tuple(line for line in lines if line.code != "0")
-
-
-def _common_guess(program: ControlProgram, common: Sequence[Expr]) -> tuple[Line, ...]:
-    names = [unknown.name for unknown in program.shared[program.own :]]
-    return tuple(Line(f"common[{j}]", scalar_code(sympy.sympify(value)), names[j]) for j, value in enumerate(common))
 
 
 def _own_guess(program: ControlProgram) -> tuple[Line, ...]:

@@ -54,6 +54,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
     inside = (*program.interval, *program.controls, *program.slacks)
     stride, condensed = len(program.node) + len(inside), derivatives.condensed
     eliminated = inside[len(inside) - condensed :]
+    shared = [unknown.multiplier for unknown in program.shared]
     lines = [
         Line("NODE", str(len(program.node)), f"unknowns of a node: {_names(program.node)}"),
         Line("CONDENSED", str(condensed), f"eliminated inside their interval: {_names(eliminated)}"),
@@ -61,7 +62,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
         *_size_lines(program, derivatives),
         Line("IS_MULTIPLIER", f"np.array({[u.multiplier for u in (*program.node, *inside)]})", "of node and interval"),
-        *_shared_multipliers(program),
+        *([Line("SHARED_IS_MULTIPLIER", f"np.array({shared})", "of shared unknowns")] if any(shared) else []),
         Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are given"),
         Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are given"),
         Line("ONLY_AT_ENDS", integers(program.only_at_ends), "unknowns that inner nodes do not have; zero there"),
@@ -84,12 +85,6 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         lines.append(Line("SLACKS", integers(slacks), "unknowns of an interval that take up an inequality's distance"))
         lines.append(Line("SLACK_MULTIPLIERS", integers(multipliers), "of the equations that define them"))
     return lines
-
-
-def _shared_multipliers(program: ControlProgram) -> list[Line]:
-    """Which shared unknowns are multipliers, where some are."""
-    table = [unknown.multiplier for unknown in program.shared]
-    return [Line("SHARED_IS_MULTIPLIER", f"np.array({table})", "of shared unknowns")] if any(table) else []
 
 
 def is_curved(derivatives: ControlDerivatives) -> bool:
@@ -122,21 +117,18 @@ def pins(program: ControlProgram) -> dict[str, Any]:
 
 
 def duration(program: ControlProgram) -> dict[str, Any]:
-    """The duration as code of the arguments, or of the unknowns when it is free."""
-    if not program.scaled_time:
-        return {
-            "duration_arguments": ("duration",),
-            "default_durations": (scalar_code(program.model.duration),),
-            "grid_duration": "duration",
-            "duration_inputs": (),
-            "duration": "grid.steps * grid.h",
-        }
+    """The duration as code of the arguments, or of the unknowns when it is free, and the times that follow from it."""
+    free, code = program.scaled_time, scalar_code(program.model.duration)
     return {
-        "duration_arguments": (),
-        "default_durations": (),
-        "grid_duration": "1.0",
-        "duration_inputs": duration_inputs(program, [program.model.duration]),
-        "duration": scalar_code(program.model.duration),
+        "duration_arguments": () if free else ("duration",),
+        "default_durations": () if free else (code,),
+        "grid_duration": "1.0" if free else "duration",
+        "duration_inputs": duration_inputs(program, [program.model.duration]) if free else (),
+        "duration": code if free else "grid.steps * grid.h",
+        "phase_durations": (),
+        "node_times": "duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps",
+        "choices": (),
+        "of_each_phase": "",
     }
 
 

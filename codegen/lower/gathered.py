@@ -11,13 +11,12 @@ import re
 from dataclasses import replace
 
 import sympy
-from sympy import Max
 
 from codegen.derive.pairwise import PairDerivatives
 from codegen.errors import ExpressionError
 from codegen.lower.blocks import BlockLoop, entry, packed
-from codegen.lower.kernels import Line, Output, kernel
-from codegen.lower.pair_writer import CLOSEST, STATE, Writer, needed
+from codegen.lower.kernels import Line
+from codegen.lower.pair_writer import STATE, Writer
 from codegen.model.pairwise import PairwiseModel
 
 GROUP = 64
@@ -62,19 +61,13 @@ def _acts_on_itself(model: PairwiseModel) -> bool:
 
 
 def _gradient(writer: Writer) -> BlockLoop:
-    model, pair, size = writer.model, writer.derivatives.pair, writer.dimension
+    pair, size = writer.derivatives.pair, writer.dimension
     scalars = {s: code for s, code in writer.single_places.items() if s in dict(pair.scalars)}
     codes = [*writer.places("i").values(), *(f"singles[i, {k}]" for k in range(len(writer.singles)))]
     rows = {code: entry("state", row, "GROUP") for row, code in enumerate(codes)}
     outputs = [(entry("sums", row, "GROUP"), value) for row, value in enumerate(pair.gradient[: 2 * size])]
-    assignments = [
-        (symbol, Max(value, CLOSEST) if symbol in pair.distances else value)
-        for symbol, value in needed((*pair.differences, *pair.scalars, *pair.slopes), [v for _, v in outputs])
-        if symbol not in scalars
-    ]
     reads = {s: rows.get(code, code) for s, code in {**writer.places("i"), **writer.places("j"), **scalars}.items()}
-    reads |= {s: f"parameters[{k}]" for k, s in enumerate(model.parameters)}
-    made = kernel("", "", (), reads, [Output(t, v, "", "+=") for t, v in outputs if v != 0], assignments=assignments)
+    made = writer.summed((*pair.differences, *pair.scalars, *pair.slopes), reads, outputs, scalars)
     used = {line.code for line in made.inputs}
     singles = [Line("singles", "single_values(z)")] if writer.singles else []
     return BlockLoop(
@@ -93,8 +86,8 @@ def _gradient(writer: Writer) -> BlockLoop:
         ),
         inputs=tuple(line for line in made.inputs if re.search(r"\bj\b", line.code)),
         point_inputs=tuple(line for line in made.inputs if line.code.startswith("state[")),
-        body=tuple(packed(line) for line in made.body),
-        outputs=tuple(packed(line) for line in made.outputs),
+        body=tuple(map(packed, made.body)),
+        outputs=tuple(map(packed, made.outputs)),
         after=tuple(
             Line(f"gradient[{k // size}, first + m, {k % size}]", target) for k, (target, _) in enumerate(outputs)
         ),

@@ -103,6 +103,17 @@ def kernel(
     )
 
 
+def needed(assignments: Sequence[tuple[Symbol, Expr]], read: Iterable[Expr]) -> list[tuple[Symbol, Expr]]:
+    """Those assignments that the expressions read, directly or through others."""
+    symbols: set[Symbol] = set().union(*(expression.free_symbols for expression in read))
+    kept: list[tuple[Symbol, Expr]] = []
+    for symbol, value in reversed(assignments):
+        if symbol in symbols:
+            kept.append((symbol, value))
+            symbols |= value.free_symbols
+    return kept[::-1]
+
+
 def _with_common(
     names: Sequence[Symbol], expressions: Sequence[Expr], taken: Collection[str]
 ) -> tuple[list[tuple[Symbol, Expr]], list[Expr]]:

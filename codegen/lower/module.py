@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from codegen.lower.kernels import Kernel, Line
+
+if TYPE_CHECKING:
+    from codegen.model import Model
+    from codegen.model.pairwise import PairwiseModel
 
 
 @dataclass(frozen=True)
 class Argument:
-    """A keyword argument of the generated functions, with its default as code and its meaning."""
+    """A keyword argument of the generated functions, with its default as code."""
 
     name: str
     default: str
-    meaning: str = ""
+
+
+def arguments_of(model: Model | PairwiseModel) -> tuple[Argument, ...]:
+    """The parameters of a model with their defaults."""
+    return tuple(Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True))
 
 
 @dataclass(frozen=True)

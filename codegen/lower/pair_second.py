@@ -10,8 +10,8 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.derive.pairwise import TermDerivatives
-from codegen.lower.kernels import Kernel, Line, Output, kernel
-from codegen.lower.pair_writer import STATE, PairLoop, Writer, needed
+from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
+from codegen.lower.pair_writer import STATE, PairLoop, Writer
 
 
 def hessian(writer: Writer) -> PairLoop:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import sympy
 from sympy import Expr, Symbol
 
 from codegen.derive.pairwise import Assignment, PairDerivatives, TermDerivatives
-from codegen.lower.kernels import Kernel, Line, Output, kernel
+from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
 from codegen.model.pairwise import PairwiseModel
 
 CLOSEST = Symbol("CLOSEST", positive=True)
@@ -106,6 +106,24 @@ class Writer:
             assignments=assignments,
         )  # fmt: skip
 
+    def summed(
+        self,
+        assignments: Sequence[Assignment],
+        reads: dict[Symbol, str],
+        outputs: Sequence[tuple[str, Expr]],
+        known: Collection[Symbol],
+    ) -> Kernel:
+        """Outputs (target, value) that are added up over all particles; `known` are the symbols that stay as read."""
+        distances = self.derivatives.pair.distances
+        written = [
+            (symbol, sympy.Max(value, CLOSEST) if symbol in distances else value)
+            for symbol, value in needed(assignments, [value for _, value in outputs])
+            if symbol not in known
+        ]
+        reads = reads | {s: f"parameters[{k}]" for k, s in enumerate(self.model.parameters)}
+        added = [Output(target, value, "", "+=") for target, value in outputs if value != 0]
+        return kernel("", "", (), reads, added, assignments=written)
+
     def loop(
         self,
         name: str,
@@ -145,17 +163,6 @@ class Writer:
             over_pairs=("for j in range(i):",) if pair.outputs or directions[1] else (),
             over_directions=("for c in range(directions.shape[1]):",) if directions[1] else (),
         )
-
-
-def needed(assignments: Sequence[Assignment], read: Iterable[Expr]) -> list[Assignment]:
-    """Those assignments that the expressions read, directly or through others."""
-    symbols: set[Symbol] = set().union(*(expression.free_symbols for expression in read))
-    kept: list[Assignment] = []
-    for symbol, value in reversed(assignments):
-        if symbol in symbols:
-            kept.append((symbol, value))
-            symbols |= value.free_symbols
-    return kept[::-1]
 
 
 def _of_pair(line: Line) -> bool:

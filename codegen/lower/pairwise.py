@@ -59,7 +59,7 @@ def _part(writer: Writer, name: str, part: int) -> PairLoop:
 def _hamiltonian(writer: Writer) -> PairLoop:
     alone, pair = writer.derivatives.alone, writer.derivatives.pair
     return writer.loop(
-        "hamiltonian", "H at a state.", STATE,
+        "hamiltonian", "H at a state `z`, shape (2, n, d), of particles with parameters `own`, shape (n, k).", STATE,
         writer.lowered(alone, [("energy", "+=", alone.value)]),
         writer.lowered(pair, [("energy", "+=", pair.value)]),
         head=[Line("energy", "0.0")],

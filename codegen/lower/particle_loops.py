@@ -33,7 +33,8 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
         size = f"{len(singles)}"
         loops.append(
             ParticleLoop(
-                "single_values", f"Scalars of single particles that all their pairs share, shape (n, {size}).", ("z",),
+                "single_values",
+                f"Scalars of particles at `z`, shape (2, n, d), that all their pairs share, shape (n, {size}).", ("z",),
                 (Line("singles", f"np.empty((z.shape[1], {size}))"),), ("for i in range(z.shape[1]):",),
                 tuple(Line(f"singles[i, {k}]", code) for k, code in enumerate(singles)), ("singles",),
             )
@@ -43,7 +44,8 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
     domain = tuple(accurate_sum(e, model) for e in model.domain)
     loops.append(
         ParticleLoop(
-            "domain_margin", "The least value of what must be positive wherever a particle is.", ("z",),
+            "domain_margin",
+            "The least value of what must be positive wherever a particle of `z`, shape (2, n, d), is.", ("z",),
             (Line("margin", "np.inf"),), ("for i in range(z.shape[1]):",) if domain else (),
             tuple(Line("margin", f"min(margin, {code})") for code in domain), ("margin",),
         )
@@ -54,7 +56,7 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
     made = kernel("", "", (), places, [Output(f"place[i, {a}]", e, "") for a, e in enumerate(model.path)])
     loops.append(
         ParticleLoop(
-            "guide", "Fill `place`, shape (n, d), with where particles may be after a fraction of their way.",
+            "guide", "Fill `place`, shape (n, d) as all are, with where particles may be after a part of their way.",
             ("start", "target", "fraction", "place"), (), ("for i in range(start.shape[0]):",),
             (*made.inputs, *made.body, *made.outputs), (),
         )

@@ -9,13 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from sympy import Expr, Max
+from sympy import Expr
 
 from codegen.derive.pairwise import PairDerivatives
 from codegen.derive.passive import PassiveDerivatives, passive_derivatives
 from codegen.lower.blocks import BlockLoop, entry, packed
-from codegen.lower.kernels import Line, Output, kernel
-from codegen.lower.pair_writer import CLOSEST, Writer, needed
+from codegen.lower.kernels import Line
+from codegen.lower.pair_writer import Writer
 from codegen.lower.particle_loops import accurate_sum
 from codegen.model.pairwise import PairwiseModel
 
@@ -52,19 +52,10 @@ def _loop(
 ) -> BlockLoop:
     model = writer.model
     reads = {s: _entry("places", a) for a, s in enumerate(model.first.q)}
-    reads |= {**writer.places("j"), **{s: f"parameters[{k}]" for k, s in enumerate(model.parameters)}}
     own = {s: _of_point(code) for s, code in writer.single_places.items()}
     pair_scalars = {s for s, _ in writer.derivatives.pair.scalars}
-    reads |= {s: code for s, code in own.items() if s in pair_scalars}
-    assignments = [
-        (symbol, Max(value, CLOSEST) if symbol in writer.derivatives.pair.distances else value)
-        for symbol, value in needed(passive.assignments, [value for _, value in outputs])
-        if symbol not in own
-    ]
-    made = kernel(
-        "", "", (), reads, [Output(target, value, "", "+=") for target, value in outputs if value != 0],
-        assignments=assignments,
-    )  # fmt: skip
+    reads |= writer.places("j") | {s: code for s, code in own.items() if s in pair_scalars}
+    made = writer.summed(passive.assignments, reads, outputs, own)
     places = [_entry("places", a) for a in range(len(model.coordinates))]
     sums = [accurate_sum(e, model, places) for e in writer.singles]
     scalars = {code: _entry("scalars", k) for k, code in enumerate(sums)}
@@ -83,8 +74,8 @@ def _loop(
         ),
         inputs=tuple(line for line in made.inputs if re.search(r"\bj\b", line.code)),
         point_inputs=tuple(line for line in made.inputs if re.search(r"\bm\]", line.code)),
-        body=tuple(packed(line) for line in made.body),
-        outputs=tuple(packed(line) for line in made.outputs),
+        body=tuple(map(packed, made.body)),
+        outputs=tuple(map(packed, made.outputs)),
         over_points=("for m in range(BLOCK):",) if model.domain else (),
         after=tuple(Line(target, f"{target} if {margin} > 0.0 else 0.0") for target, _ in outputs if model.domain),
         operations_before=made.operations_before,

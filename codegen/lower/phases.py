@@ -32,8 +32,8 @@ def choices(program: ControlProgram) -> tuple[Choice, ...]:
     stems = [stem for stem, _ in named_elements(program)]
     ends = [_end(stem) for stem in stems[:-1]]
     for derivative, summary in (
-        ("gradient", "Gradient of an interval's share of the Lagrangian, by its phase; returns the discrete cost."),
-        ("hessian", "Hessian (lower triangle, structural nonzeros) of an interval's share, by its phase."),
+        ("gradient", "Gradient (ELEMENT + SHARED,) of an interval's share l of the Lagrangian; returns Cd."),
+        ("hessian", "Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian."),
     ):
         names = [f"{stem}_{derivative}" for stem in stems]
         arguments = ("unknowns", "t", "h", "parameters", derivative)

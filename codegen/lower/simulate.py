@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import sympy
@@ -12,8 +12,8 @@ from codegen.derive import StepDerivatives
 from codegen.discretise import STEP
 from codegen.expressions import StraightLine, values_of
 from codegen.expressions.checks import longer_than
-from codegen.lower.kernels import Kernel, Line, Output, kernel
-from codegen.lower.module import Argument, SimulateModule
+from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
+from codegen.lower.module import SimulateModule, arguments_of
 from codegen.lower.printer import readable, scalar_code
 from codegen.transcribe.program import StepProgram
 
@@ -33,8 +33,9 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
         _equations_kernel(program),
         kernel(
-            "energy", "The Hamiltonian.", ("state", "t", "parameters"), _places(program), (), program.energy,
-            straight_line=_needed(program.state_assignments, (program.energy,)),
+            "energy", "The Hamiltonian at `state` (STATE,).",
+            ("state", "t", "parameters"), _places(program), (), program.energy,
+            straight_line=needed(program.state_assignments, (program.energy,)),
         ),
     )  # fmt: skip
     quantity = program.start_values[0].quantity
@@ -49,9 +50,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         kernels=kernels,
         runtime=_runtime(program),
         sizes=_sizes(program, derivatives),
-        arguments=tuple(
-            Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True)
-        ),
+        arguments=arguments_of(model),
         steps=model.steps,
         duration=scalar_code(model.duration),
         start_values=tuple(
@@ -86,7 +85,7 @@ def _interval_outputs(program: StepProgram) -> list[Output]:
 def _explicit_kernel(program: StepProgram) -> Kernel:
     return kernel(
         "explicit_step",
-        "Inner stages, if there are any, and the state at the right node.",
+        "Fill `interval` (STAGES + STATE,) with inner stages and the state at the right node, from `state` (STATE,).",
         (*_arguments(program), "interval"), _places(program), _interval_outputs(program), None, program.before,
     )  # fmt: skip
 
@@ -103,42 +102,33 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
     ]
     listed = ", ".join(names)
     written = (*program.before, *derivatives.assignments)
-    of_residual = _needed(written, derivatives.residual)
-    of_both = _needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
+    of_residual = needed(written, derivatives.residual)
+    of_both = needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
     # A program for long expressions holds all that is common to them.
     straight = bool(derivatives.assignments)
     return (
         kernel(
-            "predict_step", f"Where to start solving for {listed}.", (*arguments, "unknowns"), places, guess,
-            straight_line=_needed(program.state_assignments, program.guess),
+            "predict_step", f"Where to start solving from `state` (STATE,) for `unknowns` (UNKNOWNS,): {listed}.",
+            (*arguments, "unknowns"), places, guess,
+            straight_line=needed(program.state_assignments, program.guess),
         ),
         kernel(
-            "step_residual", f"What must vanish, as a function of {listed}.",
+            "step_residual", f"What must vanish, `residual` (UNKNOWNS,), as a function of {listed}.",
             ("unknowns", *arguments, "residual"), places, residual, None,
             () if straight else of_residual, straight_line=of_residual if straight else (),
         ),
         kernel(
-            "step_jacobian", f"Residual, and its Jacobian by {listed}.",
+            "step_jacobian", f"Residual, and its `jacobian` (UNKNOWNS, UNKNOWNS) by {listed}.",
             ("unknowns", *arguments, "residual", "jacobian"), places, [*residual, *entries], None,
             () if straight else of_both, straight_line=of_both if straight else (),
         ),
         kernel(
-            "complete_step", f"Inner stages, if there are any, and the state at the right node, given {listed}.",
+            "complete_step",
+            f"Fill `interval` (STAGES + STATE,): inner stages, and the state at the right node, given {listed}.",
             ("unknowns", *arguments, "interval"), places, _interval_outputs(program), None,
             (*program.before, *program.after),
         ),
     )  # fmt: skip
-
-
-def _needed(assignments: Assignments, read: Iterable[Expr]) -> tuple[tuple[Symbol, Expr], ...]:
-    """Those assignments that the expressions read, directly or through others."""
-    symbols = set().union(*(expression.free_symbols for expression in read))
-    kept: list[tuple[Symbol, Expr]] = []
-    for symbol, value in reversed(assignments):
-        if symbol in symbols:
-            kept.append((symbol, value))
-            symbols |= value.free_symbols
-    return tuple(reversed(kept))
 
 
 def _equations_kernel(program: StepProgram) -> Kernel:
@@ -150,7 +140,8 @@ def _equations_kernel(program: StepProgram) -> Kernel:
         straight = values_of(values)
     outputs = [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)]
     return kernel(
-        "step_equations", "The scheme's equations as they stand above; a step makes them vanish.",
+        "step_equations",
+        "The scheme's equations as they stand above, `residual` (STAGES + STATE,); a step makes them vanish.",
         ("state", "interval", *_arguments(program)[1:], "residual"), places, outputs,
         straight_line=straight.assignments,
     )  # fmt: skip

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 
 import sympy
 from sympy import Expr, Symbol
@@ -197,7 +198,8 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
         force, left, right = (f" {part} G(q_k)^T kappa_k" for part in ("+ h", "- h/2", "+ h/2"))
     lines = [f"0 = D2 Ld(q_{{k-1}}, q_k) + D1 Ld(q_k, q_{{k+1}}){both}{force}"]
     inner = [u.name for u in program.interval if u.meaning.startswith("inner value")]
-    acting = {label for equations in _all_equations(program) for label, _ in equations}
+    equations = chain(program.equations, *(phase.equations for phase in program.phases))
+    acting = {label for label, _ in equations}
     lines += [f"0 = dLd/d{name}" + f" + f_{name}" * (f"f_{name}" in acting) for name in inner]
     before = f"D2 Ld(q_{{k-1}}, q_k){' + f+_{k-1}' * forced}{right}"
     after = f"-D1 Ld(q_k, q_{{k+1}}){' - f-_k' * forced}{left}"
@@ -208,10 +210,6 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
     if len(lines) > 1 + len(inner):
         lead += ", and momenta where they are given"
     yield _block(f"{lead}:", lines)
-
-
-def _all_equations(program: ControlProgram) -> list[Pairs]:
-    return [program.equations, *(phase.equations for phase in program.phases)]
 
 
 def _gives_momenta(conditions: Pairs) -> bool:

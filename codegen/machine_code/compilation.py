@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import GeneratedModule, load
-from codegen.machine_code.parts import is_of_particles
+from codegen.loading import GeneratedModule, is_of_particles, load
 from codegen.machine_code.processes import UNFINISHED
 from codegen.tasks import task_of
 
@@ -68,7 +67,7 @@ def main(share: str) -> int:
     from numba import njit
 
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
-    njit(_nothing)(0.0)  # the first compilation takes long, whatever it compiles
+    njit(lambda x: x)(0.0)  # the first compilation takes long, whatever it compiles
     path = os.fsdecode(sys.stdin.buffer.read())
     if not path:
         return 0
@@ -124,10 +123,6 @@ def status_of(module: Any) -> int:
     """Have machine code carry its digest; the exit status of a process that has compiled its share of a module."""
     module.seal_code(_compiled_functions(module))
     return 0 if task_of(module).is_whole else UNFINISHED
-
-
-def _nothing(x: Any) -> Any:
-    return x
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from codegen.loading import is_of_particles
+
 Calls = list[Callable[[], Any]]
 
 
@@ -26,11 +28,7 @@ def control_parts(module: Any) -> Calls:
         calls += _interior_point_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
         calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
-    return [
-        *calls,
-        lambda: module.unpack(grid, unknowns),
-        lambda: module.sizes_of_terms(grid, unknowns),
-    ]
+    return [*calls, lambda: module.unpack(grid, unknowns), lambda: module.sizes_of_terms(grid, unknowns)]
 
 
 def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
@@ -75,11 +73,6 @@ def connect_parts(module: Any) -> Calls:
         lambda: module.Linearised(case, points, None).matrix(),
         lambda: module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)),
     ]
-
-
-def is_of_particles(module: Any) -> bool:
-    """Whether a module is about particles, whose functions for pairs are called from Python as well."""
-    return "separable" in module.metadata
 
 
 def small_case(module: Any, steps: int = 2) -> Any:

@@ -17,6 +17,7 @@ from codegen.author.symbols import Parameter, Quantity
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
 from codegen.expressions.invariants import Invariants
+from codegen.model.normal_form import require_unique_names
 
 FRACTION = Symbol("fraction", real=True)
 """The fraction of the way from start to target."""
@@ -77,12 +78,6 @@ class PairwiseModel:
     unused: tuple[str, ...] = ()
     drawing: tuple[()] = ()
 
-    @property
-    def exchanged(self) -> dict[Symbol, Symbol]:
-        """The substitution that makes the second particle of the first, and back."""
-        one, other = (*self.first.moving, *self.first.own), (*self.second.moving, *self.second.own)
-        return dict(zip((*one, *other), (*other, *one), strict=True))
-
 
 def is_pairwise(problem: Any) -> bool:
     """Whether an author's problem is about particles that interact in pairs."""
@@ -108,7 +103,7 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     inside = set().union(*(e.free_symbols for e in (*terms.values(), duration)))
     parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)
     plain = _plain_symbols(system.pair, parameters, problem.task)
-    first, second = (_place(one, plain) for one in system.pair)
+    first, second = (Place(*(tuple(plain[s] for s in g) for g in (one.q, one.p, one.own))) for one in system.pair)
     pair = expressions.tidied(terms["pair_term"].xreplace(plain))
     self_term = expressions.tidied(terms["self_term"].xreplace(plain)) if "self_term" in terms else None
     _require_scope(pair, self_term, first, second)
@@ -170,10 +165,6 @@ def _names(symbols: Sequence[Symbol]) -> tuple[str, ...]:
     return tuple(symbol.name.removesuffix("_i") for symbol in symbols)
 
 
-def _place(one: Particle, plain: Mapping[Quantity, Symbol]) -> Place:
-    return Place(*(tuple(plain[s] for s in group) for group in (one.q, one.p, one.own)))
-
-
 def _count(number: Any) -> int:
     if isinstance(number, bool) or not isinstance(number, int) or number < 1:
         raise ExpressionError(f"steps is {number!r}", "give a positive integer")
@@ -189,11 +180,7 @@ def _require_symbols(terms: Mapping[str, Expr], pair: tuple[Particle, Particle],
                 raise SymbolError(
                     f"{symbol} in {what} is no parameter and belongs to no particle", "use particles(...)"
                 )
-    names: set[str] = set()
-    for symbol in declared:
-        if symbol.name in names:
-            raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
-        names.add(symbol.name)
+    require_unique_names(declared)
 
 
 def _require_scope(pair: Expr, self_term: Expr | None, first: Place, second: Place) -> None:

@@ -71,12 +71,12 @@ def jump_entries(jumps: Any, switches: int) -> list[list[Entry]]:
     ]
 
 
-def used_quantities(entries: Iterable[Entry], keys: Iterable[Quantity] = ()) -> list[Quantity]:
+def used_quantities(entries: Iterable[Entry]) -> list[Quantity]:
     """All declared quantities of the expressions, partners included, in the order of declaration.
 
     Raises SymbolError for a symbol that was never declared.
     """
-    found: set[Quantity] = set(keys)
+    found: set[Quantity] = set()
     for entry in entries:
         for symbol in _symbols(entry):
             if not isinstance(symbol, Quantity):

@@ -18,11 +18,7 @@ __all__ = ["Drawings", "connect_figure", "control_figure", "label", "save", "sim
 
 
 def save(
-    module: GeneratedModule,
-    result: Result,
-    path: Path,
-    drawings: Drawings | Scene | None = None,
-    unit: str = "",
+    module: GeneratedModule, result: Result, path: Path, drawings: Drawings | Scene | None = None, unit: str = ""
 ) -> None:
     """Draw a module's result into a file whose ending matplotlib knows; `unit` is that of the time."""
     with matplotlib.rc_context(STYLE):

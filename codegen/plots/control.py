@@ -25,12 +25,7 @@ WIDTH = 12.0
 _MOST_ROWS = 12
 _MOST_INEQUALITIES = 4
 _MOST_BESIDE = 4
-_TITLES = {
-    "state": "states",
-    "momentum": "momenta",
-    "multiplier": "multipliers",
-    "control": "controls",
-}
+_TITLES = {"state": "states", "momentum": "momenta", "multiplier": "multipliers", "control": "controls"}
 
 
 @dataclass(frozen=True)

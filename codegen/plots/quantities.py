@@ -98,12 +98,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     groups: dict[str, tuple[tuple[str, ...], Matrix, Matrix, int]] = {
         "state": (coordinates, result.q, guess.q, 0),
         "momentum": (momenta, result.p, guess.p, 1),
-        "control": (
-            tuple(metadata["control_names"]),
-            _drawn(module, result, fine),
-            _drawn(module, guess, fine),
-            2,
-        ),
+        "control": (tuple(metadata["control_names"]), _drawn(module, result, fine), _drawn(module, guess, fine), 2),
     }
     out: dict[str, list[Quantity]] = {}
     for kind, (names, values, guessed, place) in groups.items():

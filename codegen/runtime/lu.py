@@ -8,7 +8,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def factor_matrix(matrix, pivots):
-    """Factor `matrix`, shape (n, n), in place. Return -1, or the first column whose pivot is zero or NaN."""
+    """Factor `matrix` (m, m) in place, fill `pivots` (m,); -1, or the first column whose pivot is zero or NaN."""
     size = matrix.shape[0]
     for i in range(size):
         pivot = i

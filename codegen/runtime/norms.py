@@ -6,7 +6,7 @@ from numba import njit
 
 @njit(error_model="numpy")
 def measure(gradient, is_multiplier):
-    """Max-norm and sum of the residual of the discrete equations, and max-norm of the stationarity.
+    """Max-norm and sum of the residual of the equations, and max-norm of the stationarity, from `gradient` (n,).
 
     All are infinite when an entry is infinite or NaN.
     """

@@ -42,79 +42,55 @@ class OneStep(Scheme):
 
 ONE_STEPS = (
     OneStep(
-        name="explicit-euler",
-        order=1,
-        symmetric=False,
-        symplectic=False,
+        name="explicit-euler", order=1, symmetric=False, symplectic=False,
         source="Hairer, Lubich and Wanner (2006), Geometric numerical integration, I.1; thesis 1.0.1",
         summary="field at (q0, p0)",
         substeps=(Substep(_ONE, _ZERO, _ZERO),),
     ),
     OneStep(
-        name="implicit-euler",
-        order=1,
-        symmetric=False,
-        symplectic=False,
+        name="implicit-euler", order=1, symmetric=False, symplectic=False,
         source="Hairer, Lubich and Wanner (2006), I.1; thesis 1.0.1",
         summary="field at (q1, p1)",
         substeps=(Substep(_ONE, _ONE, _ONE),),
     ),
     OneStep(
-        name="symplectic-euler",
-        order=1,
-        symmetric=False,
-        symplectic=True,
+        name="symplectic-euler", order=1, symmetric=False, symplectic=True,
         source="Hairer, Lubich and Wanner (2006), (VI.3.1); thesis 2.4.1",
         summary="field at (q0, p1)",
         substeps=(Substep(_ONE, _ZERO, _ONE),),
     ),
     OneStep(
-        name="symplectic-euler-adjoint",
-        order=1,
-        symmetric=False,
-        symplectic=True,
+        name="symplectic-euler-adjoint", order=1, symmetric=False, symplectic=True,
         source="Hairer, Lubich and Wanner (2006), (VI.3.1)",
         summary="field at (q1, p0)",
         substeps=(Substep(_ONE, _ONE, _ZERO),),
     ),
     OneStep(
-        name="midpoint",
-        order=2,
-        symmetric=True,
-        symplectic=True,
+        name="midpoint", order=2, symmetric=True, symplectic=True,
         source="Hairer, Lubich and Wanner (2006), (VI.3.2); thesis (2.4.1)",
         summary="field at ((q0 + q1)/2, (p0 + p1)/2)",
         substeps=(Substep(_ONE, _HALF, _HALF),),
     ),
     OneStep(
-        name="stormer-verlet",
-        order=2,
-        symmetric=True,
-        symplectic=True,
+        name="stormer-verlet", order=2, symmetric=True, symplectic=True,
         source="Hairer, Lubich and Wanner (2006), (VI.3.4)",
         summary="half a step of symplectic-euler, then half a step of its adjoint",
         substeps=(Substep(_HALF, _ZERO, _ONE), Substep(_HALF, _ONE, _ZERO)),
     ),
     OneStep(
-        name="position-verlet",
-        order=2,
-        symmetric=True,
-        symplectic=True,
+        name="position-verlet", order=2, symmetric=True, symplectic=True,
         source="Hairer, Lubich and Wanner (2006), (VI.3.4), second variant; Tuckerman, Berne and Martyna (1992)",
         summary="half a step of symplectic-euler-adjoint, then half a step of symplectic-euler; one force a step",
         substeps=(Substep(_HALF, _ONE, _ZERO), Substep(_HALF, _ZERO, _ONE)),
     ),
-)
+)  # fmt: skip
 
 TRAPEZOIDAL = OneStep(
-    name="trapezoidal",
-    order=2,
-    symmetric=True,
-    symplectic=False,
+    name="trapezoidal", order=2, symmetric=True, symplectic=False,
     source="Hairer, Norsett and Wanner (1993), Solving ordinary differential equations I, II.1 and II.7",
     summary="mean of the fields at x0 and x1; half a step of explicit-euler, then half a step of implicit-euler",
     substeps=(Substep(_HALF, _ZERO, _ZERO), Substep(_HALF, _ONE, _ONE)),
-)
+)  # fmt: skip
 """Offered for first-order systems; of a mechanical system the midpoint rule is the symplectic one of the two."""
 
 _SAME_POINT = (scheme for scheme in ONE_STEPS if all(s.position == s.momentum for s in scheme.substeps))

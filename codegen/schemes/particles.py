@@ -25,24 +25,18 @@ class Adaptive(Scheme):
 
 _ADAPTIVE = (
     Adaptive(
-        name="dop853",
-        order=8,
-        symmetric=False,
-        symplectic=False,
+        name="dop853", order=8, symmetric=False, symplectic=False,
         source="Hairer, Norsett and Wanner (1993), II.5 (scipy.integrate.DOP853)",
         summary="explicit Runge-Kutta method of order 8 with step-size control",
         adaptive="DOP853",
     ),
     Adaptive(
-        name="lsoda",
-        order=12,
-        symmetric=False,
-        symplectic=False,
+        name="lsoda", order=12, symmetric=False, symplectic=False,
         source="Petzold (1983), SIAM Journal on Scientific and Statistical Computing 4 (scipy.integrate.LSODA)",
         summary="multistep methods of Adams and backward differentiation formulas, order and step by error control",
         adaptive="LSODA",
     ),
-)
+)  # fmt: skip
 
 PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (*ONE_STEPS, *OF_PARTICLES, *_ADAPTIVE)}
 """Schemes for pairwise systems by name, over which tests run; `find` knows the compositions of higher order as well."""

@@ -48,10 +48,7 @@ def _table(*rows: str) -> tuple[tuple[Expr, ...], ...]:
 
 
 _ROOT_3, _ROOT_15 = sqrt(Integer(3)), sqrt(Integer(15))
-_GAUSS_4 = (
-    (Rational(1, 4), Rational(1, 4) - _ROOT_3 / 6),
-    (Rational(1, 4) + _ROOT_3 / 6, Rational(1, 4)),
-)
+_GAUSS_4 = ((Rational(1, 4), Rational(1, 4) - _ROOT_3 / 6), (Rational(1, 4) + _ROOT_3 / 6, Rational(1, 4)))
 _GAUSS_6 = (
     (Rational(5, 36), Rational(2, 9) - _ROOT_15 / 15, Rational(5, 36) - _ROOT_15 / 30),
     (Rational(5, 36) + _ROOT_15 / 24, Rational(2, 9), Rational(5, 36) - _ROOT_15 / 24),
@@ -71,75 +68,42 @@ _BUTCHER = _table(
 )
 
 GAUSS_4 = RungeKutta(
-    name="gauss-4",
-    order=4,
-    symmetric=True,
-    symplectic=True,
+    name="gauss-4", order=4, symmetric=True, symplectic=True,
     source="Hairer, Lubich and Wanner (2006), table II.1.1; Kuntzmann (1961), Butcher (1964)",
     summary="collocation at the 2 Gauss points",
-    weights=_table("1/2 1/2")[0],
-    positions=_GAUSS_4,
-    momenta=_GAUSS_4,
-)
+    weights=_table("1/2 1/2")[0], positions=_GAUSS_4, momenta=_GAUSS_4,
+)  # fmt: skip
 GAUSS_6 = RungeKutta(
-    name="gauss-6",
-    order=6,
-    symmetric=True,
-    symplectic=True,
+    name="gauss-6", order=6, symmetric=True, symplectic=True,
     source="Hairer, Lubich and Wanner (2006), table II.1.1; Kuntzmann (1961), Butcher (1964)",
     summary="collocation at the 3 Gauss points",
-    weights=_table("5/18 4/9 5/18")[0],
-    positions=_GAUSS_6,
-    momenta=_GAUSS_6,
-)
+    weights=_table("5/18 4/9 5/18")[0], positions=_GAUSS_6, momenta=_GAUSS_6,
+)  # fmt: skip
 LOBATTO_4 = RungeKutta(
-    name="lobatto-4",
-    order=4,
-    symmetric=True,
-    symplectic=True,
+    name="lobatto-4", order=4, symmetric=True, symplectic=True,
     source="Hairer, Lubich and Wanner (2006), table II.2.2; Sun (1993), Jay (1996)",
     summary="Lobatto IIIA for coordinates with Lobatto IIIB for momenta, 3 stages; with 2 it is Störmer-Verlet",
-    weights=_table("1/6 2/3 1/6")[0],
-    positions=_LOBATTO_IIIA,
-    momenta=_LOBATTO_IIIB,
-)
+    weights=_table("1/6 2/3 1/6")[0], positions=_LOBATTO_IIIA, momenta=_LOBATTO_IIIB,
+)  # fmt: skip
 RK4 = RungeKutta(
-    name="rk4",
-    order=4,
-    symmetric=False,
-    symplectic=False,
+    name="rk4", order=4, symmetric=False, symplectic=False,
     source="Kutta (1901); Hairer, Norsett and Wanner (1993), Solving ordinary differential equations I, table II.1.2",
     summary="the classical explicit Runge-Kutta method",
-    weights=_table("1/6 1/3 1/3 1/6")[0],
-    positions=_CLASSICAL,
-    momenta=_CLASSICAL,
-)
+    weights=_table("1/6 1/3 1/3 1/6")[0], positions=_CLASSICAL, momenta=_CLASSICAL,
+)  # fmt: skip
 BUTCHER_6 = RungeKutta(
-    name="butcher-6",
-    order=6,
-    symmetric=False,
-    symplectic=False,
+    name="butcher-6", order=6, symmetric=False, symplectic=False,
     source="Butcher (1964), On Runge-Kutta processes of high order, Journal of the Australian Mathematical Society 4",
     summary="explicit Runge-Kutta method with 7 stages",
-    weights=_table("11/120 0 27/40 27/40 -4/15 -4/15 11/120")[0],
-    positions=_BUTCHER,
-    momenta=_BUTCHER,
-)
+    weights=_table("11/120 0 27/40 27/40 -4/15 -4/15 11/120")[0], positions=_BUTCHER, momenta=_BUTCHER,
+)  # fmt: skip
 HERMITE_SIMPSON = RungeKutta(
-    name="hermite-simpson",
-    order=4,
-    symmetric=True,
-    symplectic=False,
+    name="hermite-simpson", order=4, symmetric=True, symplectic=False,
     source="Hairer, Norsett and Wanner (1993), table II.7.7 (Lobatto IIIA); Hargraves and Paris (1987)",
     summary="collocation at both ends and the middle, Lobatto IIIA with 3 stages",
-    weights=_table("1/6 2/3 1/6")[0],
-    positions=_LOBATTO_IIIA,
-    momenta=_LOBATTO_IIIA,
-)
+    weights=_table("1/6 2/3 1/6")[0], positions=_LOBATTO_IIIA, momenta=_LOBATTO_IIIA,
+)  # fmt: skip
 
-SCHEMES = {
-    "hamiltonian": (GAUSS_4, GAUSS_6, LOBATTO_4, RK4),
-    FIRST_ORDER: (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4),
-}
+SCHEMES = {"hamiltonian": (GAUSS_4, GAUSS_6, LOBATTO_4, RK4), FIRST_ORDER: (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4)}
 OF_PARTICLES = (RK4, BUTCHER_6)
 """Those for particles, whose steps are explicit."""

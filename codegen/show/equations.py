@@ -44,10 +44,7 @@ _BALANCE = (
     "D₂ Ld(qₖ₋₁, qₖ) + D₁ Ld(qₖ, qₖ₊₁) + f⁺ₖ₋₁ + f⁻ₖ = 0 for k = 1, ..., N - 1, written out",
     r"$D_2 L_d(q_{k-1}, q_k) + D_1 L_d(q_k, q_{k+1}) + f^+_{k-1} + f^-_k = 0$ for $k = 1, \dots, N - 1$, written out",
 )
-_MOMENTA = (
-    "the discrete momenta of the first and last node are those of the prescribed velocities",
-    "the discrete momenta of the first and last node are those of the prescribed velocities",
-)
+_MOMENTA = ("the discrete momenta of the first and last node are those of the prescribed velocities",) * 2
 
 
 def equations(

@@ -162,10 +162,7 @@ def _structure(result: ModifiedEquations, notation: Notation) -> Iterator[Block]
         told = "checked by differentiation; constants, and functions of time alone, are left out"
         rows = [(Symbol(f"H_{k}", real=True), _tidied(h, k)) for k, h in enumerate(result.hamiltonian)]
         block = _block("Modified Hamiltonian", rows, notation)
-        remark = (
-            f"H̃ = {plain} + O(h{_high(last)}), {told}",
-            rf"$\tilde{{H}} = {tex} + O(h^{{{last}}})$, {told}.",
-        )
+        remark = (f"H̃ = {plain} + O(h{_high(last)}), {told}", rf"$\tilde{{H}} = {tex} + O(h^{{{last}}})$, {told}.")
         yield Block(block.heading, block.equations, (remark, *block.remarks))
     for k in sorted({defect.power for defect in result.defects or ()}):
         rows = [

@@ -120,7 +120,7 @@ def _errors(module: ControlModule, scaled: Grid, unknowns: Vector, sizes: Vector
     wrong = (
         weight * sizes[dual] * module.constraints(grid, unknowns),
         _pinned_error(module, grid, unknowns, sizes),
-        _beyond_bounds(module, scaled, unknowns) / sizes[primal],
+        np.maximum(0.0, -np.minimum(*bound_distances(module, scaled, unknowns))) / sizes[primal],
     )
     unbalanced = weight * sizes[primal] * _unbalanced(module, scaled, unknowns, sizes[primal])
     return max(max_norm(values) for values in wrong), max_norm(unbalanced)
@@ -135,12 +135,6 @@ def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tupl
     lower, upper = module.bounds_of(grid)
     units = grid.sizes if grid.sizes.size else np.ones(unknowns.size)
     return (unknowns - units * lower)[primal], (units * upper - unknowns)[primal]
-
-
-def _beyond_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
-    """By how much unknowns violate their bounds."""
-    below, above = bound_distances(module, grid, unknowns)
-    return np.maximum(0.0, -np.minimum(below, above))
 
 
 def _unbalanced(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector) -> Vector:

@@ -34,7 +34,7 @@ def verify_couplings(program: ControlProgram, text: Text) -> None:
 
 def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[int, Sequence[int]]]) -> Share:
     """A condition as a scalar of the shared unknowns that it reads, or that its terms read."""
-    every, others = _shared_symbols(program), parameters(program)
+    every, others = shared_symbols(program), parameters(program)
     named = {place for _, places in terms for place in places}
     read = [place for place, symbol in enumerate(every) if place in named or coupling.expression.has(symbol)]
     local, size = {place: i for i, place in enumerate(read)}, len(read)
@@ -77,7 +77,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
     )
 
 
-def _shared_symbols(program: ControlProgram) -> list[Symbol]:
+def shared_symbols(program: ControlProgram) -> list[Symbol]:
     """A symbol for every shared unknown: of each body in turn, then of the whole problem."""
     symbols = [Symbol(f"_shared_{place}", real=True) for place in range(program.bodies * program.own)]
     for symbol, body, j in program.coupling_symbols:

@@ -79,10 +79,6 @@ def _applied(function: Any, *arguments: Any) -> Sized:
     return Sized(value, abs(value) + size)
 
 
-def _power(base: Any, exponent: Any) -> Sized:
-    return _applied(lambda b: b ** (exponent.value if isinstance(exponent, Sized) else exponent), base)
-
-
 def _real(value: Any) -> Any:
     return value.value if isinstance(value, Sized) else value
 
@@ -96,7 +92,7 @@ def _only(value: Any) -> Any:
 SIZED = Arithmetic(
     number=Sized,
     function=lambda name: lambda *x: _applied(by_name(name), *x),
-    power=_power,
+    power=lambda b, e: _applied(lambda base: base ** _real(e), b),
     maximum=lambda *x: max(map(sized, x), key=_real),
     minimum=lambda *x: min(map(sized, x), key=_real),
     absolute=lambda x: -sized(x) if _real(x) < 0 else sized(x),

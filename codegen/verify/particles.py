@@ -41,12 +41,12 @@ def verify_particles(program: PairwiseProgram, text: Text) -> None:
         own = generator.uniform(0.5, 1.5, (_PARTICLES, len(model.own)))
         parameters = np.array(model.defaults) * generator.uniform(0.9, 1.1, len(model.defaults))
         with np.errstate(all="ignore"):
-            for quantity, emitted, right, part in _compared(model, module, exact, (state, own, parameters)):
+            for quantity, emitted, right, part in _compared(module, exact, (state, own, parameters)):
                 _require_equal(quantity, np.asarray(emitted), np.asarray(right, float), part)
 
 
 def _compared(
-    model: PairwiseModel, module: dict[str, Any], exact: _Exact, given: tuple[Array, Array, Array]
+    module: dict[str, Any], exact: _Exact, given: tuple[Array, Array, Array]
 ) -> Iterator[tuple[str, Array, Array, float]]:
     """Name of a quantity, its emitted and its right value, and the part by which they may differ."""
     energy, gradient, hessian = exact.at(*given)

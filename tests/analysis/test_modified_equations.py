@@ -14,7 +14,6 @@ from scipy.integrate import solve_ivp
 from simulation_systems import SYSTEMS, model_of
 from sympy import Rational, S, cos, sin
 from textbook_steps import TEXTBOOK, textbook_step
-from typer.testing import CliRunner
 
 from codegen import (
     Control,
@@ -25,21 +24,21 @@ from codegen import (
     schemes,
 )
 from codegen.analysis import modified_equations as subject
-from codegen.analysis.angles import angles_that_span
 from codegen.analysis.flow_series import flow_series
-from codegen.analysis.function_ring import FunctionRing
 from codegen.analysis.modified_equations import modified_equations
 from codegen.checks.derivation.one_step import generic_model
 from codegen.checks.derivation.symplecticity import generic_model_without_forces
-from codegen.cli import main
-from codegen.errors import ArgumentError, ExpressionError, SchemeError
+from codegen.errors import ExpressionError
 from codegen.model import Boundary, normalise
 from codegen.model.from_file import load_problem
 from codegen.schemes.one_step import alpha
-from codegen.show.modified_equations import analysis
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
+
+
 REGISTERED = [(method, name) for method, names in schemes.METHODS.items() for name in names]
+
+
 h, a = sympy.symbols("h alpha", real=True)
 
 
@@ -323,76 +322,8 @@ def test_derivatives_of_elements_are_those_of_sympy(function):
         assert abs(found - sympy.diff(expression, symbol).evalf(30, subs=point)) < 1e-12
 
 
-def test_hidden_zero_is_found_by_numbers():
-    (x,) = sympy.symbols("x,", real=True)
-    ring = FunctionRing((x,), ())
-    element = ring.function(sympy.tan(x), x, ring.symbol(x))
-    assert ring.vanishes(element * ring.function(cos(x), x, ring.symbol(x)) - ring.function(sin(x), x, ring.symbol(x)))
-    assert not ring.vanishes(element - ring.function(sin(x), x, ring.symbol(x)))
-
-
-@pytest.mark.parametrize(
-    ("angles", "basis"),
-    [
-        (["q", "2*q"], ["q"]),
-        (["a - b", "a", "b", "2*a - 2*b"], ["a - b", "a"]),
-        (["a - b", "a + b", "a"], []),  # a is half a sum of the others
-        (["q/2", "3*q/2"], ["q/2"]),
-    ],
-)
-def test_angles_are_integer_combinations_of_some(angles, basis):
-    assert angles_that_span([sympy.sympify(x) for x in angles]) == tuple(sympy.sympify(x) for x in basis)
-
-
-# What is refused, and what is printed
-
-
-@pytest.mark.parametrize("order", [0, -1, 9])
-def test_order_out_of_range_is_refused(order):
-    with pytest.raises(ArgumentError, match=f"--order {order}"):
-        analysis(PROBLEMS / "pendulum.py", order=order)
-
-
-@pytest.mark.parametrize(
-    ("problem", "reason"),
-    [
-        ("bouncing_ball", "several phases"),
-        ("spherical_pendulum", "holonomic"),
-        ("outer_solar_system", "particles"),
-    ],
-)
-def test_problem_without_modified_equations_is_refused(problem, reason):
-    with pytest.raises(ArgumentError, match=reason):
-        analysis(PROBLEMS / f"{problem}.py")
-
-
 def test_function_with_a_kink_is_refused():
     q, p = canonical_pair("q", "p")
     model = normalise(Simulate(hamiltonian=p**2 / 2 + sympy.Abs(q), duration=1, start={q: 1, p: 0}))
     with pytest.raises(ExpressionError, match="no expansion in powers of h"):
         on(model, "midpoint", 1)
-
-
-def test_family_is_for_hamiltonian_problems():
-    with pytest.raises(SchemeError, match="alpha"):
-        analysis(PROBLEMS / "van_der_pol.py", scheme="alpha")
-
-
-def test_text_begins_with_the_conclusion():
-    text = analysis(PROBLEMS / "pendulum.py", scheme="symplectic-euler", order=2)
-    assert text.startswith("symplectic-euler on pendulum: modified equations up to h² are Hamiltonian\n")
-    text = analysis(PROBLEMS / "pendulum.py", scheme="explicit-euler", order=2)
-    assert text.startswith("explicit-euler on pendulum: modified equations up to h² are not Hamiltonian, because")
-    text = analysis(PROBLEMS / "pendulum.py", {"form": "lagrangian"}, order=1)
-    assert "Coefficient of h\n----------------\n  it vanishes" in text
-    assert analysis(PROBLEMS / "pendulum.py", scheme="alpha", order=1).startswith("alpha family on pendulum")
-
-
-def test_command():
-    shown = CliRunner().invoke(main, ["analyse", str(PROBLEMS / "orbital_transfer.py"), "--order", "1", "--latex"])
-    assert shown.exit_code == 0
-    assert shown.stdout.isascii()
-    assert shown.stdout.count(r"\begin{align*}") == shown.stdout.count(r"\end{align*}") == 2
-    refused = CliRunner().invoke(main, ["analyse", str(PROBLEMS / "pendulum.py"), "--order", "0"])
-    assert refused.exit_code == 2
-    assert refused.stderr == "codegen: error: --order 0; give a power of h from 1 to 8\n"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from sympy import Function, Rational, exp, simplify
-
-from codegen.analysis.weak_solution import is_zero, weak_defect
+from weak_solution import is_zero, weak_defect
 
 
 def test_two_particles_with_any_kernel_and_any_test_function():

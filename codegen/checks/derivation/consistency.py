@@ -17,13 +17,7 @@ import sympy
 from sympy import Expr, Rational, S, Symbol
 
 from codegen.checks.base import Context, Finding
-from codegen.checks.derivation.one_step import (
-    StepEquations,
-    generic_model,
-    jacobians,
-    solved_step,
-    step_equations,
-)
+from codegen.checks.derivation.one_step import StepEquations, generic_model, jacobians, solved_step, step_equations
 from codegen.checks.evaluation import Function, function_of
 from codegen.discretise import STEP
 from codegen.model import Model, legendre

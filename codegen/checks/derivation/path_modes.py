@@ -41,7 +41,9 @@ def check(context: Context) -> Iterator[Finding]:
         yield does_not_apply(_NAME, reason)
         return
     open_values = {c: _open_values(program, context.scheme, c) for c in conditions}
-    solutions = _solutions(context) if any(open_values.values()) else ()
+    solutions: tuple[Any, ...] = ()
+    if any(open_values.values()):
+        solutions = context.solution, context.module.solve(2 * (context.solution.t.size - 1))
     for condition, values in open_values.items():
         if not values:
             detail = "it holds, or follows from both nodes, wherever the scheme evaluates cost and dynamics"
@@ -66,7 +68,9 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
     """The values of a condition at points of evaluation at which it is neither imposed nor follows from both nodes."""
     model = program.model
     ends = [_at_end(program, condition, symbols) for symbols in (program.left_symbols, program.right_symbols)]
-    imposed = {*_imposed(program), *(value.xreplace(_shift(program, right)) for right, value in enumerate(ends))}
+    instants = [_in_time(program, model.time + right * STEP) for right in (0, 1)]
+    at_ends = (value.xreplace({model.time: t}) for value, t in zip(ends, instants, strict=True))
+    imposed = {*_imposed(program), *at_ends}
     nodes = {*program.left_symbols, *program.right_symbols, *program.shared_symbols}
     nodes |= {model.time, STEP, *model.parameters, *(value.symbol for value in program.boundary_values)}
     convex = is_convex(model, condition) and (
@@ -103,19 +107,8 @@ def _at_end(program: ControlProgram, condition: Condition, symbols: Sequence[Sym
     return condition.expression.xreplace({q: names[q.name] for q in quantities if q.name in names})
 
 
-def _shift(program: ControlProgram, right: int) -> dict[Symbol, Expr]:
-    """The time at the left or right node in the time of the program."""
-    time = program.model.time
-    return {time: _in_time(program, time + right * STEP)}
-
-
 def _in_time(program: ControlProgram, value: Expr) -> Expr:
     return scaled_in_time(program.model, value) if program.scaled_time else value
-
-
-def _solutions(context: Context) -> tuple[Any, ...]:
-    first = context.solution
-    return first, context.module.solve(2 * (first.t.size - 1))
 
 
 def _measured(

@@ -20,9 +20,10 @@ from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.evaluation import DIGITS, Function, directional, function_of, gradient
 from codegen.checks.module.agreement import Agreement
 from codegen.checks.module.flat_vector import FlatVector
-from codegen.checks.module.kernel_arguments import all_shared_symbols, other_symbols
+from codegen.checks.module.kernel_arguments import other_symbols
 from codegen.expressions import checks as expressions
 from codegen.transcribe.program import ControlProgram
+from codegen.verify.couplings import shared_symbols
 
 _STEPS = 2
 _AMOUNT = 0.05
@@ -88,7 +89,7 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, paramet
             yield _Share(elements[flat.share(k).element], flat.element(body, k), given(body, k * grid_step))
         yield _Share(start, flat.end(body, "start"), given(body, 0.0))
         yield _Share(end, flat.end(body, "end"), given(body, flat.steps * grid_step))
-    symbols, every = all_shared_symbols(program), np.arange(flat.first_shared, flat.first_coupling)
+    symbols, every = shared_symbols(program), np.arange(flat.first_shared, flat.first_coupling)
     for i, coupling in enumerate(program.couplings):
         multiplier = Symbol(f"_{coupling.multiplier.name}", real=True)
         places = np.append(every, flat.first_coupling + i)

@@ -16,16 +16,17 @@ from sympy import Expr
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import DIGITS, NOTHING, function_of, gradient, random_points, second_differences
 from codegen.checks.module.agreement import Agreement
-from codegen.checks.module.kernel_arguments import all_shared_symbols, parameter_vector
+from codegen.checks.module.kernel_arguments import parameter_vector
 from codegen.model import Model
 from codegen.transcribe.program import ControlProgram
+from codegen.verify.couplings import shared_symbols
 
 
 def check_couplings(context: Context, program: ControlProgram) -> Iterator[Finding]:
     """Compare values, slopes and curvatures of all conditions with differences of what the author wrote."""
     if not program.couplings:
         return
-    symbols = all_shared_symbols(program)
+    symbols = shared_symbols(program)
     conditions = _written_conditions(context.model, program)
     others = [s for s in (*program.model.parameters, *(v.symbol for v in program.boundary_values)) if s not in symbols]
     values, slopes, curvatures = Agreement(), Agreement(), Agreement()

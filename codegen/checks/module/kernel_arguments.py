@@ -9,6 +9,7 @@ from sympy import Symbol
 
 from codegen.checks.evaluation import Point
 from codegen.discretise import STEP
+from codegen.lower.phases import named_elements
 from codegen.transcribe.program import ControlProgram
 
 
@@ -19,10 +20,7 @@ def other_symbols(program: ControlProgram) -> list[Symbol]:
 
 def kernel_stems(program: ControlProgram) -> list[str]:
     """The names of the kernels of an interval, without `_gradient` or `_hessian`, one for each of its elements."""
-    stems = []
-    for number, phase in enumerate(program.phases, start=1):
-        stems += [f"phase_{number}"] if phase.switch is None else [f"switch_{number - 1}", f"phase_{number}"]
-    return stems or ["interval"]
+    return [stem for stem, _ in named_elements(program)]
 
 
 def pattern_of(module: Any, share: str) -> list[tuple[int, int]]:
@@ -36,12 +34,3 @@ def parameter_vector(point: Point, program: ControlProgram) -> Any:
     """A row of `grid.parameters`: parameters, boundary values, and behind them the shared unknowns."""
     boundary = [value.symbol for value in program.boundary_values]
     return np.array([point[s] for s in (*program.model.parameters, *boundary, *program.shared_symbols)])
-
-
-def all_shared_symbols(program: ControlProgram) -> list[Symbol]:
-    """A symbol for every shared unknown: of each body in turn, then of the whole problem."""
-    first = program.bodies * program.own
-    symbols = [Symbol(f"_shared_{place}", real=True) for place in range(first)]
-    for symbol, body, j in program.coupling_symbols:
-        symbols[body * program.own + j] = symbol
-    return [*symbols, *program.shared_symbols[program.own :]]

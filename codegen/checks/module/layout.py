@@ -16,15 +16,11 @@ from codegen import mangling
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import random_points
 from codegen.checks.module.flat_vector import FlatVector
-from codegen.checks.module.kernel_arguments import (
-    all_shared_symbols,
-    kernel_stems,
-    other_symbols,
-    parameter_vector,
-)
+from codegen.checks.module.kernel_arguments import kernel_stems, other_symbols, parameter_vector
 from codegen.checks.module.step_kernels import step_length
 from codegen.discretise import STEP
 from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.verify.couplings import shared_symbols
 
 _STEPS = 2
 
@@ -208,7 +204,7 @@ def _run_couplings(module: Any, program: ControlProgram, given: Any) -> str:
     if not program.couplings:
         return ""
     conditions = [coupling.expression for coupling in program.couplings]
-    symbols = all_shared_symbols(program)
+    symbols = shared_symbols(program)
     (point,) = random_points(conditions, [*symbols, *other_symbols(program)], program.model.default_values, count=1)
     values = np.array([point[symbol] for symbol in symbols])
     tables = module.COUPLING_KINDS, module.COUPLING_COUNTS, module.COUPLING_PLACES

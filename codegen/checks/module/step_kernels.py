@@ -36,7 +36,7 @@ def check_step(context: Context, program: StepProgram) -> Iterator[Finding]:
         numbers = [mpmath.mpf(point[symbol]) for symbol in base]
         with mpmath.workdps(DIGITS):
             written.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, after)))
-            height.compare(["H"], [module.energy(arguments[0], *_time_and_parameters(arguments))], energy(*numbers))
+            height.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
     yield written.finding("step_equations", "the scheme's equations")
     yield height.finding("energy", "the Hamiltonian")
     yield _closed(context, program, points, equations)
@@ -110,7 +110,3 @@ def step_length(point: Point, program: StepProgram) -> Any:
     """What a kernel takes for the length of the step: an array of all lengths where a composition repeats it."""
     lengths = np.array([point[h] for h in program.lengths])
     return lengths if program.fractions else float(lengths[0])
-
-
-def _time_and_parameters(arguments: tuple[Any, float, Any, Any]) -> tuple[float, Any]:
-    return arguments[1], arguments[3]

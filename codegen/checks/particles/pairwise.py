@@ -26,11 +26,6 @@ _LENGTHS = tuple(0.05 / 8**k for k in range(7))
 """Of steps, until one can be made: particles at random places may repel each other strongly."""
 
 
-def is_pairwise_module(module: Any) -> bool:
-    """Whether a generated module is about particles."""
-    return "separable" in module.metadata
-
-
 def findings(path: Path, arguments: Mapping[str, str], choices: Choices, module_path: Path) -> Iterator[Finding]:
     """All evidence about a module of particles, as it lies on disk."""
     model = load_problem(path, arguments)
@@ -107,7 +102,7 @@ def _value(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
     for state in states:
         total, _ = exact(model, state, own)
         errors.append(abs(float((mpmath.mpf(module.hamiltonian(state, own, parameters)) - total) / total)))
-    return _finding("derivatives", "the Hamiltonian against 50 digits", max(errors), 1e-12)
+    return passive.small_error("derivatives", "the Hamiltonian against 50 digits", max(errors), 1e-12)
 
 
 def _gradient(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
@@ -119,7 +114,7 @@ def _gradient(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
         module.hamiltonian_gradient(state, own, parameters, gradient)
         size = max(abs(value) for value in wanted)
         errors.append(max(abs(float((v - w) / size)) for v, w in zip(gradient.ravel().tolist(), wanted, strict=True)))
-    return _finding("derivatives", "H_q and H_p against 50 digits", max(errors), 1e-12)
+    return passive.small_error("derivatives", "H_q and H_p against 50 digits", max(errors), 1e-12)
 
 
 def _hessian(model: PairwiseModel, module: Any, state: Any) -> Finding:
@@ -136,7 +131,9 @@ def _hessian(model: PairwiseModel, module: Any, state: Any) -> Finding:
         (x1, g1), (x0, g0) = shifted
         column = [float((a - b) / (mpmath.mpf(x1) - mpmath.mpf(x0))) for a, b in zip(g1, g0, strict=True)]
         error = max(error, float(np.abs(hessian[:, k] - column).max()))
-    return _finding("derivatives", "second derivatives against differences", error / float(np.abs(hessian).max()), 1e-8)
+    return passive.small_error(
+        "derivatives", "second derivatives against differences", error / float(np.abs(hessian).max()), 1e-8
+    )
 
 
 def _products(model: PairwiseModel, module: Any, state: Any, generator: np.random.Generator) -> Finding:
@@ -147,7 +144,7 @@ def _products(model: PairwiseModel, module: Any, state: Any, generator: np.rando
     products = np.empty_like(directions)
     module.hessian_products(state, own, parameters, directions, products)
     error = float(np.abs(products - hessian @ directions).max() / np.abs(products).max())
-    return _finding("derivatives", "products with the second derivatives", error, 1e-12)
+    return passive.small_error("derivatives", "products with the second derivatives", error, 1e-12)
 
 
 def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> Iterator[Finding]:
@@ -174,7 +171,3 @@ def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> I
     claim = f"the scheme is {'' if promised else 'not '}symplectic"
     detail = f"|D' J D - J| / |D|' |J| |D| = {error:.1e} for a step of {h:g}; {claim}"
     yield Finding("symplecticity", "one step", error < 1e-11 if promised else error > 1e-11, detail)
-
-
-def _finding(check: str, subject: str, error: float, limit: float) -> Finding:
-    return Finding(check, subject, error <= limit, f"largest relative error {error:.1e}, allowed {limit:.0e}")

@@ -58,8 +58,8 @@ def _kernels(
             for found in (rates, alone):
                 errors.append(_error(found.reshape(size, block)[:, m], velocity))
             slope_errors.append(_error(gradients.reshape(size * size, block)[:, m], gradient))
-    yield _finding("derivatives", "velocity of passive points against 50 digits", max(errors), 1e-12)
-    yield _finding("derivatives", "its derivative by place against 50 digits", max(slope_errors), 1e-12)
+    yield small_error("derivatives", "velocity of passive points against 50 digits", max(errors), 1e-12)
+    yield small_error("derivatives", "its derivative by place against 50 digits", max(slope_errors), 1e-12)
 
 
 def _company(module: Any, state: Any, own: Any, parameters: Any) -> Finding:
@@ -72,7 +72,7 @@ def _company(module: Any, state: Any, own: Any, parameters: Any) -> Finding:
         places = np.repeat(state[0, i], block)
         module.passive_velocity(places, state, own, parameters, rates)
         error = max(error, float(np.abs(rates.reshape(size, block)[:, 0] - gradient[1, i]).max()))
-    return _finding("consistency", "passive points on particles", error / float(np.abs(gradient[1]).max()), 1e-12)
+    return small_error("consistency", "passive points on particles", error / float(np.abs(gradient[1]).max()), 1e-12)
 
 
 def _way_back(module: Any, state: Any, own: Any, parameters: Any, generator: np.random.Generator) -> Iterator[Finding]:
@@ -86,9 +86,9 @@ def _way_back(module: Any, state: Any, own: Any, parameters: Any, generator: np.
     there, back, tangents, inverse = (np.empty((count, *[size] * k)) for k in (1, 1, 2, 2))
     module.carry_points(points, h, 0.0, 1.0, stages, own, parameters, there, tangents)
     module.carry_points(there, h, 1.0, 0.0, stages, own, parameters, back, inverse)
-    yield _finding("consistency", "passive points carried there and back", float(np.abs(back - points).max()), 1e-13)
+    yield small_error("consistency", "passive points carried there and back", float(np.abs(back - points).max()), 1e-13)
     error = float(np.abs(inverse @ tangents - np.eye(size)).max())
-    yield _finding("consistency", "the derivatives of both", error, 1e-12)
+    yield small_error("consistency", "the derivatives of both", error, 1e-12)
 
 
 def _error(found: Any, wanted: list[Any]) -> float:
@@ -96,5 +96,6 @@ def _error(found: Any, wanted: list[Any]) -> float:
     return max(abs(float((v - w) / size)) for v, w in zip(found.tolist(), wanted, strict=True))
 
 
-def _finding(check: str, subject: str, error: float, limit: float) -> Finding:
+def small_error(check: str, subject: str, error: float, limit: float) -> Finding:
+    """The finding that an error is, or is not, within a limit."""
     return Finding(check, subject, error <= limit, f"largest relative error {error:.1e}, allowed {limit:.0e}")

@@ -65,11 +65,7 @@ def slacks(program: ControlProgram, module: Any, grid: Any) -> NDArray[np.bool_]
 
 
 def _judged(
-    module: Any,
-    grid: Any,
-    unknowns: NDArray[np.float64],
-    diagonal: NDArray[np.float64],
-    sizes: NDArray[np.float64],
+    module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64], sizes: NDArray[np.float64]
 ) -> tuple[bool, str]:
     equations, system = module.multiplier_unknowns(grid).size, module.allocate_system(grid)
     excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)

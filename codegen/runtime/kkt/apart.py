@@ -21,7 +21,11 @@ def factor(
     unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
     inverses, couplings,
 ):  # fmt: skip
-    """Eliminate all bodies; whether that was possible, and the excess of negative pivots."""
+    """Eliminate all bodies; whether that was possible, and the excess of negative pivots.
+
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P); the factors are those of
+    `allocate_factors`.
+    """
     parts = zero_vector(ELEMENT)
     fill_parts(sizes, forces, parts)
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST, LAST_WIDTH)
@@ -39,7 +43,7 @@ def factor(
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def substitute(gradient, carried, steps, upper, inverse, order, inverses, couplings, step):
-    """Solve with the factors, forward, unless elimination has done that, and backward."""
+    """Solve with the factors, forward, unless `carried`: elimination has done that, and backward to `step` (n,)."""
     chain = steps * STRIDE + NODE
     for body in range(BODIES):
         slopes, solution = gradient[body * chain : (body + 1) * chain], step[body * chain : (body + 1) * chain]

@@ -9,28 +9,13 @@ from codegen.runtime.unknowns.coupling import add_coupling_matrix
 from codegen.runtime.kkt.elements import BLOCK, padded
 from codegen.runtime.unknowns.equal_ends import follow_shared, release_tied
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    CARRIED,
-    COUPLINGS,
-    ELEMENT,
-    NODE,
-    ROOT,
-    SCALED,
-    SHARED,
-    STRIDE,
-    TIED,
-)
+    BODIES, CARRIED, COUPLINGS, ELEMENT, NODE, ROOT, SCALED, SHARED, STRIDE, TIED,
+)  # fmt: skip
 from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body, fill_parts
 from codegen.runtime.unknowns.layout import multiplier_unknowns
 from codegen.runtime.unknowns.shared import read_shared, root_place
 from codegen.runtime.kkt.substitution import backward, forward
-from codegen.runtime.kkt.symmetric import (
-    eliminate_rows,
-    solve_backward,
-    solve_forward,
-    solve_pivots,
-    subtract_products,
-)
+from codegen.runtime.kkt.symmetric import eliminate_rows, solve_backward, solve_forward, solve_pivots, subtract_products
 
 SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
 
@@ -38,8 +23,9 @@ SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
 def allocate_system(grid):
     """Room for the factors and for what is condensed, and the number of equations.
 
-    The factors of the shared unknowns come last: the rows of the upper factor, the inverse of the pivots, the order of
-    elimination, and the right-hand side, less what the elimination of the bodies has taken away.
+    The factors of the shared unknowns come last: the rows (ROOT, ROOT_WIDTH) of the upper factor, the inverse (ROOT, 2)
+    of the pivots, the order (ROOT,) of elimination, and the right-hand side (ROOT,), less what the elimination of the
+    bodies has taken away.
     """
     root = np.zeros((ROOT, ROOT_WIDTH)), np.zeros((ROOT, 2)), np.zeros(ROOT, np.uint64), np.zeros(ROOT)
     return (*allocate_factors(grid), *root), multiplier_unknowns(grid).size
@@ -50,7 +36,11 @@ def factor(
     unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
     inverses, couplings, root_upper, root_inverse, root_order, root_right,
 ):  # fmt: skip
-    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
+    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots.
+
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P + SHARED); the factors are those
+    of `allocate_system`.
+    """
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST + SHARED, LAST_WIDTH)
     root, left = zero_matrix(ROOT, ROOT_WIDTH), zero_matrix(SHARED, SHARED_WIDTH)
     parts = zero_vector(ELEMENT + SHARED)
@@ -88,7 +78,7 @@ if COUPLINGS:
 
     @njit(error_model="numpy")
     def add_conditions(unknowns, sizes, forces, parameters, weight, root):
-        """Add what the conditions add to the matrix of the shared unknowns, in parts of sizes where there are any."""
+        """Add the conditions to the matrix `root` (ROOT, ROOT_WIDTH), in parts of `sizes` (n,) if there are any."""
         if SCALED and sizes.size:
             matrix, first = zero_matrix(ROOT, ROOT), sizes.size - ROOT
             add_coupling_matrix(unknowns, parameters, weight, matrix)
@@ -105,7 +95,7 @@ def substitute(
     gradient, carried, steps, upper, inverse, order, inverses, couplings, root_upper, root_inverse, root_order,
     root_right, step,
 ):  # fmt: skip
-    """Solve with the factors: forward unless elimination has done that, the shared unknowns, and backward."""
+    """Solve with the factors to `step` (n,): forward unless it is `carried`, the shared unknowns, and backward."""
     chain = steps * STRIDE + NODE
     right, last = zero_matrix(BODIES, steps * BLOCK + NODE + SHARED), zero_matrix(BODIES, LAST_WIDTH)
     shared = zero_vector(ROOT_WIDTH)

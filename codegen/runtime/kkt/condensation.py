@@ -6,15 +6,8 @@ from numba import njit
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.elements import BLOCK, COLUMNS, RIGHT, ROWS, SIZE, TAIL
 from codegen.runtime.stand_ins.example import (
-    CARRIED,
-    CONDENSED,
-    ELEMENT,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    NODE,
-    SHARED,
-    STRIDE,
-)
+    CARRIED, CONDENSED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, SHARED, STRIDE,
+)  # fmt: skip
 from codegen.runtime.kkt.symmetric import subtract_row
 
 
@@ -44,8 +37,8 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 def scatter(hessian, gradient, k, element, coupling):
     """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
-    There, too, the right-hand side is a column if it is carried along: minus what the body's `gradient`
-    has for those that interval k eliminates.
+    `hessian` (HESSIAN_ROWS.size,), `element` (ROWS, WIDTH), `coupling` (CONDENSED, WIDTH), where the right-hand side,
+    too, is a column if it is carried along: minus what the body's `gradient` has for those that interval k eliminates.
     """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
@@ -58,7 +51,7 @@ def scatter(hessian, gradient, k, element, coupling):
 
 @njit(error_model="numpy", inline="always")
 def subtract_condensed(coupling, inverse, element):
-    """Subtract B' inverse(C) B from the element matrix; B has a column for each of the matrix's."""
+    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH); B, `coupling` (CONDENSED, WIDTH), has its columns."""
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0
@@ -69,7 +62,7 @@ def subtract_condensed(coupling, inverse, element):
 
 @njit(error_model="numpy")
 def condense(gradient, inverses, couplings, steps, right):
-    """Fill a body's right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay; shared unknowns come last."""
+    """Fill a body's `right` (N BLOCK + NODE + SHARED,), -(g - B' inverse(C) g_u); `gradient` (N STRIDE + NODE,)."""
     for i in range(NODE):
         right[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
     for k in range(steps - 1, -1, -1):
@@ -88,7 +81,7 @@ def condense(gradient, inverses, couplings, steps, right):
 
 @njit(error_model="numpy")
 def expand(gradient, inverses, couplings, steps, solved, step):
-    """Fill a body's step with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
+    """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):
         step[steps * STRIDE + i] = solved[steps * BLOCK + i]

@@ -16,7 +16,7 @@ INSIDE, INSIDE_ROWS, INSIDE_COLUMNS = ENTRIES[2]
 
 
 def allocate_condensed(grid):
-    """Room for the inverse of C, and for B, of all intervals; the inverse of interval k has place k + 1."""
+    """`inverses` (BODIES, N + 1, CONDENSED, CONDENSED), k's at k + 1, and `couplings` (BODIES, N, CONDENSED, WIDTH)."""
     return (
         np.zeros((BODIES, grid.steps + 1, CONDENSED, CONDENSED)),
         np.zeros((BODIES, grid.steps, CONDENSED, WIDTH)),
@@ -33,7 +33,8 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix; False when C is not positive definite.
 
-    `diagonal` and `gradient` are those of the body; inverse(C) and B are kept for the recovery.
+    `diagonal` and `gradient` (N STRIDE + NODE,), `inverses` and `couplings` are those of the body, kept for the
+    recovery; `hessian` (HESSIAN_ROWS.size,), `element` (ROWS, WIDTH).
     """
     block = inverses[k + 1]
     scatter(hessian, gradient, k, element, couplings[k])

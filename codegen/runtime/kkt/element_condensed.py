@@ -14,7 +14,7 @@ from codegen.runtime.kkt.inverse import invert_positive_definite
 
 
 def allocate_condensed(grid):
-    """For every body the block C, which is filled in, with room for its inverse, and room for B of all intervals."""
+    """`inverses` (BODIES, 2, CONDENSED, CONDENSED) of C and its inverse, `couplings` (BODIES, N, CONDENSED, WIDTH)."""
     inverses, block = np.zeros((BODIES, 2, CONDENSED, CONDENSED)), np.zeros((CONDENSED, CONDENSED))
     control_hessian(grid.h, grid.parameters[0], block)
     for a in range(CONDENSED):
@@ -26,7 +26,7 @@ def allocate_condensed(grid):
 
 @njit(error_model="numpy", inline="always")
 def prepare_condensed(weight, parts, diagonal, inverses):
-    """Invert the controls' block C, scaled, weighted and shifted; False when it is not positive definite."""
+    """Invert the block C of a body, by `parts` (ELEMENT,), `weight` and `diagonal`; False if not positive definite."""
     block, inverse = inverses[0], inverses[1]
     for a in range(CONDENSED):
         for b in range(CONDENSED):
@@ -37,7 +37,7 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
-    """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
+    """Add K - B' inverse(C) B of interval k, from `hessian`, to `element` (ROWS, WIDTH); `couplings` keeps B."""
     scatter(hessian, gradient, k, element, couplings[k])
     subtract_condensed(couplings[k], inverses[1], element)
     return True

@@ -12,7 +12,7 @@ PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSI
 
 
 def allocate_condensed(grid):
-    """Room for eliminated unknowns: none."""
+    """`inverses` and `couplings` of eliminated unknowns: there are none."""
     return np.zeros((BODIES, 0, 0, 0)), np.zeros((BODIES, 0, 0, 0))
 
 
@@ -24,7 +24,7 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
-    """Put the Hessian of an interval into the element matrix, which is zero elsewhere."""
+    """Put an interval's `hessian` (HESSIAN_ROWS.size,) into `element` (ROWS, WIDTH), which is zero elsewhere."""
     for j in range(PLACE_ROWS.size):
         element[PLACE_ROWS[j], PLACE_COLUMNS[j]] = element[PLACE_COLUMNS[j], PLACE_ROWS[j]] = hessian[j]
     return True
@@ -32,13 +32,13 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
 
 @njit(error_model="numpy")
 def condense(gradient, inverses, couplings, steps, right):
-    """Fill a body's right-hand side with -gradient."""
+    """Fill a body's `right` (N STRIDE + NODE + SHARED,) with -`gradient` (N STRIDE + NODE,)."""
     for i in range(gradient.size):
         right[i] = -gradient[i]
 
 
 @njit(error_model="numpy")
 def expand(gradient, inverses, couplings, steps, solved, step):
-    """Fill a body's step with what was solved for, which is all there is."""
+    """Fill a body's `step` (N STRIDE + NODE,) with what was `solved` for, which is all there is."""
     for i in range(step.size):
         step[i] = solved[i]

@@ -9,25 +9,10 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    CARRIED,
-    CONDENSED,
-    END_PINNED,
-    END_SHARED,
-    END_SHARED_PLACES,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    IS_MULTIPLIER,
-    NODE,
-    ONLY_AT_ENDS,
-    SHARED,
-    SHARED_IS_MULTIPLIER,
-    SHARED_MULTIPLIERS,
-    START_PINNED,
-    START_SHARED,
-    START_SHARED_PLACES,
-    STRIDE,
-    TIED,
-)
+    CARRIED, CONDENSED, END_PINNED, END_SHARED, END_SHARED_PLACES, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE,
+    ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED, START_SHARED_PLACES,
+    STRIDE, TIED,
+)  # fmt: skip
 from codegen.runtime.unknowns.equal_ends import release_tied_rows
 
 
@@ -59,9 +44,9 @@ IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN
 
 @njit(error_model="numpy")
 def pin_ends(k, steps, diagonal, element):
-    """Add the last node's share of `diagonal`, and pin what is given at the ends.
+    """Add the last node's share of `diagonal` (N STRIDE + NODE,), and pin what is given at the ends.
 
-    The row and column of an unknown that a boundary condition gives are those of the unit matrix.
+    The row and column of `element` (ROWS, WIDTH) for what a boundary condition gives are those of the unit matrix.
     """
     if k == steps - 1:
         for i in range(NODE):
@@ -80,7 +65,7 @@ def pin_ends(k, steps, diagonal, element):
 
 @njit(error_model="numpy")
 def pin(place, element):
-    """Make one row and column of an element matrix that of the unit matrix, and its right-hand side zero."""
+    """Make a row and column of `element` (ROWS, WIDTH) that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
         element[place, i] = 0.0
         element[i, place] = 0.0

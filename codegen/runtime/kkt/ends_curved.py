@@ -6,21 +6,10 @@ from numba import njit
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.elements import BLOCK, LOCAL_IS_MULTIPLIER, TAIL, pin_ends
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    ELEMENT,
-    END_HESSIAN_COLUMNS,
-    END_HESSIAN_ROWS,
-    NODE,
-    ROOT,
-    SCALED,
-    SHARED,
-    START_HESSIAN_COLUMNS,
-    START_HESSIAN_ROWS,
-    STRIDE,
-    end_hessian,
-    start_hessian,
-)
-from codegen.runtime.unknowns.shared import root_place
+    BODIES, ELEMENT, END_HESSIAN_COLUMNS, END_HESSIAN_ROWS, NODE, ROOT, SCALED, SHARED, START_HESSIAN_COLUMNS,
+    START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
+)  # fmt: skip
+from codegen.runtime.unknowns.shared import global_place, root_place
 from codegen.runtime.optimise.steepness import add_entry
 
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
@@ -28,7 +17,10 @@ END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPL
 
 @njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
-    """Add the Hessians of the boundary conditions to the first or last element matrix, and pin what is given."""
+    """Add the Hessians of the boundary conditions to the first or last `element` (ROWS, WIDTH); pin what is given.
+
+    `unknowns` and `diagonal` (N STRIDE + NODE,) are those of a body, `parts` (ELEMENT + SHARED,) as in `fill_parts`.
+    """
     if k == 0:
         entries = zero_vector(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[:NODE], 0.0, parameters, entries)
@@ -42,7 +34,7 @@ def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, el
 
 @njit(error_model="numpy")
 def add_end_hessian(entries, rows, columns, first, weight, parts, element):
-    """Add the lower triangle `entries` of an end's Hessian, and its mirror image; its node begins at row `first`."""
+    """Add `entries` of an end's Hessian, at as many `rows` and `columns`, mirrored; its node begins at row `first`."""
     for j in range(entries.size):
         value = entries[j] * parts[end_unknown(rows[j])] * parts[end_unknown(columns[j])]
         if not (END_IS_MULTIPLIER[rows[j]] or END_IS_MULTIPLIER[columns[j]]):
@@ -64,7 +56,7 @@ if SCALED:
 
     @njit(error_model="numpy")
     def note_ends(unknowns, body, steps, h, parameters, tables):
-        """Put derivatives of the ends' own shares into the tables of `sizes`."""
+        """Put derivatives of the ends' own shares, at `unknowns` (n,), into the `tables` of `sizes`."""
         first = body * (steps * STRIDE + NODE)
         last = first + steps * STRIDE
         entries = zero_vector(START_HESSIAN_ROWS.size)
@@ -84,7 +76,7 @@ if SCALED:
 
 @njit(error_model="numpy")
 def add_end_terms(unknowns, body, steps, h, parameters, sums):
-    """Add the absolute terms |K| |x| of the ends' own shares to those of each row."""
+    """Add the absolute terms |K| |x| of the ends' own shares to those of each row, `sums` (n,), like `unknowns`."""
     first = body * (steps * STRIDE + NODE)
     last = first + steps * STRIDE
     entries = zero_vector(START_HESSIAN_ROWS.size)
@@ -97,20 +89,19 @@ def add_end_terms(unknowns, body, steps, h, parameters, sums):
 
 @njit(error_model="numpy")
 def add_terms(unknowns, body, first, entries, rows, columns, sums):
-    """Add the absolute terms of one end, whose node begins at the unknown `first`."""
+    """Add the absolute terms of one end, whose node begins at the unknown `first`, to `sums` (n,)."""
     for j in range(entries.size):
         row, column = first + rows[j], first + columns[j]
-        if SHARED and rows[j] >= NODE:
-            row = unknowns.size - ROOT + root_place(body, rows[j] - NODE)
-        if SHARED and columns[j] >= NODE:
-            column = unknowns.size - ROOT + root_place(body, columns[j] - NODE)
+        if SHARED:
+            row = global_place(rows[j], NODE, first, body, unknowns.size)
+            column = global_place(columns[j], NODE, first, body, unknowns.size)
         sums[row] += abs(entries[j] * unknowns[column])
         if row != column:
             sums[column] += abs(entries[j] * unknowns[row])
 
 
 def end_entries(grid, unknowns):
-    """Entries (rows, columns, values) that the ends add to the lower triangle of the KKT matrix."""
+    """Entries (rows, columns, values), 1-D, that the ends add to the lower triangle of the KKT matrix."""
     chain = grid.steps * STRIDE + NODE
     rows, columns, values = [], [], []
     for body in range(BODIES):

@@ -20,35 +20,13 @@ from numba import njit
 from codegen.runtime.arrays import clear, copy_part, zero_matrix, zero_vector
 from codegen.runtime.kkt.element_condensed import add_element, allocate_condensed, prepare_condensed
 from codegen.runtime.kkt.elements import (
-    BLOCK,
-    BORDER,
-    COLUMNS,
-    FIRST,
-    INNER,
-    IS_CURVATURE,
-    LOCAL_IS_MULTIPLIER,
-    RIGHT,
-    ROWS,
-    SIZE,
-    TAIL,
-    WIDTH,
-    padded,
-)
+    BLOCK, BORDER, COLUMNS, FIRST, INNER, IS_CURVATURE, LOCAL_IS_MULTIPLIER, RIGHT, ROWS, SIZE, TAIL, WIDTH, padded,
+)  # fmt: skip
 from codegen.runtime.kkt.ends_flat import close_element
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    CARRIED,
-    ELEMENT,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    IS_MULTIPLIER,
-    NODE,
-    ROOT,
-    SCALED,
-    SHARED,
-    STRIDE,
+    BODIES, CARRIED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE, ROOT, SCALED, SHARED, STRIDE,
     interval_hessian,
-)
+)  # fmt: skip
 from codegen.runtime.unknowns.shared import root_place
 from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
 
@@ -64,10 +42,11 @@ COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the sha
 def allocate_factors(grid):
     """Room for the factors of all bodies, and for what is condensed.
 
-    A body has BLOCK rows for each block, then LAST rows for its last node and block 0. Three arrays hold the rows of
-    the upper factor, the inverse of the pivots, and the order of elimination. The right-hand side, if it was carried
-    along, is a column of the upper factor, multiplied by the inverse of the pivots already. Places and the inverse of
-    the pivots are zeros, so that solving without factors, as compilation does, stays inside the arrays.
+    A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
+    upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
+    The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
+    pivots already. Places and the inverse of the pivots are zeros, so that solving without factors, as compilation
+    does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
     upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
@@ -82,8 +61,10 @@ def eliminate_body(
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
-    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
-    the elimination has stopped.
+    `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
+    the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
+    `allocate_factors`; `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the number of negative
+    pivots, and by how many they are too many: when there are, the elimination has stopped.
     """
     if not prepare_condensed(weight, parts, diagonal, inverses):
         return False, 0, 0
@@ -132,7 +113,7 @@ if CARRIED:
 
     @njit(error_model="numpy", inline="always")
     def add_right_hand_side(slopes, k, steps, element):
-        """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
+        """Subtract `slopes` (N STRIDE + NODE,) by block k, and by the last node, from the column carried along."""
         for i in range(BLOCK):
             element[i, RIGHT] -= slopes[k * STRIDE + i]
         if k == steps - 1:
@@ -142,9 +123,10 @@ if CARRIED:
 
 @njit(error_model="numpy")
 def fill_parts(sizes, forces, parts):
-    """Fill the sizes of an element's unknowns, the same on all intervals, by which derivatives are multiplied.
+    """Fill the sizes (ELEMENT + SHARED,) of an element's unknowns, by which derivatives are multiplied.
 
-    They include the root of the cost's weight, and are ones where nothing is scaled.
+    The same on all intervals, they include the root of the cost's weight, and are ones where nothing is scaled:
+    `sizes` and `forces` are (n,), or empty.
     """
     for i in range(parts.size):
         parts[i] = 1.0
@@ -158,7 +140,7 @@ def fill_parts(sizes, forces, parts):
 
 @njit(error_model="numpy")
 def fill_factors(weight, parts, factors):
-    """Fill what an interval's second derivatives are multiplied by; return whether that makes a difference.
+    """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
 
     It is the sizes of both unknowns, and the weight where both are primal.
     """
@@ -173,7 +155,7 @@ def fill_factors(weight, parts, factors):
 
 @njit(error_model="numpy")
 def begin_front(element, rest):
-    """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
+    """Put the first `element` (ROWS, WIDTH) into `rest` (REST, REST_WIDTH), where block 0 has its place."""
     for i in range(BORDER):
         for j in range(ROWS + CARRIED):
             element[SIZE + i, j] = element[FIRST[i], j]
@@ -188,8 +170,8 @@ def begin_front(element, rest):
 def move_front(element, rest):
     """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
 
-    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k. Of `rest`, only
-    the upper triangle is in use.
+    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k: `rest` (REST,
+    REST_WIDTH), of which only the upper triangle is in use. `element` is (ROWS, WIDTH).
     """
     for i in range(NODE):
         element[i, i] += rest[i, i]
@@ -213,7 +195,7 @@ def move_front(element, rest):
 
 @njit(error_model="numpy")
 def end_front(rest, last):
-    """The rows of the last node and of block 0, both triangles; behind them what is left for the shared unknowns."""
+    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0, both triangles; then what is left for shared."""
     clear(last)
     for i in range(REST):
         last[i, i] = rest[i, i]

@@ -6,7 +6,7 @@ from numba import njit
 
 @njit(error_model="numpy", forceinline=True)
 def invert_positive_definite(block, size):
-    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
+    """Invert a symmetric `block` (size, size) in place by Gauss-Jordan; False when it is not positive definite."""
     for k in range(size):
         pivot = block[k, k]
         if not 0.0 < pivot < np.inf:

@@ -15,22 +15,11 @@ from codegen.runtime.unknowns.coupling import coupling_entries
 from codegen.runtime.kkt.ends_flat import end_entries
 from codegen.runtime.kkt.system import solve_kkt
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    COUPLINGS,
-    ELEMENT,
-    HESSIAN_COLUMNS,
-    HESSIAN_ROWS,
-    NODE,
-    ROOT,
-    SCALED,
-    SHARED,
-    STRIDE,
-    TIED,
-    interval_hessian,
-)
+    BODIES, COUPLINGS, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, SCALED, SHARED, STRIDE, TIED, interval_hessian,
+)  # fmt: skip
 from codegen.runtime.unknowns.equal_ends import shared_representatives
 from codegen.runtime.unknowns.layout import free_unknowns
-from codegen.runtime.unknowns.shared import read_shared, root_place
+from codegen.runtime.unknowns.shared import global_place, read_shared
 
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
 LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
@@ -39,7 +28,7 @@ SOLVED_AGAIN = 10  # times at most, as in IPOPT
 
 @njit(cache=True, error_model="numpy")
 def multiply_intervals(unknowns, steps, h, parameters, vector, product):
-    """Add to `product` what the second derivatives of all intervals make of a vector."""
+    """Add to `product` (n,) what the second derivatives of all intervals, at `unknowns` (n,), make of `vector` (n,)."""
     hessian = zero_vector(HESSIAN_ROWS.size)
     for body in range(BODIES):
         if SHARED:
@@ -49,17 +38,16 @@ def multiply_intervals(unknowns, steps, h, parameters, vector, product):
             interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
-                if SHARED and HESSIAN_ROWS[j] >= ELEMENT:
-                    row = unknowns.size - ROOT + root_place(body, HESSIAN_ROWS[j] - ELEMENT)
-                if SHARED and HESSIAN_COLUMNS[j] >= ELEMENT:
-                    column = unknowns.size - ROOT + root_place(body, HESSIAN_COLUMNS[j] - ELEMENT)
+                if SHARED:
+                    row = global_place(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
+                    column = global_place(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
                 product[row] += hessian[j] * vector[column]
                 if row != column:
                     product[column] += hessian[j] * vector[row]
 
 
 def left_over(grid, unknowns, diagonal, gradient, step):
-    """KKT matrix . step + gradient, which is zero for an exact step; the matrix is as `factor_kkt` says."""
+    """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
     product, vector = np.zeros(step.size), step
     if SCALED and grid.sizes.size:
         roots = np.sqrt(grid.sizes * grid.forces)
@@ -83,7 +71,7 @@ def left_over(grid, unknowns, diagonal, gradient, step):
 
 
 def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine a solution in place until its residual is small, or falls no more; return whether that was necessary.
+    """Refine `step` (n,) in place until its residual is small, or falls no more; return whether that was necessary.
 
     The system is still factored, and the matrix as `factor_kkt` says.
     """

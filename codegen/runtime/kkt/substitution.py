@@ -15,7 +15,10 @@ from codegen.runtime.kkt.symmetric import solve_backward, solve_forward, solve_p
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def forward(upper, inverse, order, steps, right, last):
-    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`."""
+    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`.
+
+    `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `right` (N BLOCK + NODE + SHARED,), `last` (LAST_WIDTH,).
+    """
     front = zero_vector(WIDTH)
     for i in START_PINNED:
         right[i] = 0.0
@@ -48,7 +51,7 @@ def forward(upper, inverse, order, steps, right, last):
 def backward(upper, order, steps, carried, last, right):
     """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
 
-    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
+    `right`, as in `forward`, holds what is left of the right-hand side, zeros where that is a column of the factors.
     """
     front, first = zero_vector(WIDTH), steps * BLOCK
     if CARRIED:

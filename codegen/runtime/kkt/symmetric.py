@@ -19,9 +19,9 @@ BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both k
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 
-    The first `count` rows of `matrix`, `width` columns, are read and overwritten by D U. `upper` (count, width) takes U
-    without its unit diagonal. `order` says which row was eliminated when; `inverse` (count, 2), in that order, is the
-    inverse of the pivots: its diagonal, and what is between a row and the next one.
+    The first `count` rows of `matrix` (.., width) are read and overwritten by D U. `upper` (count, width) takes U
+    without its unit diagonal. `order` (count,) says which row was eliminated when; `inverse` (count, 2), in that order,
+    is the inverse of the pivots: its diagonal, and what is between a row and the next one.
     """
     for c in range(count):
         order[c] = c
@@ -60,7 +60,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row that comes at place c; return whether its pivot is negative."""
+    """Eliminate the row that comes at place c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -83,7 +83,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows that come at places c and c + 1 together; one of two such pivots is negative."""
+    """Eliminate the rows at places c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b
@@ -111,7 +111,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
-    """Subtract a multiple of row p of one matrix from row i of another, or of the same."""
+    """Subtract a multiple of row p of `source` (.., width) from row i of `target` (.., width), another or the same."""
     for j in range(0, width, 4):
         one = target[i, j] - multiple * source[p, j]
         two = target[i, j + 1] - multiple * source[p, j + 1]
@@ -127,7 +127,7 @@ def subtract_row(multiple, source, p, width, target, i):
 def subtract_products(upper, matrix, count, first, rows, width, rest):
     """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
 
-    `rest` has that many rows and is `width` columns wide; afterwards its upper triangle is right.
+    The upper triangle of `rest` (rows, width) is right afterwards; `upper` and `matrix` have `count` rows.
     """
     for i in range(rows):
         for j in range(i // 4 * 4, width, 4):
@@ -148,7 +148,7 @@ def subtract_products(upper, matrix, count, first, rows, width, rest):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_forward(upper, order, count, width, values):
-    """Overwrite the first `count` values by inverse(U') times them; the rest loses its share."""
+    """Overwrite the first `count` of `values` (width,) by inverse(U') times them; the rest loses its share."""
     for c in range(count):
         p = order[c]
         value = values[p]
@@ -163,7 +163,7 @@ def solve_forward(upper, order, count, width, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_pivots(inverse, order, count, values):
-    """Multiply the first `count` values by the inverse of the pivots."""
+    """Multiply the first `count` of `values` by the `inverse` (count, 2) of the pivots, in `order` (count,)."""
     carried = 0.0
     for c in range(count):
         value = values[order[c]]
@@ -175,7 +175,7 @@ def solve_pivots(inverse, order, count, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_backward(upper, order, count, width, values):
-    """Overwrite the first `count` values by the solution with U, in which the rest is known.
+    """Overwrite the first `count` of `values` (width,) by the solution with U, in which the rest is known.
 
     What is known goes to the right-hand sides first, so that only the short sums over the other unknowns have to wait
     for one another.

@@ -9,10 +9,10 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
 
     Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
     elimination stops when there are too many. None means that the matrix is singular, or that a block that is
-    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
-    array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
-    part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
-    Everything is in parts of sizes where the grid has them, so that pivots do not depend on units.
+    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal` (n,),
+    like `unknowns` (n,), is added to the diagonal of the whole matrix. The right-hand side -`gradient` (n,) takes part
+    in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away. Everything is in
+    parts of sizes where the grid has them, so that pivots do not depend on units.
     """
     factors, equations = system
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
@@ -31,9 +31,9 @@ def is_factored(excess):
 
 
 def solve_kkt(grid, system, gradient, step, carried=False):
-    """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt gave a number.
+    """Newton step (n,): the solution of KKT matrix . step = -gradient, after `factor_kkt` gave a number.
 
-    That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
+    That number must not have been positive. `carried` says that `factor_kkt` had the same `gradient` (n,).
     """
     if CARRIED:
         substitute(gradient, carried, grid.steps, *system[0], step)

@@ -10,13 +10,12 @@ from codegen.runtime.stand_ins.example import (
     HESSIAN_COLUMNS,
     HESSIAN_ROWS,
     NODE,
-    ROOT,
     SCALED,
     SHARED,
     STRIDE,
     interval_hessian,
 )
-from codegen.runtime.unknowns.shared import read_shared, root_place
+from codegen.runtime.unknowns.shared import global_place, read_shared
 
 UNIT_ROUNDOFF = 2.2e-16
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
@@ -42,10 +41,9 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
             interval_hessian(here, k * h, h, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
-                if SHARED and HESSIAN_ROWS[j] >= ELEMENT:
-                    row = unknowns.size - ROOT + root_place(body, HESSIAN_ROWS[j] - ELEMENT)
-                if SHARED and HESSIAN_COLUMNS[j] >= ELEMENT:
-                    column = unknowns.size - ROOT + root_place(body, HESSIAN_COLUMNS[j] - ELEMENT)
+                if SHARED:
+                    row = global_place(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
+                    column = global_place(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])

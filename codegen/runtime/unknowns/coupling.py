@@ -9,19 +9,13 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.stand_ins.example import (
-    COUPLING_COUNTS,
-    COUPLING_KINDS,
-    COUPLING_PLACES,
-    COUPLING_ROWS,
-    COUPLINGS,
-    ROOT,
-    coupling_term,
-)
+    COUPLING_COUNTS, COUPLING_KINDS, COUPLING_PLACES, COUPLING_ROWS, COUPLINGS, ROOT, coupling_term,
+)  # fmt: skip
 
 
 @njit(error_model="numpy")
 def add_coupling_gradient(unknowns, parameters, gradient):
-    """Add the conditions to the gradient by their multipliers, and what they exert to that by shared unknowns."""
+    """Add the conditions to `gradient` (n,) by their multipliers, and what they exert to that by shared unknowns."""
     first, multipliers = unknowns.size - ROOT, unknowns.size - COUPLINGS
     width = COUPLING_PLACES.shape[1]
     values, slopes, curvatures = zero_vector(width), zero_vector(width), zero_vector(width * width)
@@ -36,7 +30,7 @@ def add_coupling_gradient(unknowns, parameters, gradient):
 
 @njit(cache=True, error_model="numpy")
 def add_coupling_matrix(unknowns, parameters, weight, matrix):
-    """Add the second derivatives of the conditions' share to the matrix of the shared unknowns and multipliers."""
+    """Add the second derivatives of the conditions' share to `matrix` (ROOT, ROOT or more); `unknowns` (n,)."""
     first, multipliers = unknowns.size - ROOT, unknowns.size - COUPLINGS
     width = COUPLING_PLACES.shape[1]
     values, slopes, curvatures = zero_vector(width), zero_vector(width), zero_vector(width * width)

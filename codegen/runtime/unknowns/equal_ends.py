@@ -4,22 +4,14 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    END_SHARED,
-    END_SHARED_PLACES,
-    NODE,
-    ROOT,
-    SHARED,
-    START_SHARED,
-    START_SHARED_PLACES,
-    STRIDE,
-)
+    BODIES, END_SHARED, END_SHARED_PLACES, NODE, ROOT, SHARED, START_SHARED, START_SHARED_PLACES, STRIDE,
+)  # fmt: skip
 from codegen.runtime.unknowns.shared import root_place
 
 
 @njit(error_model="numpy", inline="always")
 def release_tied(values, first, last, body, root):
-    """Move values of what equals a shared unknown to that unknown's; `first` and `last` are where the nodes begin."""
+    """Move `values` of what equals a shared unknown to its, in `root` (ROOT,); nodes begin at `first` and `last`."""
     for i in range(START_SHARED.size):
         root[root_place(body, START_SHARED[i])] += values[first + START_SHARED_PLACES[i]]
     for i in range(END_SHARED.size):
@@ -28,7 +20,7 @@ def release_tied(values, first, last, body, root):
 
 @njit(error_model="numpy", inline="always")
 def follow_shared(values, first, last, body, root):
-    """Give what equals a shared unknown the value of that unknown."""
+    """Give what equals a shared unknown, in `values`, the value of that unknown, in `root` (ROOT,)."""
     for i in range(START_SHARED.size):
         values[first + START_SHARED_PLACES[i]] = root[root_place(body, START_SHARED[i])]
     for i in range(END_SHARED.size):
@@ -37,7 +29,7 @@ def follow_shared(values, first, last, body, root):
 
 @njit(error_model="numpy", inline="always")
 def release_tied_rows(places, shared, first, size, element):
-    """Add the rows and columns of unknowns that equal a shared one to the shared one's, which begin at `size`."""
+    """Add the rows and columns of `element` at `places` (c,) to those of `shared` (c,), which begin at `size`."""
     for i in range(places.size):
         place, to = first + places[i], size + shared[i]
         for j in range(element.shape[1]):
@@ -47,7 +39,7 @@ def release_tied_rows(places, shared, first, size, element):
 
 
 def shared_representatives(grid, size):
-    """For every unknown its own place, or that of the shared unknown which it equals."""
+    """For every unknown its own place, or that of the shared unknown which it equals: (size,)."""
     places, chain = np.arange(size), grid.steps * STRIDE + NODE
     for body in range(BODIES):
         shared = np.array([size - ROOT + root_place(body, j) for j in range(SHARED)])

@@ -14,7 +14,7 @@ NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
 
 def checked_grid(steps, duration, parameters):
-    """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
+    """A Grid; `parameters` are numbers, or arrays (BODIES,). ValueError for what is not finite or not positive."""
     steps, duration = checked_times(steps, duration)
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
@@ -47,7 +47,7 @@ def replace_values(boundary, where, values):
 
 
 def views(grid, unknowns):
-    """Views of a vector of unknowns: nodes (bodies, N + 1, NODE), what lies on intervals (bodies, N, STRIDE - NODE)."""
+    """Views of `unknowns` (n,): nodes (BODIES, N + 1, NODE), what lies on intervals (BODIES, N, STRIDE - NODE)."""
     item, chain = unknowns.itemsize, grid.steps * STRIDE + NODE
     nodes = np.ndarray((BODIES, grid.steps + 1, NODE), float, unknowns, 0, (chain * item, STRIDE * item, item))
     shape = BODIES, grid.steps, STRIDE - NODE
@@ -56,7 +56,7 @@ def views(grid, unknowns):
 
 
 def side_by_side(values):
-    """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
+    """Values (BODIES, times, m) as (times, BODIES m): the columns of several bodies side by side."""
     if SEVERAL:
         return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
     else:

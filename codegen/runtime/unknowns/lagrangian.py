@@ -1,8 +1,9 @@
 """Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 
-Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
-owns. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other unknowns is
-the stationarity of the optimum.
+The n unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N, which are
+N STRIDE + NODE; then the ROOT ones that no node owns. In docstrings n and N = `steps` are these numbers, P is that of
+parameters. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other
+unknowns is the stationarity of the optimum.
 """
 
 from numba import njit
@@ -10,27 +11,16 @@ from numba import njit
 from codegen.runtime.arrays import copy_part, zero_vector
 from codegen.runtime.unknowns.coupling import add_coupling_gradient
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    COUPLINGS,
-    ELEMENT,
-    END_PINNED,
-    NODE,
-    ROOT,
-    SHARED,
-    START_PINNED,
-    STRIDE,
-    TIED,
-    end_gradient,
-    interval_gradient,
-    start_gradient,
-)
+    BODIES, COUPLINGS, ELEMENT, END_PINNED, NODE, ROOT, SHARED, START_PINNED, STRIDE, TIED, end_gradient,
+    interval_gradient, start_gradient,
+)  # fmt: skip
 from codegen.runtime.unknowns.shared import add_shared, read_shared
 from codegen.runtime.unknowns.equal_ends import release_tied
 
 
 @njit(error_model="numpy")
 def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
-    """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
+    """Fill the `gradient` (n,) by `unknowns` (n,), zero where they are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
@@ -67,7 +57,7 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
 
 @njit(error_model="numpy", inline="always")
 def add_end(part, first, size, body, gradient):
-    """Add the gradient of one share: `size` unknowns from `first` on, then the shared unknowns of a body."""
+    """Add `part` (size + SHARED,) to `gradient` (n,): to `size` from `first` on, then to the body's shared unknowns."""
     for i in range(size):
         gradient[first + i] += part[i]
     if SHARED:

@@ -6,25 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.stand_ins.example import (
-    BODIES,
-    COUPLINGS,
-    END_PINNED,
-    IS_MULTIPLIER,
-    NODE,
-    ONLY_AT_ENDS,
-    OWN,
-    PHASES,
-    ROOT,
-    SHARED_IS_MULTIPLIER,
-    SHARED_MULTIPLIERS,
-    START_PINNED,
-    STRIDE,
-)
+    BODIES, COUPLINGS, END_PINNED, IS_MULTIPLIER, NODE, ONLY_AT_ENDS, OWN, PHASES, ROOT, SHARED_IS_MULTIPLIER,
+    SHARED_MULTIPLIERS, START_PINNED, STRIDE,
+)  # fmt: skip
 from codegen.runtime.unknowns.phases import lacking_unknowns
 
 
 class Layout(NamedTuple):
-    """Masks of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+    """Masks (n,) of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
 
     is_multiplier: np.ndarray
     is_free: np.ndarray
@@ -61,7 +50,7 @@ def layout(steps):
 
 
 def free_unknowns(grid):
-    """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
+    """Boolean mask (n,) of the unknowns that no boundary condition fixes and that mean something."""
     return layout(grid.steps).is_free
 
 

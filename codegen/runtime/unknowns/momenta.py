@@ -4,20 +4,12 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
-from codegen.runtime.stand_ins.example import (
-    BODIES,
-    ELEMENT,
-    EQUATIONS,
-    NODE,
-    SHARED,
-    STRIDE,
-    interval_gradient,
-)
+from codegen.runtime.stand_ins.example import BODIES, ELEMENT, EQUATIONS, NODE, SHARED, STRIDE, interval_gradient
 from codegen.runtime.unknowns.shared import read_shared
 
 
 def discrete_momenta(grid, unknowns):
-    """Momenta (bodies, N + 1, n): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
+    """Momenta (BODIES, N + 1, m): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
 
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
@@ -28,7 +20,7 @@ def discrete_momenta(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def interval_momenta(unknowns, steps, h, parameters, momenta):
-    """Fill `momenta` from the gradient of every interval's l."""
+    """Fill `momenta` (BODIES, N + 1, EQUATIONS.size) from the gradient of every interval's l at `unknowns` (n,)."""
     part = zero_vector(ELEMENT + SHARED)
     for body in range(BODIES):
         if SHARED:

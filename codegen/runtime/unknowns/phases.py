@@ -9,7 +9,7 @@ from codegen.runtime.stand_ins.example import PHASE_LACKS, PHASES, SWITCH_LACKS,
 
 
 def lacking_unknowns(intervals):
-    """Which unknowns each of P N intervals does not have: (P N, STRIDE - NODE)."""
+    """Which unknowns each of the `intervals` of all phases does not have: (intervals, STRIDE - NODE)."""
     steps = intervals // PHASES
     lacking = np.repeat(PHASE_LACKS, steps, axis=0)
     lacking[steps::steps] = SWITCH_LACKS
@@ -17,12 +17,12 @@ def lacking_unknowns(intervals):
 
 
 def node_times(grid, unknowns):
-    """Times of all nodes, equidistant in every phase."""
+    """Times (N + 1,) of all nodes, equidistant in every phase."""
     switches = np.concatenate([[0.0], np.cumsum(phase_durations(grid, unknowns))])
     return np.interp(np.arange(grid.steps + 1) / (grid.steps // PHASES), np.arange(PHASES + 1), switches)
 
 
 def interval_times(grid, unknowns):
-    """Times of the middles of all intervals."""
+    """Times (N,) of the middles of all intervals."""
     t = node_times(grid, unknowns)
     return 0.5 * (t[:-1] + t[1:])

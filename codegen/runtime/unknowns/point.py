@@ -11,11 +11,12 @@ from codegen.runtime.norms import measure
 
 
 class Grid(NamedTuple):
-    """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
+    """N = `steps` intervals of length h, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
-    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
-    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
+    Where there are `sizes` (n,), all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces`
+    (n,) is then `weight` times `sizes`, by which the gradient is multiplied. `bounds`, least and greatest values (n,),
+    if known, are in parts of them too.
     """
 
     steps: int
@@ -29,7 +30,7 @@ class Grid(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+    """Unknowns (n,), gradient (n,) of the Lagrangian there, discrete cost, and norms of residual and stationarity.
 
     `violation` is the sum of all residuals; `error` is the max-norm of all equations of the optimum, and infinite where
     the cost is not finite.
@@ -45,7 +46,7 @@ class Point(NamedTuple):
 
 
 def evaluate(grid, unknowns):
-    """Evaluate cost, gradient and norms at a vector of unknowns."""
+    """Evaluate cost, gradient and norms at `unknowns` (n,)."""
     gradient = np.empty(unknowns.size)
     return Point(
         unknowns,
@@ -66,7 +67,7 @@ def lagrangian(grid, point):
 
 @njit(cache=True, error_model="numpy")
 def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
-    """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
+    """Fill the `gradient` (n,) of the Lagrangian; return what a Point holds beside it."""
     if SCALED and sizes.size:
         cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
         for i in range(gradient.size):

@@ -2,16 +2,7 @@
 
 from numba import njit
 
-from codegen.runtime.stand_ins.example import (
-    BODIES,
-    COUPLINGS,
-    OWN,
-    PHASES,
-    ROOT,
-    SHARED,
-    duration_of,
-    phase_durations,
-)
+from codegen.runtime.stand_ins.example import BODIES, COUPLINGS, OWN, PHASES, ROOT, SHARED, duration_of, phase_durations
 
 
 @njit(error_model="numpy", inline="always")
@@ -20,9 +11,15 @@ def root_place(body, j):
     return body * OWN + j if j < OWN else (BODIES - 1) * OWN + j
 
 
+@njit(error_model="numpy", inline="always")
+def global_place(local, own, first, body, size):
+    """Place, among `size` unknowns, of an interval's or an end's, which has `own` from `first` on, then shared ones."""
+    return first + local if local < own else size - ROOT + root_place(body, local - own)
+
+
 @njit(error_model="numpy")
 def read_shared(unknowns, body, parameters):
-    """Copy the values of a body's shared unknowns behind its parameters, where kernels read them."""
+    """Copy a body's shared ones of `unknowns` (n,) behind its `parameters` (BODIES, P + SHARED), where kernels read."""
     first = unknowns.size - ROOT
     behind = parameters.shape[1] - SHARED
     for j in range(SHARED):
@@ -31,14 +28,14 @@ def read_shared(unknowns, body, parameters):
 
 @njit(error_model="numpy", inline="always")
 def add_shared(part, place, body, gradient):
-    """Add the entries of a share from `place` on to the gradient by the shared unknowns of a body."""
+    """Add the entries of `part` from `place` on to `gradient` (n,) by the shared unknowns of a body."""
     first = gradient.size - ROOT
     for j in range(SHARED):
         gradient[first + root_place(body, j)] += part[place + j]
 
 
 def shared_views(unknowns):
-    """Views of the shared unknowns: those of each body (bodies, OWN), and those of the whole problem."""
+    """Views of the shared ones of `unknowns` (n,): of each body (BODIES, OWN), and of the whole problem, 1-D."""
     first = unknowns.size - ROOT
     own = unknowns[first : first + BODIES * OWN].reshape(BODIES, OWN)
     return own, unknowns[first + BODIES * OWN : unknowns.size - COUPLINGS]

@@ -8,7 +8,7 @@ from codegen.runtime.unknowns.point import evaluate
 
 
 def with_slacks(grid, unknowns):
-    """A copy of the unknowns whose slacks satisfy their equations where the inequalities hold; zero where not."""
+    """A copy of `unknowns` (n,) whose slacks satisfy their equations where the inequalities hold; zero where not."""
     unknowns = unknowns.copy()
     _, intervals = views(grid, unknowns)
     intervals[:, :, SLACKS - NODE] = 0.0
