@@ -160,7 +160,7 @@ SWITCH_LACKS = np.array([[False, False, False, False, False, False]])  # the sam
 
 @njit(error_model="numpy")
 def phase_1_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share l of the optimisation problem's Lagrangian, in phase 1; returns Cd."""
+    """Gradient (ELEMENT + SHARED,) of an interval's share l at `unknowns` (ELEMENT,), in phase 1; returns Cd."""
     x_k = unknowns[0]
     y_k = unknowns[1]
     lambda_x_k = unknowns[2]
@@ -228,7 +228,7 @@ def phase_1_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(error_model="numpy")
 def phase_1_hessian(unknowns, t, h, parameters, hessian):
-    """Hessian (lower triangle, structural nonzeros) of an interval's share l of the Lagrangian, in phase 1."""
+    """Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian, in phase 1."""
     x_k = unknowns[0]
     y_k = unknowns[1]
     lambda_x_k = unknowns[2]
@@ -322,7 +322,7 @@ def phase_1_hessian(unknowns, t, h, parameters, hessian):
 
 @njit(error_model="numpy")
 def switch_1_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share l of the optimisation problem's Lagrangian, first in phase 2; returns Cd."""
+    """Gradient (ELEMENT + SHARED,) of an interval's share l at `unknowns` (ELEMENT,), first in phase 2; returns Cd."""
     x_k = unknowns[0]
     y_k = unknowns[1]
     lambda_x_k = unknowns[2]
@@ -396,7 +396,7 @@ def switch_1_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(error_model="numpy")
 def switch_1_hessian(unknowns, t, h, parameters, hessian):
-    """Hessian (lower triangle, structural nonzeros) of an interval's share l of the Lagrangian, first in phase 2."""
+    """Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian, first in phase 2."""
     x_k = unknowns[0]
     y_k = unknowns[1]
     pi_x_k = unknowns[6]
@@ -492,7 +492,7 @@ def switch_1_hessian(unknowns, t, h, parameters, hessian):
 
 @njit(error_model="numpy")
 def phase_2_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share l of the optimisation problem's Lagrangian, later in phase 2; returns Cd."""
+    """Gradient (ELEMENT + SHARED,) of an interval's share l at `unknowns` (ELEMENT,), later in phase 2; returns Cd."""
     x_k = unknowns[0]
     y_k = unknowns[1]
     lambda_x_k = unknowns[2]
@@ -560,7 +560,7 @@ def phase_2_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(error_model="numpy")
 def phase_2_hessian(unknowns, t, h, parameters, hessian):
-    """Hessian (lower triangle, structural nonzeros) of an interval's share l of the Lagrangian, later in phase 2."""
+    """Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian, later in phase 2."""
     x_k = unknowns[0]
     y_k = unknowns[1]
     lambda_x_k = unknowns[2]
@@ -654,7 +654,7 @@ def phase_2_hessian(unknowns, t, h, parameters, hessian):
 
 @njit(error_model="numpy")
 def start_gradient(unknowns, t, parameters, gradient):
-    """Add the gradient of the start's own share of the Lagrangian; returns its cost."""
+    """Add the gradient (NODE + SHARED,) of the start's own share, at `unknowns` (NODE,); returns its cost."""
     m = parameters[0]
     start_dx = parameters[6]
     start_dy = parameters[7]
@@ -665,7 +665,7 @@ def start_gradient(unknowns, t, parameters, gradient):
 
 @njit(error_model="numpy")
 def end_gradient(unknowns, t, parameters, gradient):
-    """Add the gradient of the end's own share of the Lagrangian; returns its cost."""
+    """Add the gradient (NODE + SHARED,) of the end's own share, at `unknowns` (NODE,); returns its cost."""
     m = parameters[0]
     end_dx = parameters[10]
     end_dy = parameters[11]
@@ -746,9 +746,15 @@ def root_place(body, j):
     return body * OWN + j if j < OWN else (BODIES - 1) * OWN + j
 
 
+@njit(error_model="numpy", inline="always")
+def global_place(local, own, first, body, size):
+    """Place, among `size` unknowns, of an interval's or an end's, which has `own` from `first` on, then shared ones."""
+    return first + local if local < own else size - ROOT + root_place(body, local - own)
+
+
 @njit(error_model="numpy")
 def read_shared(unknowns, body, parameters):
-    """Copy the values of a body's shared unknowns behind its parameters, where kernels read them."""
+    """Copy a body's shared ones of `unknowns` (n,) behind its `parameters` (BODIES, P + SHARED), where kernels read."""
     first = unknowns.size - ROOT
     behind = parameters.shape[1] - SHARED
     for j in range(SHARED):
@@ -757,14 +763,14 @@ def read_shared(unknowns, body, parameters):
 
 @njit(error_model="numpy", inline="always")
 def add_shared(part, place, body, gradient):
-    """Add the entries of a share from `place` on to the gradient by the shared unknowns of a body."""
+    """Add the entries of `part` from `place` on to `gradient` (n,) by the shared unknowns of a body."""
     first = gradient.size - ROOT
     for j in range(SHARED):
         gradient[first + root_place(body, j)] += part[place + j]
 
 
 def shared_views(unknowns):
-    """Views of the shared unknowns: those of each body (bodies, OWN), and those of the whole problem."""
+    """Views of the shared ones of `unknowns` (n,): of each body (BODIES, OWN), and of the whole problem, 1-D."""
     first = unknowns.size - ROOT
     own = unknowns[first : first + BODIES * OWN].reshape(BODIES, OWN)
     return own, unknowns[first + BODIES * OWN : unknowns.size - COUPLINGS]
@@ -808,14 +814,15 @@ class Log:
 
 # Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 #
-# Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
-# owns. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other unknowns is
-# the stationarity of the optimum.
+# The n unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N, which are
+# N STRIDE + NODE; then the ROOT ones that no node owns. In docstrings n and N = `steps` are these numbers, P is that of
+# parameters. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other
+# unknowns is the stationarity of the optimum.
 
 
 @njit(error_model="numpy")
 def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
-    """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
+    """Fill the `gradient` (n,) by `unknowns` (n,), zero where they are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
@@ -847,7 +854,7 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
 
 @njit(error_model="numpy", inline="always")
 def add_end(part, first, size, body, gradient):
-    """Add the gradient of one share: `size` unknowns from `first` on, then the shared unknowns of a body."""
+    """Add `part` (size + SHARED,) to `gradient` (n,): to `size` from `first` on, then to the body's shared unknowns."""
     for i in range(size):
         gradient[first + i] += part[i]
     add_shared(part, size, body, gradient)
@@ -858,7 +865,7 @@ def add_end(part, first, size, body, gradient):
 
 @njit(error_model="numpy")
 def measure(gradient, is_multiplier):
-    """Max-norm and sum of the residual of the discrete equations, and max-norm of the stationarity.
+    """Max-norm and sum of the residual of the equations, and max-norm of the stationarity, from `gradient` (n,).
 
     All are infinite when an entry is infinite or NaN.
     """
@@ -880,11 +887,12 @@ def measure(gradient, is_multiplier):
 
 
 class Grid(NamedTuple):
-    """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
+    """N = `steps` intervals of length h, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
-    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
-    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
+    Where there are `sizes` (n,), all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces`
+    (n,) is then `weight` times `sizes`, by which the gradient is multiplied. `bounds`, least and greatest values (n,),
+    if known, are in parts of them too.
     """
 
     steps: int
@@ -898,7 +906,7 @@ class Grid(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+    """Unknowns (n,), gradient (n,) of the Lagrangian there, discrete cost, and norms of residual and stationarity.
 
     `violation` is the sum of all residuals; `error` is the max-norm of all equations of the optimum, and infinite where
     the cost is not finite.
@@ -914,7 +922,7 @@ class Point(NamedTuple):
 
 
 def evaluate(grid, unknowns):
-    """Evaluate cost, gradient and norms at a vector of unknowns."""
+    """Evaluate cost, gradient and norms at `unknowns` (n,)."""
     gradient = np.empty(unknowns.size)
     return Point(
         unknowns,
@@ -935,7 +943,7 @@ def lagrangian(grid, point):
 
 @njit(cache=True, error_model="numpy")
 def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
-    """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
+    """Fill the `gradient` (n,) of the Lagrangian; return what a Point holds beside it."""
     if sizes.size:
         cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
         for i in range(gradient.size):
@@ -980,9 +988,9 @@ IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN
 
 @njit(error_model="numpy")
 def pin_ends(k, steps, diagonal, element):
-    """Add the last node's share of `diagonal`, and pin what is given at the ends.
+    """Add the last node's share of `diagonal` (N STRIDE + NODE,), and pin what is given at the ends.
 
-    The row and column of an unknown that a boundary condition gives are those of the unit matrix.
+    The row and column of `element` (ROWS, WIDTH) for what a boundary condition gives are those of the unit matrix.
     """
     if k == steps - 1:
         for i in range(NODE):
@@ -997,7 +1005,7 @@ def pin_ends(k, steps, diagonal, element):
 
 @njit(error_model="numpy")
 def pin(place, element):
-    """Make one row and column of an element matrix that of the unit matrix, and its right-hand side zero."""
+    """Make a row and column of `element` (ROWS, WIDTH) that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
         element[place, i] = 0.0
         element[i, place] = 0.0
@@ -1010,7 +1018,7 @@ def pin(place, element):
 
 @njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
-    """Pin what is given."""
+    """Pin what is given in the `element` (ROWS, WIDTH) of interval k."""
     pin_ends(k, steps, diagonal, element)
 
 
@@ -1046,9 +1054,9 @@ BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both k
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 
-    The first `count` rows of `matrix`, `width` columns, are read and overwritten by D U. `upper` (count, width) takes U
-    without its unit diagonal. `order` says which row was eliminated when; `inverse` (count, 2), in that order, is the
-    inverse of the pivots: its diagonal, and what is between a row and the next one.
+    The first `count` rows of `matrix` (.., width) are read and overwritten by D U. `upper` (count, width) takes U
+    without its unit diagonal. `order` (count,) says which row was eliminated when; `inverse` (count, 2), in that order,
+    is the inverse of the pivots: its diagonal, and what is between a row and the next one.
     """
     for c in range(count):
         order[c] = c
@@ -1087,7 +1095,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row that comes at place c; return whether its pivot is negative."""
+    """Eliminate the row that comes at place c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -1110,7 +1118,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows that come at places c and c + 1 together; one of two such pivots is negative."""
+    """Eliminate the rows at places c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b
@@ -1138,7 +1146,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
-    """Subtract a multiple of row p of one matrix from row i of another, or of the same."""
+    """Subtract a multiple of row p of `source` (.., width) from row i of `target` (.., width), another or the same."""
     for j in range(0, width, 4):
         one = target[i, j] - multiple * source[p, j]
         two = target[i, j + 1] - multiple * source[p, j + 1]
@@ -1154,7 +1162,7 @@ def subtract_row(multiple, source, p, width, target, i):
 def subtract_products(upper, matrix, count, first, rows, width, rest):
     """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
 
-    `rest` has that many rows and is `width` columns wide; afterwards its upper triangle is right.
+    The upper triangle of `rest` (rows, width) is right afterwards; `upper` and `matrix` have `count` rows.
     """
     for i in range(rows):
         for j in range(i // 4 * 4, width, 4):
@@ -1175,7 +1183,7 @@ def subtract_products(upper, matrix, count, first, rows, width, rest):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_forward(upper, order, count, width, values):
-    """Overwrite the first `count` values by inverse(U') times them; the rest loses its share."""
+    """Overwrite the first `count` of `values` (width,) by inverse(U') times them; the rest loses its share."""
     for c in range(count):
         p = order[c]
         value = values[p]
@@ -1190,7 +1198,7 @@ def solve_forward(upper, order, count, width, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_pivots(inverse, order, count, values):
-    """Multiply the first `count` values by the inverse of the pivots."""
+    """Multiply the first `count` of `values` by the `inverse` (count, 2) of the pivots, in `order` (count,)."""
     carried = 0.0
     for c in range(count):
         value = values[order[c]]
@@ -1202,7 +1210,7 @@ def solve_pivots(inverse, order, count, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_backward(upper, order, count, width, values):
-    """Overwrite the first `count` values by the solution with U, in which the rest is known.
+    """Overwrite the first `count` of `values` (width,) by the solution with U, in which the rest is known.
 
     What is known goes to the right-hand sides first, so that only the short sums over the other unknowns have to wait
     for one another.
@@ -1233,7 +1241,7 @@ PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSI
 
 
 def allocate_condensed(grid):
-    """Room for eliminated unknowns: none."""
+    """`inverses` and `couplings` of eliminated unknowns: there are none."""
     return np.zeros((BODIES, 0, 0, 0)), np.zeros((BODIES, 0, 0, 0))
 
 
@@ -1245,7 +1253,7 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
-    """Put the Hessian of an interval into the element matrix, which is zero elsewhere."""
+    """Put an interval's `hessian` (HESSIAN_ROWS.size,) into `element` (ROWS, WIDTH), which is zero elsewhere."""
     for j in range(PLACE_ROWS.size):
         element[PLACE_ROWS[j], PLACE_COLUMNS[j]] = element[PLACE_COLUMNS[j], PLACE_ROWS[j]] = hessian[j]
     return True
@@ -1253,14 +1261,14 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
 
 @njit(error_model="numpy")
 def condense(gradient, inverses, couplings, steps, right):
-    """Fill a body's right-hand side with -gradient."""
+    """Fill a body's `right` (N STRIDE + NODE + SHARED,) with -`gradient` (N STRIDE + NODE,)."""
     for i in range(gradient.size):
         right[i] = -gradient[i]
 
 
 @njit(error_model="numpy")
 def expand(gradient, inverses, couplings, steps, solved, step):
-    """Fill a body's step with what was solved for, which is all there is."""
+    """Fill a body's `step` (N STRIDE + NODE,) with what was `solved` for, which is all there is."""
     for i in range(step.size):
         step[i] = solved[i]
 
@@ -1292,10 +1300,11 @@ COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the sha
 def allocate_factors(grid):
     """Room for the factors of all bodies, and for what is condensed.
 
-    A body has BLOCK rows for each block, then LAST rows for its last node and block 0. Three arrays hold the rows of
-    the upper factor, the inverse of the pivots, and the order of elimination. The right-hand side, if it was carried
-    along, is a column of the upper factor, multiplied by the inverse of the pivots already. Places and the inverse of
-    the pivots are zeros, so that solving without factors, as compilation does, stays inside the arrays.
+    A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
+    upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
+    The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
+    pivots already. Places and the inverse of the pivots are zeros, so that solving without factors, as compilation
+    does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
     upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
@@ -1310,8 +1319,10 @@ def eliminate_body(
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
-    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
-    the elimination has stopped.
+    `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
+    the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
+    `allocate_factors`; `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the number of negative
+    pivots, and by how many they are too many: when there are, the elimination has stopped.
     """
     if not prepare_condensed(weight, parts, diagonal, inverses):
         return False, 0, 0
@@ -1357,7 +1368,7 @@ def eliminate_body(
 
 @njit(error_model="numpy", inline="always")
 def add_right_hand_side(slopes, k, steps, element):
-    """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
+    """Subtract `slopes` (N STRIDE + NODE,) by block k, and by the last node, from the column carried along."""
     for i in range(BLOCK):
         element[i, RIGHT] -= slopes[k * STRIDE + i]
     if k == steps - 1:
@@ -1367,9 +1378,10 @@ def add_right_hand_side(slopes, k, steps, element):
 
 @njit(error_model="numpy")
 def fill_parts(sizes, forces, parts):
-    """Fill the sizes of an element's unknowns, the same on all intervals, by which derivatives are multiplied.
+    """Fill the sizes (ELEMENT + SHARED,) of an element's unknowns, by which derivatives are multiplied.
 
-    They include the root of the cost's weight, and are ones where nothing is scaled.
+    The same on all intervals, they include the root of the cost's weight, and are ones where nothing is scaled:
+    `sizes` and `forces` are (n,), or empty.
     """
     for i in range(parts.size):
         parts[i] = 1.0
@@ -1383,7 +1395,7 @@ def fill_parts(sizes, forces, parts):
 
 @njit(error_model="numpy")
 def fill_factors(weight, parts, factors):
-    """Fill what an interval's second derivatives are multiplied by; return whether that makes a difference.
+    """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
 
     It is the sizes of both unknowns, and the weight where both are primal.
     """
@@ -1398,7 +1410,7 @@ def fill_factors(weight, parts, factors):
 
 @njit(error_model="numpy")
 def begin_front(element, rest):
-    """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
+    """Put the first `element` (ROWS, WIDTH) into `rest` (REST, REST_WIDTH), where block 0 has its place."""
     for i in range(BORDER):
         for j in range(ROWS + CARRIED):
             element[SIZE + i, j] = element[FIRST[i], j]
@@ -1413,8 +1425,8 @@ def begin_front(element, rest):
 def move_front(element, rest):
     """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
 
-    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k. Of `rest`, only
-    the upper triangle is in use.
+    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k: `rest` (REST,
+    REST_WIDTH), of which only the upper triangle is in use. `element` is (ROWS, WIDTH).
     """
     for i in range(NODE):
         element[i, i] += rest[i, i]
@@ -1438,7 +1450,7 @@ def move_front(element, rest):
 
 @njit(error_model="numpy")
 def end_front(rest, last):
-    """The rows of the last node and of block 0, both triangles; behind them what is left for the shared unknowns."""
+    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0, both triangles; then what is left for shared."""
     clear(last)
     for i in range(REST):
         last[i, i] = rest[i, i]
@@ -1456,7 +1468,10 @@ def end_front(rest, last):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def forward(upper, inverse, order, steps, right, last):
-    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`."""
+    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`.
+
+    `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `right` (N BLOCK + NODE + SHARED,), `last` (LAST_WIDTH,).
+    """
     front = zero_vector(WIDTH)
     for i in START_PINNED:
         right[i] = 0.0
@@ -1489,7 +1504,7 @@ def forward(upper, inverse, order, steps, right, last):
 def backward(upper, order, steps, carried, last, right):
     """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
 
-    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
+    `right`, as in `forward`, holds what is left of the right-hand side, zeros where that is a column of the factors.
     """
     front, first = zero_vector(WIDTH), steps * BLOCK
     front[RIGHT] = -1.0 if carried else 0.0
@@ -1519,8 +1534,9 @@ SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
 def allocate_system(grid):
     """Room for the factors and for what is condensed, and the number of equations.
 
-    The factors of the shared unknowns come last: the rows of the upper factor, the inverse of the pivots, the order of
-    elimination, and the right-hand side, less what the elimination of the bodies has taken away.
+    The factors of the shared unknowns come last: the rows (ROOT, ROOT_WIDTH) of the upper factor, the inverse (ROOT, 2)
+    of the pivots, the order (ROOT,) of elimination, and the right-hand side (ROOT,), less what the elimination of the
+    bodies has taken away.
     """
     root = np.zeros((ROOT, ROOT_WIDTH)), np.zeros((ROOT, 2)), np.zeros(ROOT, np.uint64), np.zeros(ROOT)
     return (*allocate_factors(grid), *root), multiplier_unknowns(grid).size
@@ -1531,7 +1547,11 @@ def factor(
     unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
     inverses, couplings, root_upper, root_inverse, root_order, root_right,
 ):  # fmt: skip
-    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots."""
+    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots.
+
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P + SHARED); the factors are those
+    of `allocate_system`.
+    """
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST + SHARED, LAST_WIDTH)
     root, left = zero_matrix(ROOT, ROOT_WIDTH), zero_matrix(SHARED, SHARED_WIDTH)
     parts = zero_vector(ELEMENT + SHARED)
@@ -1567,7 +1587,7 @@ def substitute(
     gradient, carried, steps, upper, inverse, order, inverses, couplings, root_upper, root_inverse, root_order,
     root_right, step,
 ):  # fmt: skip
-    """Solve with the factors: forward unless elimination has done that, the shared unknowns, and backward."""
+    """Solve with the factors to `step` (n,): forward unless it is `carried`, the shared unknowns, and backward."""
     chain = steps * STRIDE + NODE
     right, last = zero_matrix(BODIES, steps * BLOCK + NODE + SHARED), zero_matrix(BODIES, LAST_WIDTH)
     shared = zero_vector(ROOT_WIDTH)
@@ -1602,10 +1622,10 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
 
     Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
     elimination stops when there are too many. None means that the matrix is singular, or that a block that is
-    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
-    array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
-    part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
-    Everything is in parts of sizes where the grid has them, so that pivots do not depend on units.
+    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal` (n,),
+    like `unknowns` (n,), is added to the diagonal of the whole matrix. The right-hand side -`gradient` (n,) takes part
+    in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away. Everything is in
+    parts of sizes where the grid has them, so that pivots do not depend on units.
     """
     factors, equations = system
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
@@ -1624,9 +1644,9 @@ def is_factored(excess):
 
 
 def solve_kkt(grid, system, gradient, step, carried=False):
-    """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt gave a number.
+    """Newton step (n,): the solution of KKT matrix . step = -gradient, after `factor_kkt` gave a number.
 
-    That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
+    That number must not have been positive. `carried` says that `factor_kkt` had the same `gradient` (n,).
     """
     substitute(gradient, carried, grid.steps, *system[0], step)
 
@@ -1656,10 +1676,8 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
             interval_hessian(here, k * h, h, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
-                if HESSIAN_ROWS[j] >= ELEMENT:
-                    row = unknowns.size - ROOT + root_place(body, HESSIAN_ROWS[j] - ELEMENT)
-                if HESSIAN_COLUMNS[j] >= ELEMENT:
-                    column = unknowns.size - ROOT + root_place(body, HESSIAN_COLUMNS[j] - ELEMENT)
+                row = global_place(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
+                column = global_place(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])
@@ -1791,17 +1809,118 @@ def envelope(violation, cost):
     return (1.0 - 1e-5) * violation, cost - 1e-8 * violation
 
 
-# Newton's method on the KKT system, made dependable by a filter line search and by shifts of the Hessian.
+# Iterative refinement: what a solution of the KKT system leaves of its right-hand side is solved for again.
 #
-# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm, whose
-# equation numbers are quoted. The inertia of the KKT matrix, by which the shifts are chosen, comes from its factors.
+# The elimination pairs the state of a node with the equation of the interval after it, and so runs the dynamics
+# backwards. Where that grows, as dissipative dynamics do over a long time, the factors are those of a matrix that is off
+# by far more than rounding, and a step leaves equations unsolved. Refinement with residuals of the matrix itself makes up
+# for it. Source: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; the measure of the residual
+# is that of Waechter and Biegler (2006), section 3.10.
 
-SHORTEST_STEP = 1e-10
-RESTORATION_STEPS = 50
-GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
-NEARBY = 1e-2  # part of the guess's violation that is left where a search begins nearby
-NEARBY_ITERATIONS = 100  # for that search, and half of what is allowed at most
+ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
+LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
+SOLVED_AGAIN = 10  # times at most, as in IPOPT
+
+
+@njit(cache=True, error_model="numpy")
+def multiply_intervals(unknowns, steps, h, parameters, vector, product):
+    """Add to `product` (n,) what the second derivatives of all intervals, at `unknowns` (n,), make of `vector` (n,)."""
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    for body in range(BODIES):
+        read_shared(unknowns, body, parameters)
+        for k in range(steps):
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            for j in range(HESSIAN_ROWS.size):
+                row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
+                row = global_place(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
+                column = global_place(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
+                product[row] += hessian[j] * vector[column]
+                if row != column:
+                    product[column] += hessian[j] * vector[row]
+
+
+def left_over(grid, unknowns, diagonal, gradient, step):
+    """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
+    product, vector = np.zeros(step.size), step
+    if grid.sizes.size:
+        roots = np.sqrt(grid.sizes * grid.forces)
+        unknowns, vector = unknowns * grid.sizes, roots * step
+    multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
+    others = [end_entries(grid, unknowns)]
+    for rows, columns, values in others:
+        beside = rows != columns
+        np.add.at(product, rows, values * vector[columns])
+        np.add.at(product, columns[beside], (values * vector[rows])[beside])
+    if grid.sizes.size:
+        product *= roots
+    product += diagonal * step + gradient
+    return np.where(free_unknowns(grid), product, 0.0)
+
+
+def refine(grid, unknowns, diagonal, system, gradient, step):
+    """Refine `step` (n,) in place until its residual is small, or falls no more; return whether that was necessary.
+
+    The system is still factored, and the matrix as `factor_kkt` says.
+    """
+    correction, right = np.empty_like(step), np.abs(gradient).max(initial=0.0)
+    left = left_over(grid, unknowns, diagonal, gradient, step)
+    size = np.abs(left).max(initial=0.0)
+    for refinement in range(SOLVED_AGAIN):
+        scale = right + min(np.abs(step).max(initial=0.0), LARGE_STEP * right)
+        if not ACCURATE * scale < size < np.inf:
+            return refinement > 0
+        solve_kkt(grid, system, left, correction)
+        better = step + correction
+        left, before = left_over(grid, unknowns, diagonal, gradient, better), size
+        size = np.abs(left).max(initial=0.0)
+        if not size < before:
+            break
+        step[:] = better
+    return True
+
+
+# Iterates where no unknown has a bound: points, and how they begin and follow each other by Newton's steps.
+#
+# Equation numbers are those of Waechter and Biegler (2006), On the implementation of an interior-point filter line-search
+# algorithm for large-scale nonlinear programming.
+
+
+class Attempt(NamedTuple):
+    """How a search begins: with what part of the guess's violation, and bent by a part of the guess's size.
+
+    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`.
+    """
+
+    nearby: float
+    shortest: float
+    funnel: float
+    bend: float = 0.0
+
+
+FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(0.03, 1e-12, 1e4)
+WARM = FROM_GUESS  # Newton's method needs no telling
+OTHERS = (
+    Attempt(0.1, 1e-3, 2.0),
+    Attempt(1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
+)
+
+
 SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
+
+
+class Search(NamedTuple):
+    """What stays the same during a solve: grid, storage of the linear system, indices of multipliers."""
+
+    grid: NamedTuple
+    system: tuple[NamedTuple, int]
+    equations: np.ndarray
+
+
+class Iterate(NamedTuple):
+    """A point of the search."""
+
+    point: NamedTuple
 
 
 class Shift(NamedTuple):
@@ -1816,142 +1935,54 @@ class Shift(NamedTuple):
     singular: bool = False
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
-    """Find a local minimum; return (status, point, iterations).
+class Step(NamedTuple):
+    """A Newton step: the gradient that it was solved for, slope, greatest length, and the Hessian's shift.
 
-    Where the guess violates the equations grossly, the search begins at a point near it that nearly obeys them: a full
-    Newton step, which knows of no distance, would leave for another optimum. If so many iterations do not solve
-    the problem from there, the search begins at the guess itself, and how that ends is reported. `warm` has no
-    effect: Newton's method needs no telling. A row (cost, residual, stationarity, Hessian's shift, step length) is
-    appended to `log` at every iterate; steps of the restoration are not counted.
+    `refined` says that the linear system was not solved accurately at once.
     """
-    system, total = allocate_system(grid), 0
-    guess = without_multipliers(grid, unknowns)
-    if guess.error < np.inf and is_gross(grid, guess):
-        near = restore(grid, guess, NEARBY, Filter(np.inf), system, log)
-        if near is not None:
-            limit = min(max_iterations // 2, NEARBY_ITERATIONS)
-            status, point, total = leave_saddles(grid, near, tolerance, limit, log, system)
-            if status in ("solved", "time limit"):
-                return status, point, total
-    status, point, iterations = leave_saddles(grid, guess, tolerance, max_iterations - total, log, system)
-    return status, point, total + iterations
+
+    primal: np.ndarray
+    gradient: np.ndarray
+    slope: float
+    longest: float
+    shift: NamedTuple
+    refined: bool
 
 
-def leave_saddles(grid, guess, tolerance, max_iterations, log, system):
-    """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
+def search_on(grid):
+    """What stays the same during a solve on a grid."""
+    return Search(grid, allocate_system(grid), multiplier_unknowns(grid))
 
-    Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
+
+def begin(search, unknowns, attempt):
+    """An iterate at primal unknowns."""
+    return Iterate(evaluate(search.grid, unknowns))
+
+
+def with_multipliers(search, iterate):
+    """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
+
+    All multipliers of `iterate` are zero.
     """
-    status, saddle, total = descend(grid, guess, tolerance, max_iterations, log, system)
-    failed, escapes = False, 0
-    while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
-        for step in steps_aside(grid, saddle.unknowns, 0.0, escapes):
-            beside = without_multipliers(grid, saddle.unknowns + step)
-            ended, point, iterations = descend(grid, beside, tolerance, max_iterations - total, log, system)
-            total += iterations
-            if ended in LEFT and is_below(point, saddle):
-                status, saddle = ended, point
-                break
-            failed = failed or ended not in LEFT
-        escapes += 1
-    if status == "saddle point" and escapes == ESCAPES and not failed:
-        status = "solved" if is_solved(grid, saddle, tolerance) else "stalled"
-    return status, saddle, total
-
-
-def is_gross(grid, point):
-    """Whether the residual is more than a small part of the equations' largest terms."""
-    terms, _ = sizes_of_terms(grid, point.unknowns)
-    return point.residual > GROSS * terms
-
-
-def descend(grid, guess, tolerance, max_iterations, log, system):
-    """Follow Newton's steps from a point whose multipliers are zero; return (status, point, iterations)."""
-    point = with_multipliers(grid, guess, system)
-    small_violation = 1e-4 * max(1.0, point.violation)
-    filtered = Filter(1e8 * small_violation)
-    shift, length, step = Shift(), 0.0, np.empty_like(guess.unknowns)
-    for iteration in range(max_iterations + 1):
-        log.append(grid, point, shift.value, length)
-        if not point.error < np.inf:
-            return "non-finite", point, iteration
-        if is_solved(grid, point, tolerance):
-            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or shift.value > 0.0
-            return ("saddle point" if doubtful and not is_minimum(grid, point, system) else "solved"), point, iteration
-        if log.is_late():
-            return "time limit", point, iteration
-        if iteration == max_iterations:
-            break
-        slope, shift = regularised_step(grid, point, shift, system, step)
-        if slope is None:
-            return "rank-deficient", point, iteration
-        trial, length = search(grid, point, step, slope, small_violation, filtered, system)
-        if trial is None:
-            if shift.value > 0.0 and is_nearly_stationary(point) and not is_minimum(grid, point, system):
-                return "saddle point", point, iteration
-            if is_rounding(grid, point):
-                return "stalled", point, iteration
-            filtered.add(point.violation, point.cost)
-            trial = restore(grid, point, 0.9, filtered, system, log)
-            if trial is None:
-                return "time limit" if log.is_late() else "infeasible", point, iteration
-            trial = with_multipliers(grid, without_multipliers(grid, trial.unknowns), system)
-        point = trial
-    return "iteration limit", point, max_iterations
-
-
-def is_minimum(grid, point, system):
-    """Whether a stationary point is a minimum to second order: the reduced Hessian is positive, up to rounding."""
-    return factor_kkt(grid, point.unknowns, 1.0, shifts(grid, FLAT, FLAT), system) == 0
-
-
-def without_multipliers(grid, unknowns):
-    """The point at the same primal unknowns with all multipliers zero."""
-    return evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
-
-
-def with_multipliers(grid, point, system):
-    """The point with multipliers that solve stationarity by least squares (36), as it is where they are huge or none.
-
-    All multipliers of `point` are zero.
-    """
+    grid, point, system, step = search.grid, iterate.point, search.system, np.empty_like(iterate.point.unknowns)
     if point.stationarity == 0.0:
-        return point
-    gradient, step = np.where(grid.is_multiplier, 0.0, point.gradient), np.empty_like(point.unknowns)
+        return iterate
+    gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
     if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system, gradient)):
-        return point
+        return iterate
     solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
-    return evaluate(grid, point.unknowns + multipliers) if np.abs(multipliers).max() <= 1e3 else point
+    return Iterate(evaluate(grid, point.unknowns + multipliers)) if np.abs(multipliers).max() <= 1e3 else iterate
 
 
-def regularised_step(grid, point, before, system, step):
-    """Fill a Newton step; return the slope of the cost along it, and the shift of the Hessian that makes it a descent.
+def barrier_curvature(search, iterate):
+    """What a barrier adds to the Hessian's diagonal: nothing."""
+    return 0.0
 
-    This is algorithm IC with two changes that save factorisations. Where the iterate `before` needed a shift for its
-    curvatures, a lower one is tried at once, and none only when that has become small; and the more often in turn a
-    lower shift was enough, the lower the next one is. The slope is None when the system stays singular.
-    """
-    lower = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
-    at_once = before.value > 0.0 and lower > SMALL_SHIFT and not before.singular
-    shift, dual_shift, singular = lower if at_once else 0.0, 0.0, before.singular
-    while shift < 1e20:
-        excess = factor_kkt(grid, point.unknowns, 1.0, shifts(grid, shift, dual_shift), system, point.gradient)
-        if excess == 0:
-            solve_kkt(grid, system, point.gradient, step, carried=True)
-            lowered = before.lowered + 1 if shift == lower and not singular else 0
-            found = Shift(shift, shift or before.last, lowered, singular)
-            return slope_of(point.unknowns, point.gradient, step, grid.is_multiplier), found
-        if excess is None or excess < 0:
-            singular = True
-            dual_shift = 1e-8 if shift > 0.0 else 0.0  # the equations are dependent
-        if shift == 0.0:
-            shift = lower
-        else:
-            shift *= 100.0 if before.last == 0.0 else 8.0
-    return None, before
+
+def newton_system(search, iterate, gradient, shift, dual_shift):
+    """Right-hand side and diagonal (unknowns,) of Newton's equations, given the gradient of the Lagrangian."""
+    return gradient, shifts(search.grid, shift, dual_shift)
 
 
 def shifts(grid, shift, dual_shift):
@@ -1967,67 +1998,479 @@ def primal_ones(steps):
     return np.where(layout(steps).is_multiplier, 0.0, 1.0)
 
 
-def search(grid, point, step, slope, small_violation, filtered, system):
-    """Shorten the step until the filter accepts it; return the new point (None when there is none) and the length."""
-    length, limits = 1.0, (slope, small_violation, filtered)
-    while length > SHORTEST_STEP:
-        trial = evaluate(grid, point.unknowns + step)
-        if is_better(trial, point, length, *limits):
-            return trial, length
-        if length == 1.0 and trial.violation >= point.violation:
-            # The curvature of the equations, not the direction, may be what is wrong: second-order correction (27).
-            correction = np.empty_like(step)
-            solve_kkt(grid, system, point.gradient + np.where(grid.is_multiplier, trial.gradient, 0.0), correction)
-            trial = evaluate(grid, point.unknowns + correction)
-            if is_better(trial, point, length, *limits):
-                return trial, length
-        length, step = 0.5 * length, 0.5 * step
-    return None, length
+def shifts_to_try(before):
+    """The shift that is tried first, and the least one after none; `before` is that of the iterate before.
 
-
-def is_better(trial, point, length, slope, small_violation, filtered):
-    """Whether a trial may follow a point, from which a step of some length was to lead to it."""
-    return trial.error < np.inf and filtered.accept(
-        point.violation, point.cost, trial.violation, trial.cost, slope, length, small_violation
-    )
-
-
-def restore(grid, point, reduction, filtered, system, log):
-    """Reduce the violation to a part `reduction` that the filter accepts; None when that fails, or the time is up.
-
-    Levenberg and Marquardt's method: with A the equations' Jacobian and c their residuals, the step d minimises
-    |A d + c|^2 + damping |d|^2, which is the KKT matrix with -damping for the multipliers and a one for the others.
-    Source: Nocedal and Wright (2006), section 10.3.
+    Two changes to algorithm IC save factorisations. Where the iterate before needed a shift for its curvatures, a lower
+    one is tried at once, and none only when that has become small; and the more often in turn a lower shift was enough,
+    the lower the next one is.
     """
-    step, first, damping = np.empty_like(point.gradient), point.violation, 1e-4
-    for _ in range(RESTORATION_STEPS):
-        gradient, trial = np.where(grid.is_multiplier, point.gradient, 0.0), None
-        while trial is None:
-            if damping > 1e12 or log.is_late():
-                return None
-            if is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, damping), system, gradient)):
-                solve_kkt(grid, system, gradient, step, carried=True)
-                trial = evaluate(grid, point.unknowns + np.where(grid.is_multiplier, 0.0, step))
-                lowered = sum_of_squares(grid, trial) < (1.0 - 1e-8) * sum_of_squares(grid, point)
-                trial = trial if lowered and trial.error < np.inf else None
-            damping = damping * 8.0 if trial is None else max(damping / 5.0, 1e-12)
-        point = trial
-        if point.violation <= reduction * first and filtered.lets_pass(point.violation, point.cost):
-            return point
+    least = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
+    at_once = before.value > 0.0 and least > SMALL_SHIFT and not before.singular
+    return least if at_once else 0.0, least
+
+
+def found(before, shift, singular):
+    """The shift that was enough; `singular` says whether the matrix was, on the way there."""
+    singular = singular or before.singular
+    lowered = before.lowered + 1 if shift == shifts_to_try(before)[1] and not singular else 0
+    return Shift(shift, shift or before.last, lowered, singular)
+
+
+def step_along(search, iterate, gradient, primal, shift, refined):
+    """The step with a primal part, the gradient that it was solved for and a shift, and with its slope."""
+    slope = slope_of(iterate.point.unknowns, gradient, primal, search.grid.is_multiplier)
+    return Step(primal, gradient, slope, 1.0, shift, refined)
+
+
+def merit(iterate):
+    """What a line search lowers: the cost."""
+    return iterate.point.cost
+
+
+def moved(search, iterate, primal, length):
+    """The iterate after a step of some length."""
+    return Iterate(evaluate(search.grid, iterate.point.unknowns + length * primal))
+
+
+# Newton's steps: the Hessian's shift that makes them lead downhill, and how far to go along them.
+#
+# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
+# large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+
+CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+SHORT = 0.25  # part of a step that is left when it counts as much too long
+SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
+LEAST_DAMPING = 1e-5
+UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
+FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
+
+
+class Watch(NamedTuple):
+    """Where full steps began: the iterate, its Newton step, and how many may still follow."""
+
+    iterate: NamedTuple
+    step: NamedTuple
+    left: int = FULL_STEPS
+
+
+class Doubts:
+    """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
+
+    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
+    Once one was not, all are measured.
+    """
+
+    def __init__(self):
+        self.doubts, self.enough = 0, 1
+
+    def are_enough(self):
+        """Whether the next step has to be measured."""
+        return self.doubts >= self.enough
+
+    def note(self, step, leaves_much):
+        """Take note of how a step was solved for, and of whether it has left much of the equations."""
+        if self.are_enough():
+            self.doubts, self.enough = (1, 1) if step.refined else (0, 2 * self.enough)
+        self.doubts += leaves_much
+
+
+def regularised_step(search, iterate, before, damping, careful):
+    """A Newton step with the least shift of the Hessian, from `damping` on, that makes it one of descent, or None.
+
+    This is algorithm IC; `before` is the shift at the last iterate. With `careful`, what the step leaves of the linear
+    system is measured, and solved for again where that is much. There is no step where the system stays singular.
+    """
+    grid, system, point = search.grid, search.system, iterate.point
+    primal, singular, dual_shift = np.empty(point.unknowns.size), False, 0.0
+    at_once, least = shifts_to_try(before)
+    shift = max(damping, at_once)
+    while shift < 1e20:
+        gradient, diagonal = newton_system(search, iterate, point.gradient, shift, dual_shift)
+        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
+        if excess == 0:
+            solve_kkt(grid, system, gradient, primal, carried=True)
+            refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
+            step = step_along(search, iterate, gradient, primal, found(before, shift, singular), refined)
+            if abs(step.slope) < np.inf:
+                return step
+        elif dual_shift == 0.0 and (excess is None or excess < 0):
+            dual_shift, singular = 1e-8, True  # the equations may be dependent
+            continue
+        if shift == 0.0:
+            shift = least
+        else:
+            shift *= 100.0 if before.last == 0.0 else 8.0
     return None
 
 
+def leaves_much(point, step, length, trial):
+    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
+    return length == 1.0 and step.longest == 1.0 and trial.residual > UNSOLVED * point.residual
+
+
+def damped(damping, step, length, shortened):
+    """The least shift of the Hessian for the next step: more where steps in turn had to be shortened much, else less.
+
+    A Hessian that is barely positive definite sends steps far beyond where it means something.
+    """
+    if length <= SHORT * step.longest and shortened >= SHORT_IN_TURN:
+        return 4.0 * max(step.shift.value, damping, LEAST_DAMPING)
+    if length < step.longest:
+        return damping
+    return damping / 2.0 if damping > LEAST_DAMPING else 0.0
+
+
+def line_search(search, iterate, step, shortest, small_violation, filtered):
+    """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
+    length = step.longest
+    while length > shortest:
+        trial = moved(search, iterate, step.primal, length)
+        if is_better(trial, iterate, step, length, small_violation, filtered):
+            return trial, length
+        if length == step.longest and trial.point.violation >= iterate.point.violation:
+            better = corrected(search, iterate, step, trial.point, small_violation, filtered)
+            if better is not None:
+                return better, length
+        length *= 0.5
+    return None, length
+
+
+def watched(search, iterate, step, watch, small_violation, filtered):
+    """(next iterate, length, watch) after a full step that is taken untested, in the hope that one soon is better.
+
+    The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
+    better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
+    """
+    trial = moved(search, iterate, step.primal, step.longest)
+    better = is_better(trial, watch.iterate, watch.step, watch.step.longest, small_violation, filtered)
+    if not better and (watch.left == 1 or not trial.point.error < np.inf):
+        return watch.iterate, 0.0, None
+    return trial, step.longest, None if better else watch._replace(left=watch.left - 1)
+
+
+def is_better(trial, iterate, step, length, small_violation, filtered):
+    """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
+    new, old = trial.point, iterate.point
+    return new.error < np.inf and filtered.accept(
+        old.violation, merit(iterate), new.violation, merit(trial), step.slope, length, small_violation
+    )
+
+
+def corrected(search, iterate, step, refused, small_violation, filtered):
+    """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
+
+    `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
+    refused belong to other distances.
+    """
+    grid, right, length = search.grid, step.gradient.copy(), step.longest
+    residual = iterate.point.gradient[grid.is_multiplier]
+    for _ in range(CORRECTIONS):
+        residual = length * residual + refused.gradient[grid.is_multiplier]
+        right[grid.is_multiplier] = residual
+        correction = np.empty_like(step.primal)
+        solve_kkt(grid, search.system, right, correction)
+        if not np.isfinite(correction).all():
+            return None
+        better = step_along(search, iterate, right, correction, step.shift, False)
+        length = better.longest
+        trial = moved(search, iterate, correction, length)
+        if is_better(trial, iterate, step, step.longest, small_violation, filtered):
+            return trial
+        if not trial.point.violation < 0.99 * refused.violation:
+            return None
+        refused = trial.point
+    return None
+
+
+# Feasibility restoration: lower the violation of the equations when the line search finds no way on.
+#
+# Minimises half the sum of squares of the residuals c by Levenberg and Marquardt's method, with a barrier where there are
+# bounds: with A the Jacobian of the equations and the bounds' distances r and duals z as in `barrier`, the step d solves
+# (A'A + damping + z/r) d = -(A'c - nu s / r), which is the KKT matrix without cost, with -1 on the multipliers' diagonal.
+# Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3, for the purpose.
+
+RESTORATION_STEPS = 200
+FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+
+
+def restore(search, iterate, reduction, filtered, is_late):
+    """("restored", an iterate that the filter accepts), or (what went wrong, the last iterate); no multipliers.
+
+    When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up. With
+    bounds, the weight and the duals are those of the restoration.
+    """
+    grid, damping = search.grid, 0.0
+    first, current = iterate.point.violation, begun(search, iterate)
+    for _ in range(RESTORATION_STEPS):
+        if is_late():
+            return "time limit", current
+        point = current.point
+        pull = attraction(grid, point)
+        damping = damping or first_damping(grid, point, pull)
+        error = restoration_error(search, current, pull)
+        if error <= 1e-8 * point.residual:
+            return "infeasible", current
+        taken = damped_step(search, current, pull, damping)
+        if taken is None:
+            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
+        current, damping = taken
+        if current.point.violation <= reduction * first:
+            accepted = current
+            if filtered.lets_pass(accepted.point.violation, merit(accepted)):
+                return "restored", accepted
+    return "stalled", current
+
+
+def begun(search, iterate):
+    """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
+    grid = search.grid
+    start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
+    return start
+
+
+def attraction(grid, point):
+    """A' c, the gradient of half the squared residuals by primal unknowns, by the linearity of the Lagrangian."""
+    with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
+    pull = evaluate(grid, with_residuals).gradient - point.gradient
+    return np.where(grid.is_multiplier, 0.0, pull)
+
+
+def first_damping(grid, point, pull):
+    """Enough to keep the first step short where residuals hardly change, whatever the units.
+
+    Without it the step would go far along directions that are hardly determined, away from the iterate for which the
+    cost was lowered.
+    """
+    squares = 2.0 * sum_of_squares(grid, point)
+    return max(1e-12, FIRST_DAMPING * (pull @ pull) / squares) if squares > 0.0 else 1e-4
+
+
+def restoration_error(search, current, pull):
+    """Error of the optimality conditions of the least violation."""
+    return np.abs(pull).max()
+
+
+def damped_step(search, current, pull, damping):
+    """(iterate, damping) after a step that lowers the sum of squares, or None."""
+    grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
+    least = restoration_merit(grid, current)
+    while damping < 1e12:
+        slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
+        diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
+        right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
+        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
+            solve_kkt(grid, search.system, right, step, carried=True)
+            step[grid.is_multiplier] = 0.0
+            taken = step_along(search, current, slopes, step, Shift(), False)
+            trial = moved(search, current, step, taken.longest)
+            expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
+            if trial.point.error < np.inf and restoration_merit(grid, trial) <= least + expected:
+                return trial, max(damping / 5.0, 1e-12)
+        damping = max(8.0 * damping, 1e-8)
+    return None
+
+
+def restoration_merit(grid, current):
+    """Half the sum of squared residuals, with the restoration's barrier where there are bounds."""
+    value = sum_of_squares(grid, current.point)
+    return value
+
+
 def sum_of_squares(grid, point):
-    """The sum of the squares of all residuals."""
+    """Half the sum of the squares of all residuals."""
     residual = point.gradient[grid.is_multiplier]
-    return residual @ residual
+    return 0.5 * (residual @ residual)
+
+
+# Newton's method with a filter line search; where unknowns have bounds, a primal-dual interior point method.
+#
+# Bounds are replaced by a logarithmic barrier whose weight mu tends to zero; for each weight Newton's method solves the
+# optimality conditions, with the inertia of the KKT matrix corrected until the step is one of descent, and a filter
+# decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
+# line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+
+BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
+SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
+NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
+
+
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
+    """Find a local minimum; return (status, point, iterations).
+
+    Where the search from the guess fails, it begins anew in other ways; if none succeeds, the end of the first one is
+    reported. With `warm`, the barrier of bounds begins with a small weight and leaves unknowns close to them. A row
+    (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate, and the
+    barrier's weight where there is one. `max_iterations` is for all searches together; steps of the restoration are not
+    counted.
+    """
+    search, first, total = search_on(grid), None, 0
+    primal, attempts = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *OTHERS)
+    guess = begin(search, primal, attempts[0])
+    if guess.point.error < np.inf and is_gross(grid, guess.point):
+        status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
+        if status in ("solved", "time limit"):
+            return status, iterate.point, total
+    for attempt in attempts:
+        iterate = begin(search, bent(grid, primal, attempt.bend), attempt) if first else guess
+        status = "restored"
+        if attempt.nearby < 1.0 and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
+        if status == "restored":
+            left = max_iterations - total
+            status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
+            total += iterations
+            first = first or (status, iterate)
+        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+            break
+    status, iterate = (status, iterate) if status == "solved" else first
+    return status, iterate.point, total
+
+
+def is_gross(grid, point):
+    """Whether the residual is more than a small part of the equations' largest terms."""
+    terms, _ = sizes_of_terms(grid, point.unknowns)
+    return point.residual > GROSS * terms
+
+def from_nearby(search, guess, tolerance, max_iterations, log):
+    """(status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
+
+    A full Newton step, which knows of no distance, would leave for another optimum.
+    """
+    status, iterate = restored(search, guess, NEARBY.nearby, Filter(np.inf), log)
+    if status != "restored":
+        return status, iterate, 0
+    limit = min(max_iterations // 2, NEARBY_ITERATIONS)
+    return leave_saddles(search, iterate, NEARBY, tolerance, limit, log)
+
+
+def bent(grid, unknowns, part):
+    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
+    if part == 0.0:
+        return unknowns
+    bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0)
+    for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
+        sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
+        own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
+    return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
+
+
+def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
+    """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
+
+    Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
+    """
+    status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
+    failed, escapes = False, 0
+    while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        for beside in neighbours(search, saddle, attempt, escapes):
+            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
+            total += iterations
+            if ended in LEFT and is_below(other.point, saddle.point):
+                status, saddle = ended, other
+                break
+            failed = failed or ended not in LEFT
+        escapes += 1
+    if status == "saddle point" and escapes == ESCAPES and not failed:
+        status = "solved" if is_solved(search.grid, saddle.point, tolerance) else "stalled"
+    return status, saddle, total
+
+
+def neighbours(search, saddle, attempt, escapes):
+    """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
+    grid, unknowns = search.grid, saddle.point.unknowns
+    curvature = barrier_curvature(search, saddle)
+    for step in steps_aside(grid, unknowns, curvature, escapes):
+        yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
+
+
+def descend(search, iterate, attempt, tolerance, max_iterations, log):
+    """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
+
+    With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
+    tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
+    corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
+    """
+    grid, iterate = search.grid, with_multipliers(search, iterate)
+    first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
+    small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
+    shift, length, damping, shortened, watch, doubts = Shift(), 0.0, 0.0, 0, None, Doubts()
+    for iteration in range(max_iterations + 1):
+        log.append(grid, iterate.point, shift.value, length)
+        converged = is_solved(grid, iterate.point, tolerance)
+        point, status = iterate.point, ""
+        if not point.error < np.inf:
+            status = "non-finite"
+        elif converged:
+            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+            doubtful = iteration == 0 or shift.value > 0.0
+            status = "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
+        elif is_boundless(iterate, first_cost):
+            status = "unbounded"
+        elif log.is_late():
+            status = "time limit"
+        if status or iteration == max_iterations:
+            return status or "iteration limit", iterate, iteration
+        trial, step = None, regularised_step(search, iterate, shift, damping, doubts.are_enough())
+        if step is not None:
+            shift = step.shift
+            watch = Watch(iterate, step) if shortened == SHORTENED else watch
+            if watch is not None:
+                iterate, length, watch = watched(search, iterate, step, watch, small_violation, filtered)
+                shortened = 0
+                continue
+            trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
+            doubts.note(step, trial is not None and leaves_much(point, step, length, trial.point))
+            shortened = shortened + 1 if trial is None or length < step.longest else 0
+            damping = damped(damping, step, length, shortened) if trial is not None else 0.0
+        if trial is None:
+            convex = step is None or shift.value == 0.0 or is_minimum(search, iterate, tolerance)
+            if step is None:
+                return "rank-deficient", iterate, iteration
+            if not convex and is_nearly_stationary(point):
+                return "saddle point", iterate, iteration
+            if is_rounding(grid, point):
+                return "solved", iterate, iteration  # rounding has the last word
+            filtered.add(point.violation, merit(iterate))
+            status, trial = restored(search, iterate, 0.9, filtered, log)
+            if status != "restored":
+                return status, trial if status == "infeasible" else iterate, iteration
+            trial = with_multipliers(search, trial)
+        iterate = trial
+    return "iteration limit", iterate, max_iterations
+
+
+def is_minimum(search, iterate, tolerance):
+    """Whether a stationary point is a minimum to second order, with the barrier to stand for bounds.
+
+    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
+    """
+    unknowns, shift = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, shift, FLAT)
+    return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
+
+
+def is_boundless(iterate, first_cost):
+    """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
+    return iterate.point.residual <= 1e-6 and iterate.point.cost < -BOTTOMLESS * max(1.0, first_cost)
+
+
+def restored(search, iterate, reduction, filtered, log):
+    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough.
+
+    The iterate has no multipliers.
+    """
+    status, found = restore(search, iterate, reduction, filtered, log.is_late)
+    return status, found
 
 
 # Momenta of a discrete motion by the forced discrete Legendre transforms.
 
 
 def discrete_momenta(grid, unknowns):
-    """Momenta (bodies, N + 1, n): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
+    """Momenta (BODIES, N + 1, m): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
 
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
@@ -2038,7 +2481,7 @@ def discrete_momenta(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def interval_momenta(unknowns, steps, h, parameters, momenta):
-    """Fill `momenta` from the gradient of every interval's l."""
+    """Fill `momenta` (BODIES, N + 1, EQUATIONS.size) from the gradient of every interval's l at `unknowns` (n,)."""
     part = zero_vector(ELEMENT + SHARED)
     for body in range(BODIES):
         read_shared(unknowns, body, parameters)
@@ -2051,7 +2494,7 @@ def interval_momenta(unknowns, steps, h, parameters, momenta):
             momenta[body, steps, i] = part[STRIDE + EQUATIONS[i]]
 
 
-# Whether a number that was given can be a count of something.
+# Whether numbers that were given can be counts, and a duration.
 
 
 def checked_count(name, number):
@@ -2063,6 +2506,14 @@ def checked_count(name, number):
     if not is_count:
         raise ValueError(f"{name} is {number!r}, expected a positive integer")
     return int(number)
+
+
+def checked_times(steps, duration):
+    """The number of steps and the duration of all; ValueError when they are not positive, or not finite."""
+    steps = checked_count("steps", steps)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    return steps, float(duration)
 
 
 # Whether a number that was given can be a tolerance.
@@ -2085,10 +2536,8 @@ NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
 
 def checked_grid(steps, duration, parameters):
-    """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
-    steps = checked_count("steps", steps)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    """A Grid; `parameters` are numbers, or arrays (BODIES,). ValueError for what is not finite or not positive."""
+    steps, duration = checked_times(steps, duration)
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
@@ -2100,7 +2549,7 @@ def checked_grid(steps, duration, parameters):
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+    return Grid(steps, duration / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
 
 
 def plain_grid(grid):
@@ -2119,7 +2568,7 @@ def replace_values(boundary, where, values):
 
 
 def views(grid, unknowns):
-    """Views of a vector of unknowns: nodes (bodies, N + 1, NODE), what lies on intervals (bodies, N, STRIDE - NODE)."""
+    """Views of `unknowns` (n,): nodes (BODIES, N + 1, NODE), what lies on intervals (BODIES, N, STRIDE - NODE)."""
     item, chain = unknowns.itemsize, grid.steps * STRIDE + NODE
     nodes = np.ndarray((BODIES, grid.steps + 1, NODE), float, unknowns, 0, (chain * item, STRIDE * item, item))
     shape = BODIES, grid.steps, STRIDE - NODE
@@ -2128,7 +2577,7 @@ def views(grid, unknowns):
 
 
 def side_by_side(values):
-    """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
+    """Values (BODIES, times, m) as (times, BODIES m): the columns of several bodies side by side."""
     return values[0].copy()
 
 
@@ -2147,7 +2596,7 @@ def print_log(rows):
 
 
 def lacking_unknowns(intervals):
-    """Which unknowns each of P N intervals does not have: (P N, STRIDE - NODE)."""
+    """Which unknowns each of the `intervals` of all phases does not have: (intervals, STRIDE - NODE)."""
     steps = intervals // PHASES
     lacking = np.repeat(PHASE_LACKS, steps, axis=0)
     lacking[steps::steps] = SWITCH_LACKS
@@ -2155,13 +2604,13 @@ def lacking_unknowns(intervals):
 
 
 def node_times(grid, unknowns):
-    """Times of all nodes, equidistant in every phase."""
+    """Times (N + 1,) of all nodes, equidistant in every phase."""
     switches = np.concatenate([[0.0], np.cumsum(phase_durations(grid, unknowns))])
     return np.interp(np.arange(grid.steps + 1) / (grid.steps // PHASES), np.arange(PHASES + 1), switches)
 
 
 def interval_times(grid, unknowns):
-    """Times of the middles of all intervals."""
+    """Times (N,) of the middles of all intervals."""
     t = node_times(grid, unknowns)
     return 0.5 * (t[:-1] + t[1:])
 
@@ -2170,7 +2619,7 @@ def interval_times(grid, unknowns):
 
 
 class Layout(NamedTuple):
-    """Masks of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+    """Masks (n,) of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
 
     is_multiplier: np.ndarray
     is_free: np.ndarray
@@ -2203,7 +2652,7 @@ def layout(steps):
 
 
 def free_unknowns(grid):
-    """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
+    """Boolean mask (n,) of the unknowns that no boundary condition fixes and that mean something."""
     return layout(grid.steps).is_free
 
 
@@ -3076,12 +3525,12 @@ def in_units(grid, point):
 
 
 class Solution(NamedTuple):
-    """What `solve` returns; arrays run over the N + 1 nodes, or over the N intervals where it is said.
+    """What `solve` returns; `t` is (N + 1,), others have a row for each of the N + 1 nodes, or of the N intervals.
 
     Where the status is "solved", `cost` is corrected by what residuals are worth. `residual` is the max-norm of all
-    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution; `u` holds
-    controls (on intervals), `unknowns` is the vector that `guess` takes. Columns of several bodies stand side by
-    side.
+    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution. `q`, `p` and
+    `multipliers` have a column for each coordinate, `u` for each control (on intervals), of several bodies side by
+    side; `unknowns` (n,) is the vector that `guess` takes, `log` has a row for each iterate.
     """
 
     status: str
@@ -3191,19 +3640,19 @@ def make_grid(
 
 
 def duration_of(grid, unknowns):
-    """The length of the time interval."""
+    """The length of the time interval; `unknowns` (n,)."""
     return phase_durations(grid, unknowns).sum()
 
 
 def phase_durations(grid, unknowns):
-    """The lengths of all phases."""
+    """The lengths (PHASES,) of all phases; `unknowns` (n,)."""
     T_1 = unknowns[-2]
     T_2 = unknowns[-1]
     return np.array([T_1, T_2])
 
 
 def initial_guess(grid):
-    """Unknowns to start from: pinned values at the ends, a guess of the motion between them, no multipliers."""
+    """Unknowns (n,) to start from: pinned values at the ends, a guess of the motion between them, no multipliers."""
     unknowns = np.zeros(grid.is_multiplier.size)
     nodes, intervals = views(grid, unknowns)
     own, common = shared_views(unknowns)
@@ -3224,7 +3673,7 @@ def initial_guess(grid):
 
 
 def with_pinned_values(grid, unknowns):
-    """A copy of the unknowns in which those that a boundary condition fixes have their values."""
+    """A copy of `unknowns` (n,) in which those that a boundary condition fixes have their values."""
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
@@ -3234,7 +3683,7 @@ def with_pinned_values(grid, unknowns):
 
 
 def pin_values(grid, unknowns, nodes):
-    """Give the unknowns that a boundary condition fixes their values; `nodes` is a view of the unknowns."""
+    """Give `unknowns` (n,) that a boundary condition fixes their values; `nodes` are their view by `views`."""
     start_x = grid.parameters[:, 4]
     start_y = grid.parameters[:, 5]
     end_x = grid.parameters[:, 8]
@@ -3246,7 +3695,7 @@ def pin_values(grid, unknowns, nodes):
 
 
 def unpack(grid, unknowns):
-    """Times, positions, momenta, controls and multipliers of a vector of unknowns."""
+    """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
     t = node_times(grid, unknowns)
     p = discrete_momenta(grid, unknowns)
@@ -3255,7 +3704,7 @@ def unpack(grid, unknowns):
 
 @njit(error_model="numpy")
 def interval_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share of the Lagrangian, by its phase; returns the discrete cost."""
+    """Gradient (ELEMENT + SHARED,) of an interval's share l of the Lagrangian; returns Cd."""
     if t < 1 - 0.5 * h:
         return phase_1_gradient(unknowns, t, h, parameters, gradient)
     if t < 1 + 0.5 * h:
@@ -3265,7 +3714,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(error_model="numpy")
 def interval_hessian(unknowns, t, h, parameters, hessian):
-    """Hessian (lower triangle, structural nonzeros) of an interval's share, by its phase."""
+    """Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian."""
     if t < 1 - 0.5 * h:
         return phase_1_hessian(unknowns, t, h, parameters, hessian)
     if t < 1 + 0.5 * h:
@@ -3371,7 +3820,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_1476d1ba07cc15c7"
+_IDENTITY = "codegen_bouncing_ball_3141c2dd780774b1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -128,7 +128,7 @@ EQUATIONS = np.arange(2, 4)  # multipliers of the equations of motion in a node
 
 @njit(error_model="numpy")
 def interval_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share l of the optimisation problem's Lagrangian; returns Cd."""
+    """Gradient (ELEMENT + SHARED,) of an interval's share l at `unknowns` (ELEMENT,); returns Cd."""
     x_k = unknowns[0]
     theta_k = unknowns[1]
     lambda_x_k = unknowns[2]
@@ -193,7 +193,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(error_model="numpy")
 def interval_hessian(unknowns, t, h, parameters, hessian):
-    """Hessian (lower triangle, structural nonzeros) of an interval's share l of the Lagrangian."""
+    """Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian."""
     x_k = unknowns[0]
     theta_k = unknowns[1]
     lambda_x_k = unknowns[2]
@@ -284,7 +284,7 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 
 @njit(error_model="numpy")
 def start_gradient(unknowns, t, parameters, gradient):
-    """Add the gradient of the start's own share of the Lagrangian; returns its cost."""
+    """Add the gradient (NODE + SHARED,) of the start's own share, at `unknowns` (NODE,); returns its cost."""
     theta_k = unknowns[1]
     m1 = parameters[0]
     m2 = parameters[1]
@@ -300,7 +300,7 @@ def start_gradient(unknowns, t, parameters, gradient):
 
 @njit(error_model="numpy")
 def end_gradient(unknowns, t, parameters, gradient):
-    """Add the gradient of the end's own share of the Lagrangian; returns its cost."""
+    """Add the gradient (NODE + SHARED,) of the end's own share, at `unknowns` (NODE,); returns its cost."""
     theta_k1 = unknowns[1]
     m1 = parameters[0]
     m2 = parameters[1]
@@ -408,14 +408,15 @@ class Log:
 
 # Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 #
-# Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
-# owns. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other unknowns is
-# the stationarity of the optimum.
+# The n unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N, which are
+# N STRIDE + NODE; then the ROOT ones that no node owns. In docstrings n and N = `steps` are these numbers, P is that of
+# parameters. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other
+# unknowns is the stationarity of the optimum.
 
 
 @njit(error_model="numpy")
 def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
-    """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
+    """Fill the `gradient` (n,) by `unknowns` (n,), zero where they are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
@@ -446,7 +447,7 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
 
 @njit(error_model="numpy", inline="always")
 def add_end(part, first, size, body, gradient):
-    """Add the gradient of one share: `size` unknowns from `first` on, then the shared unknowns of a body."""
+    """Add `part` (size + SHARED,) to `gradient` (n,): to `size` from `first` on, then to the body's shared unknowns."""
     for i in range(size):
         gradient[first + i] += part[i]
 
@@ -456,7 +457,7 @@ def add_end(part, first, size, body, gradient):
 
 @njit(error_model="numpy")
 def measure(gradient, is_multiplier):
-    """Max-norm and sum of the residual of the discrete equations, and max-norm of the stationarity.
+    """Max-norm and sum of the residual of the equations, and max-norm of the stationarity, from `gradient` (n,).
 
     All are infinite when an entry is infinite or NaN.
     """
@@ -478,11 +479,12 @@ def measure(gradient, is_multiplier):
 
 
 class Grid(NamedTuple):
-    """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
+    """N = `steps` intervals of length h, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
-    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
-    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
+    Where there are `sizes` (n,), all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces`
+    (n,) is then `weight` times `sizes`, by which the gradient is multiplied. `bounds`, least and greatest values (n,),
+    if known, are in parts of them too.
     """
 
     steps: int
@@ -496,7 +498,7 @@ class Grid(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+    """Unknowns (n,), gradient (n,) of the Lagrangian there, discrete cost, and norms of residual and stationarity.
 
     `violation` is the sum of all residuals; `error` is the max-norm of all equations of the optimum, and infinite where
     the cost is not finite.
@@ -512,7 +514,7 @@ class Point(NamedTuple):
 
 
 def evaluate(grid, unknowns):
-    """Evaluate cost, gradient and norms at a vector of unknowns."""
+    """Evaluate cost, gradient and norms at `unknowns` (n,)."""
     gradient = np.empty(unknowns.size)
     return Point(
         unknowns,
@@ -533,7 +535,7 @@ def lagrangian(grid, point):
 
 @njit(cache=True, error_model="numpy")
 def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
-    """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
+    """Fill the `gradient` (n,) of the Lagrangian; return what a Point holds beside it."""
     if sizes.size:
         cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
         for i in range(gradient.size):
@@ -577,9 +579,9 @@ IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN
 
 @njit(error_model="numpy")
 def pin_ends(k, steps, diagonal, element):
-    """Add the last node's share of `diagonal`, and pin what is given at the ends.
+    """Add the last node's share of `diagonal` (N STRIDE + NODE,), and pin what is given at the ends.
 
-    The row and column of an unknown that a boundary condition gives are those of the unit matrix.
+    The row and column of `element` (ROWS, WIDTH) for what a boundary condition gives are those of the unit matrix.
     """
     if k == steps - 1:
         for i in range(NODE):
@@ -594,7 +596,7 @@ def pin_ends(k, steps, diagonal, element):
 
 @njit(error_model="numpy")
 def pin(place, element):
-    """Make one row and column of an element matrix that of the unit matrix, and its right-hand side zero."""
+    """Make a row and column of `element` (ROWS, WIDTH) that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
         element[place, i] = 0.0
         element[i, place] = 0.0
@@ -607,7 +609,7 @@ def pin(place, element):
 
 @njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
-    """Pin what is given."""
+    """Pin what is given in the `element` (ROWS, WIDTH) of interval k."""
     pin_ends(k, steps, diagonal, element)
 
 
@@ -643,9 +645,9 @@ BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both k
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 
-    The first `count` rows of `matrix`, `width` columns, are read and overwritten by D U. `upper` (count, width) takes U
-    without its unit diagonal. `order` says which row was eliminated when; `inverse` (count, 2), in that order, is the
-    inverse of the pivots: its diagonal, and what is between a row and the next one.
+    The first `count` rows of `matrix` (.., width) are read and overwritten by D U. `upper` (count, width) takes U
+    without its unit diagonal. `order` (count,) says which row was eliminated when; `inverse` (count, 2), in that order,
+    is the inverse of the pivots: its diagonal, and what is between a row and the next one.
     """
     for c in range(count):
         order[c] = c
@@ -684,7 +686,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row that comes at place c; return whether its pivot is negative."""
+    """Eliminate the row that comes at place c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -707,7 +709,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows that come at places c and c + 1 together; one of two such pivots is negative."""
+    """Eliminate the rows at places c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b
@@ -735,7 +737,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
-    """Subtract a multiple of row p of one matrix from row i of another, or of the same."""
+    """Subtract a multiple of row p of `source` (.., width) from row i of `target` (.., width), another or the same."""
     for j in range(0, width, 4):
         one = target[i, j] - multiple * source[p, j]
         two = target[i, j + 1] - multiple * source[p, j + 1]
@@ -751,7 +753,7 @@ def subtract_row(multiple, source, p, width, target, i):
 def subtract_products(upper, matrix, count, first, rows, width, rest):
     """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
 
-    `rest` has that many rows and is `width` columns wide; afterwards its upper triangle is right.
+    The upper triangle of `rest` (rows, width) is right afterwards; `upper` and `matrix` have `count` rows.
     """
     for i in range(rows):
         for j in range(i // 4 * 4, width, 4):
@@ -772,7 +774,7 @@ def subtract_products(upper, matrix, count, first, rows, width, rest):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_forward(upper, order, count, width, values):
-    """Overwrite the first `count` values by inverse(U') times them; the rest loses its share."""
+    """Overwrite the first `count` of `values` (width,) by inverse(U') times them; the rest loses its share."""
     for c in range(count):
         p = order[c]
         value = values[p]
@@ -787,7 +789,7 @@ def solve_forward(upper, order, count, width, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_pivots(inverse, order, count, values):
-    """Multiply the first `count` values by the inverse of the pivots."""
+    """Multiply the first `count` of `values` by the `inverse` (count, 2) of the pivots, in `order` (count,)."""
     carried = 0.0
     for c in range(count):
         value = values[order[c]]
@@ -799,7 +801,7 @@ def solve_pivots(inverse, order, count, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_backward(upper, order, count, width, values):
-    """Overwrite the first `count` values by the solution with U, in which the rest is known.
+    """Overwrite the first `count` of `values` (width,) by the solution with U, in which the rest is known.
 
     What is known goes to the right-hand sides first, so that only the short sums over the other unknowns have to wait
     for one another.
@@ -827,7 +829,7 @@ def solve_backward(upper, order, count, width, values):
 
 @njit(error_model="numpy", forceinline=True)
 def invert_positive_definite(block, size):
-    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
+    """Invert a symmetric `block` (size, size) in place by Gauss-Jordan; False when it is not positive definite."""
     for k in range(size):
         pivot = block[k, k]
         if not 0.0 < pivot < np.inf:
@@ -873,8 +875,8 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 def scatter(hessian, gradient, k, element, coupling):
     """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
-    There, too, the right-hand side is a column if it is carried along: minus what the body's `gradient`
-    has for those that interval k eliminates.
+    `hessian` (HESSIAN_ROWS.size,), `element` (ROWS, WIDTH), `coupling` (CONDENSED, WIDTH), where the right-hand side,
+    too, is a column if it is carried along: minus what the body's `gradient` has for those that interval k eliminates.
     """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
@@ -886,7 +888,7 @@ def scatter(hessian, gradient, k, element, coupling):
 
 @njit(error_model="numpy", inline="always")
 def subtract_condensed(coupling, inverse, element):
-    """Subtract B' inverse(C) B from the element matrix; B has a column for each of the matrix's."""
+    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH); B, `coupling` (CONDENSED, WIDTH), has its columns."""
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0
@@ -897,7 +899,7 @@ def subtract_condensed(coupling, inverse, element):
 
 @njit(error_model="numpy")
 def condense(gradient, inverses, couplings, steps, right):
-    """Fill a body's right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay; shared unknowns come last."""
+    """Fill a body's `right` (N BLOCK + NODE + SHARED,), -(g - B' inverse(C) g_u); `gradient` (N STRIDE + NODE,)."""
     for i in range(NODE):
         right[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
     for k in range(steps - 1, -1, -1):
@@ -914,7 +916,7 @@ def condense(gradient, inverses, couplings, steps, right):
 
 @njit(error_model="numpy")
 def expand(gradient, inverses, couplings, steps, solved, step):
-    """Fill a body's step with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
+    """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):
         step[steps * STRIDE + i] = solved[steps * BLOCK + i]
@@ -942,7 +944,7 @@ INSIDE, INSIDE_ROWS, INSIDE_COLUMNS = ENTRIES[2]
 
 
 def allocate_condensed(grid):
-    """Room for the inverse of C, and for B, of all intervals; the inverse of interval k has place k + 1."""
+    """`inverses` (BODIES, N + 1, CONDENSED, CONDENSED), k's at k + 1, and `couplings` (BODIES, N, CONDENSED, WIDTH)."""
     return (
         np.zeros((BODIES, grid.steps + 1, CONDENSED, CONDENSED)),
         np.zeros((BODIES, grid.steps, CONDENSED, WIDTH)),
@@ -959,7 +961,8 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k to the element matrix; False when C is not positive definite.
 
-    `diagonal` and `gradient` are those of the body; inverse(C) and B are kept for the recovery.
+    `diagonal` and `gradient` (N STRIDE + NODE,), `inverses` and `couplings` are those of the body, kept for the
+    recovery; `hessian` (HESSIAN_ROWS.size,), `element` (ROWS, WIDTH).
     """
     block = inverses[k + 1]
     scatter(hessian, gradient, k, element, couplings[k])
@@ -1004,10 +1007,11 @@ COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the sha
 def allocate_factors(grid):
     """Room for the factors of all bodies, and for what is condensed.
 
-    A body has BLOCK rows for each block, then LAST rows for its last node and block 0. Three arrays hold the rows of
-    the upper factor, the inverse of the pivots, and the order of elimination. The right-hand side, if it was carried
-    along, is a column of the upper factor, multiplied by the inverse of the pivots already. Places and the inverse of
-    the pivots are zeros, so that solving without factors, as compilation does, stays inside the arrays.
+    A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
+    upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
+    The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
+    pivots already. Places and the inverse of the pivots are zeros, so that solving without factors, as compilation
+    does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
     upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
@@ -1022,8 +1026,10 @@ def eliminate_body(
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
-    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
-    the elimination has stopped.
+    `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
+    the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
+    `allocate_factors`; `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the number of negative
+    pivots, and by how many they are too many: when there are, the elimination has stopped.
     """
     if not prepare_condensed(weight, parts, diagonal, inverses):
         return False, 0, 0
@@ -1069,7 +1075,7 @@ def eliminate_body(
 
 @njit(error_model="numpy", inline="always")
 def add_right_hand_side(slopes, k, steps, element):
-    """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
+    """Subtract `slopes` (N STRIDE + NODE,) by block k, and by the last node, from the column carried along."""
     for i in range(BLOCK):
         element[i, RIGHT] -= slopes[k * STRIDE + i]
     if k == steps - 1:
@@ -1079,9 +1085,10 @@ def add_right_hand_side(slopes, k, steps, element):
 
 @njit(error_model="numpy")
 def fill_parts(sizes, forces, parts):
-    """Fill the sizes of an element's unknowns, the same on all intervals, by which derivatives are multiplied.
+    """Fill the sizes (ELEMENT + SHARED,) of an element's unknowns, by which derivatives are multiplied.
 
-    They include the root of the cost's weight, and are ones where nothing is scaled.
+    The same on all intervals, they include the root of the cost's weight, and are ones where nothing is scaled:
+    `sizes` and `forces` are (n,), or empty.
     """
     for i in range(parts.size):
         parts[i] = 1.0
@@ -1092,7 +1099,7 @@ def fill_parts(sizes, forces, parts):
 
 @njit(error_model="numpy")
 def fill_factors(weight, parts, factors):
-    """Fill what an interval's second derivatives are multiplied by; return whether that makes a difference.
+    """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
 
     It is the sizes of both unknowns, and the weight where both are primal.
     """
@@ -1107,7 +1114,7 @@ def fill_factors(weight, parts, factors):
 
 @njit(error_model="numpy")
 def begin_front(element, rest):
-    """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
+    """Put the first `element` (ROWS, WIDTH) into `rest` (REST, REST_WIDTH), where block 0 has its place."""
     for i in range(BORDER):
         for j in range(ROWS + CARRIED):
             element[SIZE + i, j] = element[FIRST[i], j]
@@ -1122,8 +1129,8 @@ def begin_front(element, rest):
 def move_front(element, rest):
     """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
 
-    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k. Of `rest`, only
-    the upper triangle is in use.
+    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k: `rest` (REST,
+    REST_WIDTH), of which only the upper triangle is in use. `element` is (ROWS, WIDTH).
     """
     for i in range(NODE):
         element[i, i] += rest[i, i]
@@ -1144,7 +1151,7 @@ def move_front(element, rest):
 
 @njit(error_model="numpy")
 def end_front(rest, last):
-    """The rows of the last node and of block 0, both triangles; behind them what is left for the shared unknowns."""
+    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0, both triangles; then what is left for shared."""
     clear(last)
     for i in range(REST):
         last[i, i] = rest[i, i]
@@ -1162,7 +1169,10 @@ def end_front(rest, last):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def forward(upper, inverse, order, steps, right, last):
-    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`."""
+    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`.
+
+    `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `right` (N BLOCK + NODE + SHARED,), `last` (LAST_WIDTH,).
+    """
     front = zero_vector(WIDTH)
     for i in START_PINNED:
         right[i] = 0.0
@@ -1193,7 +1203,7 @@ def forward(upper, inverse, order, steps, right, last):
 def backward(upper, order, steps, carried, last, right):
     """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
 
-    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
+    `right`, as in `forward`, holds what is left of the right-hand side, zeros where that is a column of the factors.
     """
     front, first = zero_vector(WIDTH), steps * BLOCK
     front[RIGHT] = -1.0 if carried else 0.0
@@ -1226,7 +1236,11 @@ def factor(
     unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
     inverses, couplings,
 ):  # fmt: skip
-    """Eliminate all bodies; whether that was possible, and the excess of negative pivots."""
+    """Eliminate all bodies; whether that was possible, and the excess of negative pivots.
+
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P); the factors are those of
+    `allocate_factors`.
+    """
     parts = zero_vector(ELEMENT)
     fill_parts(sizes, forces, parts)
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST, LAST_WIDTH)
@@ -1244,7 +1258,7 @@ def factor(
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def substitute(gradient, carried, steps, upper, inverse, order, inverses, couplings, step):
-    """Solve with the factors, forward, unless elimination has done that, and backward."""
+    """Solve with the factors, forward, unless `carried`: elimination has done that, and backward to `step` (n,)."""
     chain = steps * STRIDE + NODE
     for body in range(BODIES):
         slopes, solution = gradient[body * chain : (body + 1) * chain], step[body * chain : (body + 1) * chain]
@@ -1265,10 +1279,10 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
 
     Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
     elimination stops when there are too many. None means that the matrix is singular, or that a block that is
-    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
-    array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
-    part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
-    Everything is in parts of sizes where the grid has them, so that pivots do not depend on units.
+    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal` (n,),
+    like `unknowns` (n,), is added to the diagonal of the whole matrix. The right-hand side -`gradient` (n,) takes part
+    in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away. Everything is in
+    parts of sizes where the grid has them, so that pivots do not depend on units.
     """
     factors, equations = system
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
@@ -1287,9 +1301,9 @@ def is_factored(excess):
 
 
 def solve_kkt(grid, system, gradient, step, carried=False):
-    """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt gave a number.
+    """Newton step (n,): the solution of KKT matrix . step = -gradient, after `factor_kkt` gave a number.
 
-    That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
+    That number must not have been positive. `carried` says that `factor_kkt` had the same `gradient` (n,).
     """
     substitute(gradient, carried, grid.steps, *system[0], step)
 
@@ -1449,6 +1463,74 @@ def envelope(violation, cost):
     return (1.0 - 1e-5) * violation, cost - 1e-8 * violation
 
 
+# Iterative refinement: what a solution of the KKT system leaves of its right-hand side is solved for again.
+#
+# The elimination pairs the state of a node with the equation of the interval after it, and so runs the dynamics
+# backwards. Where that grows, as dissipative dynamics do over a long time, the factors are those of a matrix that is off
+# by far more than rounding, and a step leaves equations unsolved. Refinement with residuals of the matrix itself makes up
+# for it. Source: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; the measure of the residual
+# is that of Waechter and Biegler (2006), section 3.10.
+
+ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
+LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
+SOLVED_AGAIN = 10  # times at most, as in IPOPT
+
+
+@njit(cache=True, error_model="numpy")
+def multiply_intervals(unknowns, steps, h, parameters, vector, product):
+    """Add to `product` (n,) what the second derivatives of all intervals, at `unknowns` (n,), make of `vector` (n,)."""
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    for body in range(BODIES):
+        for k in range(steps):
+            first = body * (steps * STRIDE + NODE) + k * STRIDE
+            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            for j in range(HESSIAN_ROWS.size):
+                row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
+                product[row] += hessian[j] * vector[column]
+                if row != column:
+                    product[column] += hessian[j] * vector[row]
+
+
+def left_over(grid, unknowns, diagonal, gradient, step):
+    """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
+    product, vector = np.zeros(step.size), step
+    if grid.sizes.size:
+        roots = np.sqrt(grid.sizes * grid.forces)
+        unknowns, vector = unknowns * grid.sizes, roots * step
+    multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
+    others = [end_entries(grid, unknowns)]
+    for rows, columns, values in others:
+        beside = rows != columns
+        np.add.at(product, rows, values * vector[columns])
+        np.add.at(product, columns[beside], (values * vector[rows])[beside])
+    if grid.sizes.size:
+        product *= roots
+    product += diagonal * step + gradient
+    return np.where(free_unknowns(grid), product, 0.0)
+
+
+def refine(grid, unknowns, diagonal, system, gradient, step):
+    """Refine `step` (n,) in place until its residual is small, or falls no more; return whether that was necessary.
+
+    The system is still factored, and the matrix as `factor_kkt` says.
+    """
+    correction, right = np.empty_like(step), np.abs(gradient).max(initial=0.0)
+    left = left_over(grid, unknowns, diagonal, gradient, step)
+    size = np.abs(left).max(initial=0.0)
+    for refinement in range(SOLVED_AGAIN):
+        scale = right + min(np.abs(step).max(initial=0.0), LARGE_STEP * right)
+        if not ACCURATE * scale < size < np.inf:
+            return refinement > 0
+        solve_kkt(grid, system, left, correction)
+        better = step + correction
+        left, before = left_over(grid, unknowns, diagonal, gradient, better), size
+        size = np.abs(left).max(initial=0.0)
+        if not size < before:
+            break
+        step[:] = better
+    return True
+
+
 # The logarithmic barrier of bounds on unknowns: distances to the bounds, their duals, and what Newton's method needs.
 #
 # Every finite bound is one entry of flat arrays: `place` of its unknown x, its `value` b, and `side` s, which is 1 for a
@@ -1584,186 +1666,38 @@ def move_duals(duals, dual_step, length, distance, mu, result):
         result[j] = max(min(duals[j] + length * dual_step[j], 1e10 * centre), 1e-10 * centre)
 
 
-# Feasibility restoration: lower the violation of the equations when the line search finds no way on.
-#
-# Minimises half the sum of squares of the residuals c inside the bounds, by Levenberg and Marquardt's method with a
-# barrier: with A the Jacobian of the equations and the bounds' duals as in `barrier`, the step d solves
-# (A'A + damping + z/d) d = -(A'c - nu s / d), which is the KKT matrix without cost, with -1 on the multipliers' diagonal.
-# Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3, for the purpose.
-
-RESTORATION_STEPS = 200
-FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
-
-
-def restore(search, iterate, reduction, is_acceptable, is_late):
-    """("restored", unknowns, distances) that the filter accepts, or (what went wrong, and the last ones).
-
-    When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up.
-    """
-    grid, bounds, *_ = search
-    unknowns, distance = np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), iterate.distance
-    logarithms, point = iterate.logarithms, evaluate(grid, unknowns)
-    first, nu, damping = point.violation, max(1e-12, 1e-2 * iterate.point.residual**2), 0.0
-    duals = np.minimum(nu / distance, 1e3)
-    for _ in range(RESTORATION_STEPS):
-        if is_late():
-            return "time limit", point.unknowns, distance
-        pull = attraction(grid, point)
-        damping = damping or first_damping(grid, point, pull)
-        error = restoration_error(grid, bounds, pull, distance, duals)
-        if error <= 1e-8 * point.residual:
-            return "infeasible", point.unknowns, distance
-        while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
-            nu = max(1e-14, min(0.2 * nu, nu**1.5))
-        taken = damped_step(search, point, pull, distance, logarithms, duals, nu, damping)
-        if taken is None:
-            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), point.unknowns, distance
-        (point, distance, logarithms), duals, damping = taken
-        if point.violation <= reduction * first and is_acceptable(point, logarithms):
-            return "restored", point.unknowns, distance
-    return "stalled", point.unknowns, distance
-
-
-def attraction(grid, point):
-    """A' c, the gradient of half the squared residuals by primal unknowns, by the linearity of the Lagrangian."""
-    with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
-    pull = evaluate(grid, with_residuals).gradient - point.gradient
-    return np.where(grid.is_multiplier, 0.0, pull)
-
-
-def first_damping(grid, point, pull):
-    """Enough to keep the first step short where residuals hardly change, whatever the units.
-
-    Without it the step would go far along directions that are hardly determined, away from the iterate for which the
-    cost was lowered.
-    """
-    squares = 2.0 * sum_of_squares(grid, point)
-    return max(1e-12, FIRST_DAMPING * (pull @ pull) / squares) if squares > 0.0 else 1e-4
-
-
-def restoration_error(grid, bounds, pull, distance, duals):
-    """Error of the optimality conditions of the least violation."""
-    stationary = pull.copy()
-    np.subtract.at(stationary, bounds.place, bounds.side * duals)
-    return max(np.abs(stationary).max(), np.max(duals * distance, initial=0.0))
-
-
-def damped_step(search, point, pull, distance, logarithms, duals, nu, damping):
-    """((point, distance, logarithms), duals, damping) after a step that lowers the sum of squares, or None."""
-    grid, bounds, system, equations, _ = search
-    size = point.unknowns.size
-    diagonal, step, slopes = np.empty(size), np.empty(size), np.empty(size)
-    dual_step, new_duals = np.empty_like(duals), np.empty_like(duals)
-    barrier = grid.is_multiplier, bounds.place, bounds.side, distance, duals, nu
-    merit = sum_of_squares(grid, point) - nu * logarithms
-    while damping < 1e12:
-        add_barrier(pull, *barrier, damping, 0.0, slopes, diagonal)
-        diagonal[equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
-        right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if factor_kkt(grid, point.unknowns, 0.0, diagonal, system, right) is not None:
-            solve_kkt(grid, system, right, step, carried=True)
-            step[grid.is_multiplier] = 0.0
-            _, length, dual_length = measure_step(point.unknowns, slopes, step, *barrier, 0.99, dual_step)
-            unknowns, new_distance = np.empty(size), np.empty_like(distance)
-            new_logarithms = move(point.unknowns, step, length, *bounds[::2], distance, unknowns, new_distance)
-            trial = evaluate(grid, unknowns)
-            lowered = sum_of_squares(grid, trial) - nu * new_logarithms
-            if trial.error < np.inf and lowered <= merit + 1e-4 * length * min(0.0, slopes @ step):
-                move_duals(duals, dual_step, dual_length, new_distance, nu, new_duals)
-                return (trial, new_distance, new_logarithms), new_duals, max(damping / 5.0, 1e-12)
-        damping = max(8.0 * damping, 1e-8)
-    return None
-
-
-def sum_of_squares(grid, point):
-    """Half the sum of the squares of all residuals."""
-    residual = point.gradient[grid.is_multiplier]
-    return 0.5 * (residual @ residual)
-
-
-# Iterative refinement: what a solution of the KKT system leaves of its right-hand side is solved for again.
-#
-# The elimination pairs the state of a node with the equation of the interval after it, and so runs the dynamics
-# backwards. Where that grows, as dissipative dynamics do over a long time, the factors are those of a matrix that is off
-# by far more than rounding, and a step leaves equations unsolved. Refinement with residuals of the matrix itself makes up
-# for it. Source: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; the measure of the residual
-# is that of Waechter and Biegler (2006), section 3.10.
-
-ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
-LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
-SOLVED_AGAIN = 10  # times at most, as in IPOPT
-
-
-@njit(cache=True, error_model="numpy")
-def multiply_intervals(unknowns, steps, h, parameters, vector, product):
-    """Add to `product` what the second derivatives of all intervals make of a vector."""
-    hessian = zero_vector(HESSIAN_ROWS.size)
-    for body in range(BODIES):
-        for k in range(steps):
-            first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
-            for j in range(HESSIAN_ROWS.size):
-                row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
-                product[row] += hessian[j] * vector[column]
-                if row != column:
-                    product[column] += hessian[j] * vector[row]
-
-
-def left_over(grid, unknowns, diagonal, gradient, step):
-    """KKT matrix . step + gradient, which is zero for an exact step; the matrix is as `factor_kkt` says."""
-    product, vector = np.zeros(step.size), step
-    if grid.sizes.size:
-        roots = np.sqrt(grid.sizes * grid.forces)
-        unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
-    others = [end_entries(grid, unknowns)]
-    for rows, columns, values in others:
-        beside = rows != columns
-        np.add.at(product, rows, values * vector[columns])
-        np.add.at(product, columns[beside], (values * vector[rows])[beside])
-    if grid.sizes.size:
-        product *= roots
-    product += diagonal * step + gradient
-    return np.where(free_unknowns(grid), product, 0.0)
-
-
-def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine a solution in place until its residual is small, or falls no more; return whether that was necessary.
-
-    The system is still factored, and the matrix as `factor_kkt` says.
-    """
-    correction, right = np.empty_like(step), np.abs(gradient).max(initial=0.0)
-    left = left_over(grid, unknowns, diagonal, gradient, step)
-    size = np.abs(left).max(initial=0.0)
-    for refinement in range(SOLVED_AGAIN):
-        scale = right + min(np.abs(step).max(initial=0.0), LARGE_STEP * right)
-        if not ACCURATE * scale < size < np.inf:
-            return refinement > 0
-        solve_kkt(grid, system, left, correction)
-        better = step + correction
-        left, before = left_over(grid, unknowns, diagonal, gradient, better), size
-        size = np.abs(left).max(initial=0.0)
-        if not size < before:
-            break
-        step[:] = better
-    return True
-
-
-# Iterates of the interior point method: how they begin, are measured, and follow each other by Newton's steps.
+# Iterates where unknowns have bounds: how they begin, are measured, and follow each other by steps of the barrier.
 #
 # Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
 # large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
-CORRECTIONS = 4  # second-order corrections that are tried at one iterate
-SHORT = 0.25  # part of a step that is left when it counts as much too long
-SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
-LEAST_DAMPING = 1e-5
-UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
-FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
+
+class Attempt(NamedTuple):
+    """How a search begins: first weight of the barrier, how far inside their bounds unknowns are, and how nearby.
+
+    `nearby` is the part of the guess's violation that may be left before the search begins. Steps below the shortest
+    make way for restoration; the violation may grow by the factor `funnel`. The guess is bent by a part of its size.
+    """
+
+    weight: float
+    push: float
+    nearby: float
+    shortest: float
+    funnel: float
+    bend: float = 0.0
+
+
+FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
+WARM = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)  # its duals begin on the central path; far from a solution ones are better
+OTHERS = (
+    Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
+    Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
+    Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
+)
 
 
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system, places of multipliers.
+    """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
 
     `box` holds the least and the greatest values of all unknowns, infinite where there is no bound.
     """
@@ -1775,13 +1709,37 @@ class Search(NamedTuple):
     box: tuple[np.ndarray, np.ndarray]
 
 
+class Measured(NamedTuple):
+    """What is measured of an iterate with the duals of its bounds, as `measure_optimality` says."""
+
+    stationarity: float
+    gap: float
+    lowest: float
+    highest: float
+    mean: float
+    mean_dual: float
+    largest: float
+
+
 class Iterate(NamedTuple):
-    """A point, the distances of its unknowns to their bounds with the sum of their logarithms, and bound duals."""
+    """A point, the barrier's weight mu, and what belongs to the bounds.
+
+    These are the distances of unknowns to them (bounds,), the sum of their logarithms, and the duals (bounds,).
+    """
 
     point: NamedTuple
+    mu: float
     distance: np.ndarray
     logarithms: float
     duals: np.ndarray
+    measured: Measured | None = None
+
+
+class Shift(NamedTuple):
+    """The Hessian's shift at an iterate, and the last one that was not zero."""
+
+    value: float = 0.0
+    last: float = 0.0
 
 
 class Step(NamedTuple):
@@ -1796,8 +1754,183 @@ class Step(NamedTuple):
     slope: float
     longest: float
     dual_length: float
-    shift: float
+    shift: NamedTuple
     refined: bool
+
+
+def search_on(grid):
+    """What stays the same during a solve on a grid."""
+    box = bounds_of(grid)
+    return Search(grid, finite_bounds(*box), allocate_system(grid), multiplier_unknowns(grid), box)
+
+
+def begin(search, unknowns, attempt):
+    """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
+    bounds, mu = search.bounds, attempt.weight
+    unknowns = push_inside(*search.box, unknowns, attempt.push)
+    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(mu) * bounds.magnitude
+    duals = central_duals(mu, distance) if attempt is WARM else np.ones(distance.size)
+    return Iterate(evaluate(search.grid, unknowns), mu, distance, np.log(distance).sum(), duals)
+
+
+def central_duals(mu, distance):
+    """Duals (bounds,) on the central path, or large ones where a bound is closer."""
+    return np.minimum(mu / distance, 1e3)
+
+
+def with_multipliers(search, iterate):
+    """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
+
+    All multipliers of `iterate` are zero.
+    """
+    grid, bounds, system, *_ = search
+    point, step = iterate.point, np.empty_like(iterate.point.unknowns)
+    gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
+    np.subtract.at(gradient, bounds.place, bounds.side * iterate.duals)
+    diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient)):
+        return iterate
+    solve_kkt(grid, system, gradient, step, carried=True)
+    multipliers = np.where(grid.is_multiplier, step, 0.0)
+    if not np.abs(multipliers).max(initial=0.0) <= 1e3:
+        return iterate
+    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers))
+
+
+def measured_iterate(search, iterate):
+    """The iterate with the duals of bounds taking part in its stationarity, and with what is measured."""
+    point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
+    measured = measure_optimality(
+        point.gradient, point.unknowns, is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals
+    )
+    error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
+    # Building the tuples anew takes a third of the time of replacing fields.
+    point = Point(point.unknowns, point.gradient, point.cost, point.residual, point.violation, measured[0], error)
+    return Iterate(point, *iterate[1:5], Measured(*measured))
+
+
+def is_optimal(search, iterate, tolerance, acceptable_will_do):
+    """Whether a measured iterate obeys all optimality conditions."""
+    closed = iterate.measured.highest <= tolerance and is_solved(search.grid, iterate.point, tolerance)
+    return closed or (acceptable_will_do and is_acceptable(search.grid, iterate, tolerance))
+
+
+def is_acceptable(grid, iterate, tolerance):
+    """Whether an iterate is optimal to the tolerance, with complementarities one by one and scaled multipliers (5)."""
+    point, measured = iterate.point, iterate.measured
+    scaled = measured.stationarity / (max(100.0, measured.mean) / 100.0)
+    if measured.highest / (max(100.0, measured.mean_dual) / 100.0) > tolerance:
+        return False
+    return is_solved(grid, point._replace(stationarity=scaled, error=max(point.residual, scaled)), tolerance)
+
+
+def is_closed(search, iterate, tolerance):
+    """Whether the gap is at most one tolerance for every bound, which is as good as rounding allows."""
+    return iterate.measured.gap <= tolerance * search.bounds.place.size
+
+
+def barrier_error(point, measured, mu):
+    """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
+    off_centre = max(measured.highest - mu, mu - measured.lowest)
+    scale, dual_scale = max(100.0, measured.mean) / 100.0, max(100.0, measured.mean_dual) / 100.0
+    return max(measured.stationarity / scale, point.residual, off_centre / dual_scale)
+
+
+def lowered(iterate, least):
+    """The weight for the next step: lower where the barrier problem is solved well enough (7).
+
+    The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
+    hardly active, as on singular arcs.
+    """
+    mu = iterate.mu
+    while mu > least and barrier_error(iterate.point, iterate.measured, mu) <= 10.0 * mu:
+        mu = max(least, min(0.2 * mu, mu**1.5))
+    return mu
+
+
+def tightened(search, iterate, mu):
+    """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
+    bounds, by = search.bounds, relaxation(iterate.mu) - relaxation(mu)
+    iterate = iterate._replace(mu=mu)
+    if by == 0.0:
+        return iterate
+    least = 0.1 * relaxation(mu) * bounds.magnitude
+    distance = iterate.distance - by * bounds.magnitude
+    outside = distance < least
+    if not outside.any():
+        return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
+    unknowns = iterate.point.unknowns.copy()
+    unknowns[bounds.place[outside]] += bounds.side[outside] * (least - distance)[outside]
+    distance[outside] = least[outside]
+    return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
+
+
+def barrier_curvature(search, iterate):
+    """What the barrier adds to the Hessian's diagonal (unknowns,)."""
+    curvature = np.zeros(iterate.point.unknowns.size)
+    np.add.at(curvature, search.bounds.place, iterate.duals / iterate.distance)
+    return curvature
+
+
+def newton_system(search, iterate, gradient, shift, dual_shift):
+    """Right-hand side and diagonal (unknowns,) of Newton's equations (13), given the gradient of the Lagrangian."""
+    bounds, right, diagonal = search.bounds, np.empty(gradient.size), np.empty(gradient.size)
+    barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    add_barrier(gradient, search.grid.is_multiplier, *barrier, shift, dual_shift, right, diagonal)
+    return right, diagonal
+
+
+def shifts_to_try(before):
+    """The shift that is tried first, and the least one after none; `before` is that of the iterate before."""
+    return 0.0, max(1e-20, before.last / 3.0) if before.last > 0.0 else 1e-4
+
+
+def found(before, shift, singular):
+    """The shift that was enough."""
+    return Shift(shift, shift or before.last)
+
+
+def step_along(search, iterate, gradient, primal, shift, refined):
+    """The step with a primal part, a barrier gradient and a shift: its dual part, slope and longest lengths."""
+    bounds, dual = search.bounds, np.empty(iterate.duals.size)
+    barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    measured = measure_step(
+        iterate.point.unknowns, gradient, primal, search.grid.is_multiplier, *barrier, max(0.99, 1.0 - iterate.mu), dual
+    )
+    return Step(primal, dual, gradient, *measured, shift, refined)
+
+
+def merit(iterate):
+    """The barrier function, which a line search lowers (3)."""
+    return iterate.point.cost - iterate.mu * iterate.logarithms
+
+
+def moved(search, iterate, primal, length):
+    """The iterate after a primal step of some length, with the duals where they were."""
+    unknowns, bounds = iterate.point.unknowns, search.bounds
+    trial, distance = np.empty(unknowns.size), np.empty(bounds.place.size)
+    logarithms = move(unknowns, primal, length, bounds.place, bounds.side, iterate.distance, trial, distance)
+    return Iterate(evaluate(search.grid, trial), iterate.mu, distance, logarithms, iterate.duals)
+
+
+def with_duals(trial, step):
+    """A trial iterate with duals after the step's dual part."""
+    duals = np.empty(trial.duals.size)
+    move_duals(trial.duals, step.dual, step.dual_length, trial.distance, trial.mu, duals)
+    return Iterate(*trial[:4], duals)
+
+
+# Newton's steps: the Hessian's shift that makes them lead downhill, and how far to go along them.
+#
+# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
+# large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+
+CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+SHORT = 0.25  # part of a step that is left when it counts as much too long
+SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
+LEAST_DAMPING = 1e-5
+UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
+FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
 class Watch(NamedTuple):
@@ -1829,112 +1962,33 @@ class Doubts:
         self.doubts += leaves_much
 
 
-def begin(search, unknowns, attempt, central=False):
-    """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
-    bounds, mu = search.bounds, attempt.weight
-    unknowns = push_inside(*search.box, unknowns, attempt.push)
-    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(mu) * bounds.magnitude
-    return with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3) if central else None)
+def regularised_step(search, iterate, before, damping, careful):
+    """A Newton step with the least shift of the Hessian, from `damping` on, that makes it one of descent, or None.
 
-
-def with_multipliers(search, unknowns, distance, duals=None):
-    """An iterate at primal unknowns and their distances, with multipliers by least squares, and duals, or ones."""
-    duals = np.ones(distance.size) if duals is None else duals
-    unknowns = guess_multipliers(search, unknowns, duals)
-    return Iterate(evaluate(search.grid, unknowns), distance, np.log(distance).sum(), duals)
-
-
-def guess_multipliers(search, unknowns, duals):
-    """Unknowns whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular."""
-    grid, bounds, system, *_ = search
-    unknowns = np.where(grid.is_multiplier, 0.0, unknowns)
-    gradient = np.where(grid.is_multiplier, 0.0, evaluate(grid, unknowns).gradient)
-    np.subtract.at(gradient, bounds.place, bounds.side * duals)
-    if factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system, gradient) is None:
-        return unknowns
-    step = np.empty_like(unknowns)
-    solve_kkt(grid, system, gradient, step, carried=True)
-    multipliers = np.where(grid.is_multiplier, step, 0.0)
-    return unknowns + multipliers if np.abs(multipliers).max(initial=0.0) <= 1e3 else unknowns
-
-
-def primal_part(grid, unknowns):
-    """Unknowns without their multipliers, which are zero."""
-    return np.where(grid.is_multiplier, 0.0, unknowns)
-
-
-def measured_iterate(search, iterate):
-    """The iterate with the duals of bounds taking part in its stationarity, and what measure_optimality says."""
-    point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
-    measured = measure_optimality(
-        point.gradient, point.unknowns, is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals
-    )
-    error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
-    # Building the tuples anew takes a third of the time of replacing fields.
-    point = Point(point.unknowns, point.gradient, point.cost, point.residual, point.violation, measured[0], error)
-    return Iterate(point, iterate.distance, iterate.logarithms, iterate.duals), measured
-
-
-def is_acceptable(grid, point, measured, tolerance):
-    """Whether a point is optimal to the tolerance, with complementarities one by one and scaled multipliers (5)."""
-    _, _, _, highest, mean, mean_dual, _ = measured
-    scaled = point.stationarity / (max(100.0, mean) / 100.0)
-    if highest / (max(100.0, mean_dual) / 100.0) > tolerance:
-        return False
-    return is_solved(grid, point._replace(stationarity=scaled, error=max(point.residual, scaled)), tolerance)
-
-
-def barrier_error(point, measured, mu):
-    """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
-    stationarity, _, lowest, highest, mean, mean_dual, _ = measured
-    off_centre = max(highest - mu, mu - lowest)
-    scale, dual_scale = max(100.0, mean) / 100.0, max(100.0, mean_dual) / 100.0
-    return max(stationarity / scale, point.residual, off_centre / dual_scale)
-
-
-def tightened(search, iterate, before, mu):
-    """The iterate with its bounds relaxed as it belongs to a lower weight; what is then outside moves inside."""
-    bounds, by = search.bounds, relaxation(before) - relaxation(mu)
-    if by == 0.0:
-        return iterate
-    least = 0.1 * relaxation(mu) * bounds.magnitude
-    distance = iterate.distance - by * bounds.magnitude
-    outside = distance < least
-    if not outside.any():
-        return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
-    unknowns = iterate.point.unknowns.copy()
-    unknowns[bounds.place[outside]] += bounds.side[outside] * (least - distance)[outside]
-    distance[outside] = least[outside]
-    return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
-
-
-def regularised_step(search, iterate, mu, last_shift, damping, careful):
-    """Newton step of the barrier problem, the Hessian shifted until its inertia is right (algorithm IC), or None.
-
-    With `careful`, what the step leaves of the linear system is measured, and solved for again where that is much.
+    This is algorithm IC; `before` is the shift at the last iterate. With `careful`, what the step leaves of the linear
+    system is measured, and solved for again where that is much. There is no step where the system stays singular.
     """
-    grid, bounds, system, *_ = search
-    point, size = iterate.point, iterate.point.unknowns.size
-    diagonal, gradient, primal = np.empty(size), np.empty(size), np.empty(size)
-    dual = np.empty(bounds.place.size)
-    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
-    shift, dual_shift = damping, 0.0
+    grid, system, point = search.grid, search.system, iterate.point
+    primal, singular, dual_shift = np.empty(point.unknowns.size), False, 0.0
+    at_once, least = shifts_to_try(before)
+    shift = max(damping, at_once)
     while shift < 1e20:
-        add_barrier(point.gradient, *barrier, shift, dual_shift, gradient, diagonal)
+        gradient, diagonal = newton_system(search, iterate, point.gradient, shift, dual_shift)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            measured = measure_step(point.unknowns, gradient, primal, *barrier, max(0.99, 1.0 - mu), dual)
-            if abs(measured[0]) < np.inf:
-                return Step(primal, dual, gradient, *measured, shift, refined)
+            step = step_along(search, iterate, gradient, primal, found(before, shift, singular), refined)
+            if abs(step.slope) < np.inf:
+                return step
         elif dual_shift == 0.0 and (excess is None or excess < 0):
-            dual_shift = 1e-8 * mu**0.25  # the equations may be dependent
+            dual_shift, singular = 1e-8, True  # the equations may be dependent
+            dual_shift *= iterate.mu**0.25
             continue
         if shift == 0.0:
-            shift = 1e-4 if last_shift == 0.0 else max(1e-20, last_shift / 3.0)
+            shift = least
         else:
-            shift *= 100.0 if last_shift == 0.0 else 8.0
+            shift *= 100.0 if before.last == 0.0 else 8.0
     return None
 
 
@@ -1949,90 +2003,190 @@ def damped(damping, step, length, shortened):
     A Hessian that is barely positive definite sends steps far beyond where it means something.
     """
     if length <= SHORT * step.longest and shortened >= SHORT_IN_TURN:
-        return 4.0 * max(step.shift, damping, LEAST_DAMPING)
+        return 4.0 * max(step.shift.value, damping, LEAST_DAMPING)
     if length < step.longest:
         return damping
     return damping / 2.0 if damping > LEAST_DAMPING else 0.0
 
 
-def line_search(search, iterate, step, mu, shortest, small_violation, filtered):
+def line_search(search, iterate, step, shortest, small_violation, filtered):
     """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
     length = step.longest
     while length > shortest:
         trial = moved(search, iterate, step.primal, length)
-        if is_better(trial, iterate, step, length, mu, small_violation, filtered):
-            return with_duals(trial, iterate, step, mu), length
-        if length == step.longest and trial[0].violation >= iterate.point.violation:
-            better = corrected(search, iterate, step, mu, trial, small_violation, filtered)
+        if is_better(trial, iterate, step, length, small_violation, filtered):
+            trial = with_duals(trial, step)
+            return trial, length
+        if length == step.longest and trial.point.violation >= iterate.point.violation:
+            better = corrected(search, iterate, step, trial.point, small_violation, filtered)
             if better is not None:
                 return better, length
         length *= 0.5
     return None, length
 
 
-def watched(search, iterate, step, mu, watch, small_violation, filtered):
+def watched(search, iterate, step, watch, small_violation, filtered):
     """(next iterate, length, watch) after a full step that is taken untested, in the hope that one soon is better.
 
     The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
     better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
     """
     trial = moved(search, iterate, step.primal, step.longest)
-    if is_better(trial, watch.iterate, watch.step, watch.step.longest, mu, small_violation, filtered):
-        return with_duals(trial, iterate, step, mu), step.longest, None
-    if watch.left == 1 or not trial[0].error < np.inf:
+    better = is_better(trial, watch.iterate, watch.step, watch.step.longest, small_violation, filtered)
+    if not better and (watch.left == 1 or not trial.point.error < np.inf):
         return watch.iterate, 0.0, None
-    return with_duals(trial, iterate, step, mu), step.longest, watch._replace(left=watch.left - 1)
+    trial = with_duals(trial, step)
+    return trial, step.longest, None if better else watch._replace(left=watch.left - 1)
 
 
-def is_better(trial, iterate, step, length, mu, small_violation, filtered):
+def is_better(trial, iterate, step, length, small_violation, filtered):
     """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
-    point, _, logarithms = trial
-    violation, cost = iterate.point.violation, iterate.point.cost - mu * iterate.logarithms
-    trial_cost = point.cost - mu * logarithms
-    return point.error < np.inf and filtered.accept(
-        violation, cost, point.violation, trial_cost, step.slope, length, small_violation
+    new, old = trial.point, iterate.point
+    return new.error < np.inf and filtered.accept(
+        old.violation, merit(iterate), new.violation, merit(trial), step.slope, length, small_violation
     )
 
 
-def with_duals(trial, iterate, step, mu):
-    """The iterate at a trial point, with duals after the step's dual part."""
-    duals = np.empty(iterate.duals.size)
-    move_duals(iterate.duals, step.dual, step.dual_length, trial[1], mu, duals)
-    return Iterate(*trial, duals)
-
-
-def moved(search, iterate, step, length):
-    """Point, distances and sum of their logarithms after a step of some length."""
-    unknowns, bounds = iterate.point.unknowns, search.bounds
-    trial, distance = np.empty(unknowns.size), np.empty(bounds.place.size)
-    logarithms = move(unknowns, step, length, bounds.place, bounds.side, iterate.distance, trial, distance)
-    return evaluate(search.grid, trial), distance, logarithms
-
-
-def corrected(search, iterate, step, mu, trial, small_violation, filtered):
+def corrected(search, iterate, step, refused, small_violation, filtered):
     """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
 
-    Duals follow the corrected step: those of the step that was refused belong to other distances.
+    `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
+    refused belong to other distances.
     """
-    grid, bounds, system, *_ = search
-    right, correction, dual = step.gradient.copy(), np.empty_like(step.primal), np.empty_like(step.dual)
-    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, mu
-    residual, length, last = iterate.point.gradient[grid.is_multiplier], step.longest, trial[0].violation
+    grid, right, length = search.grid, step.gradient.copy(), step.longest
+    residual = iterate.point.gradient[grid.is_multiplier]
     for _ in range(CORRECTIONS):
-        residual = length * residual + trial[0].gradient[grid.is_multiplier]
+        residual = length * residual + refused.gradient[grid.is_multiplier]
         right[grid.is_multiplier] = residual
-        solve_kkt(grid, system, right, correction)
+        correction = np.empty_like(step.primal)
+        solve_kkt(grid, search.system, right, correction)
         if not np.isfinite(correction).all():
             return None
-        tau = max(0.99, 1.0 - mu)
-        _, length, dual_length = measure_step(iterate.point.unknowns, right, correction, *barrier, tau, dual)
+        better = step_along(search, iterate, right, correction, step.shift, False)
+        length = better.longest
         trial = moved(search, iterate, correction, length)
-        if is_better(trial, iterate, step, step.longest, mu, small_violation, filtered):
-            return with_duals(trial, iterate, step._replace(dual=dual, dual_length=dual_length), mu)
-        if not trial[0].violation < 0.99 * last:
+        if is_better(trial, iterate, step, step.longest, small_violation, filtered):
+            trial = with_duals(trial, better)
+            return trial
+        if not trial.point.violation < 0.99 * refused.violation:
             return None
-        last = trial[0].violation
+        refused = trial.point
     return None
+
+
+# Feasibility restoration: lower the violation of the equations when the line search finds no way on.
+#
+# Minimises half the sum of squares of the residuals c by Levenberg and Marquardt's method, with a barrier where there are
+# bounds: with A the Jacobian of the equations and the bounds' distances r and duals z as in `barrier`, the step d solves
+# (A'A + damping + z/r) d = -(A'c - nu s / r), which is the KKT matrix without cost, with -1 on the multipliers' diagonal.
+# Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3, for the purpose.
+
+RESTORATION_STEPS = 200
+FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+
+
+def restore(search, iterate, reduction, filtered, is_late):
+    """("restored", an iterate that the filter accepts), or (what went wrong, the last iterate); no multipliers.
+
+    When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up. With
+    bounds, the weight and the duals are those of the restoration.
+    """
+    grid, damping = search.grid, 0.0
+    first, current = iterate.point.violation, begun(search, iterate)
+    for _ in range(RESTORATION_STEPS):
+        if is_late():
+            return "time limit", current
+        point = current.point
+        pull = attraction(grid, point)
+        damping = damping or first_damping(grid, point, pull)
+        error = restoration_error(search, current, pull)
+        if error <= 1e-8 * point.residual:
+            return "infeasible", current
+        current = current._replace(mu=lower_weight(current.mu, error))
+        taken = damped_step(search, current, pull, damping)
+        if taken is None:
+            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
+        current, damping = taken
+        if current.point.violation <= reduction * first:
+            accepted = current
+            accepted = current._replace(mu=iterate.mu)
+            if filtered.lets_pass(accepted.point.violation, merit(accepted)):
+                return "restored", accepted
+    return "stalled", current
+
+
+def begun(search, iterate):
+    """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
+    grid = search.grid
+    start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
+    nu = max(1e-12, 1e-2 * iterate.point.residual**2)
+    start = start._replace(mu=nu, duals=central_duals(nu, start.distance))
+    return start
+
+
+def attraction(grid, point):
+    """A' c, the gradient of half the squared residuals by primal unknowns, by the linearity of the Lagrangian."""
+    with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
+    pull = evaluate(grid, with_residuals).gradient - point.gradient
+    return np.where(grid.is_multiplier, 0.0, pull)
+
+
+def first_damping(grid, point, pull):
+    """Enough to keep the first step short where residuals hardly change, whatever the units.
+
+    Without it the step would go far along directions that are hardly determined, away from the iterate for which the
+    cost was lowered.
+    """
+    squares = 2.0 * sum_of_squares(grid, point)
+    return max(1e-12, FIRST_DAMPING * (pull @ pull) / squares) if squares > 0.0 else 1e-4
+
+
+def restoration_error(search, current, pull):
+    """Error of the optimality conditions of the least violation."""
+    stationary, bounds = pull.copy(), search.bounds
+    np.subtract.at(stationary, bounds.place, bounds.side * current.duals)
+    return max(np.abs(stationary).max(), np.max(current.duals * current.distance, initial=0.0))
+
+
+def lower_weight(nu, error):
+    """The weight of the restoration's barrier for the next step."""
+    while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
+        nu = max(1e-14, min(0.2 * nu, nu**1.5))
+    return nu
+
+
+def damped_step(search, current, pull, damping):
+    """(iterate, damping) after a step that lowers the sum of squares, or None."""
+    grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
+    least = restoration_merit(grid, current)
+    while damping < 1e12:
+        slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
+        diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
+        right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
+        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
+            solve_kkt(grid, search.system, right, step, carried=True)
+            step[grid.is_multiplier] = 0.0
+            taken = step_along(search, current, slopes, step, Shift(), False)
+            trial = moved(search, current, step, taken.longest)
+            expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
+            if trial.point.error < np.inf and restoration_merit(grid, trial) <= least + expected:
+                trial = with_duals(trial, taken)
+                return trial, max(damping / 5.0, 1e-12)
+        damping = max(8.0 * damping, 1e-8)
+    return None
+
+
+def restoration_merit(grid, current):
+    """Half the sum of squared residuals, with the restoration's barrier where there are bounds."""
+    value = sum_of_squares(grid, current.point)
+    value -= current.mu * current.logarithms
+    return value
+
+
+def sum_of_squares(grid, point):
+    """Half the sum of the squares of all residuals."""
+    residual = point.gradient[grid.is_multiplier]
+    return 0.5 * (residual @ residual)
 
 
 # The end of an interior point method: bounds, which were relaxed on the way, hold exactly.
@@ -2085,66 +2239,43 @@ def last_step(search, iterate):
     unknowns[bounds.place[close]] += (bounds.side * relaxed)[close]
     distance[close] = iterate.distance[close]
     mu = iterate.duals @ distance / max(1, distance.size)
-    iterate = iterate._replace(point=evaluate(grid, unknowns), distance=distance)
-    step = regularised_step(search, iterate, mu, 0.0, 0.0, True)
-    return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), iterate, step, mu)
+    iterate = iterate._replace(point=evaluate(grid, unknowns), mu=mu, distance=distance)
+    step = regularised_step(search, iterate, Shift(), 0.0, True)
+    return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), step)
 
 
-# Primal-dual interior point method with a filter line search, for problems with bounds on unknowns.
+# Newton's method with a filter line search; where unknowns have bounds, a primal-dual interior point method.
 #
 # Bounds are replaced by a logarithmic barrier whose weight mu tends to zero; for each weight Newton's method solves the
 # optimality conditions, with the inertia of the KKT matrix corrected until the step is one of descent, and a filter
 # decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
 # line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
-LARGEST = 1e20  # unknowns beyond it are taken for infinite
 BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
-NEARBY = 0.1  # part of the guess's violation that is left where a search begins nearby
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+LARGEST = 1e20  # unknowns beyond it are taken for infinite
 LEAST_PART = 0.025  # of the tolerance is the last weight: at a tenth the cost of the crane is off by 2e-9 of it
 PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
-
-
-class Attempt(NamedTuple):
-    """First weight of the barrier, how far inside their bounds unknowns begin, and whether nearer to feasibility.
-
-    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`. The guess is bent
-    by a part of its size.
-    """
-
-    weight: float
-    push: float
-    nearby: bool
-    shortest: float
-    funnel: float
-    bend: float = 0.0
-
-
-WARM, COLD = Attempt(1e-5, 1e-4, False, 1e-12, 1e4), Attempt(0.1, 1e-2, False, 1e-12, 1e4)
-OTHERS = Attempt(0.1, 1e-2, True, 1e-3, 2.0), Attempt(10.0, 1e-2, False, 1e-3, 2.0)
-BENT = Attempt(0.1, 1e-2, False, 1e-12, 1e4, 0.1)  # where equations depend on each other at the guess alone
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    A row (cost, residual, stationarity, Hessian's shift, step length, barrier's weight) is appended to `log` at every
-    iterate. With `warm`, the barrier begins with a small weight and leaves unknowns close to their bounds. Where that
-    fails, the search begins anew: at a point near the guess that violates the equations less, and then with a weight
-    that keeps unknowns away from their bounds for longer, and from a bent guess. If no attempt succeeds, the first one
-    is reported. `max_iterations` is for all of them together; steps of the restoration are not counted.
+    Where the search from the guess fails, it begins anew in other ways; if none succeeds, the end of the first one is
+    reported. With `warm`, the barrier of bounds begins with a small weight and leaves unknowns close to them. A row
+    (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate, and the
+    barrier's weight where there is one. `max_iterations` is for all searches together; steps of the restoration are not
+    counted.
     """
-    lower, upper = bounds_of(grid)
-    bounds, box = finite_bounds(lower, upper), (lower, upper)
-    search = Search(grid, bounds, allocate_system(grid), multiplier_unknowns(grid), box)
-    primal, first, total = np.where(grid.is_multiplier, 0.0, unknowns), None, 0
-    for attempt in (WARM if warm else COLD, *OTHERS, BENT):
-        # Far from a solution duals of one serve better than the central path.
-        iterate = begin(search, bent(grid, primal, attempt.bend), attempt, central=attempt is WARM)
+    search, first, total = search_on(grid), None, 0
+    primal, attempts = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *OTHERS)
+    guess = begin(search, primal, attempts[0])
+    for attempt in attempts:
+        iterate = begin(search, bent(grid, primal, attempt.bend), attempt) if first else guess
         status = "restored"
-        if attempt.nearby and iterate.point.error < np.inf:
-            status, iterate = restored(search, iterate, attempt.weight, NEARBY, Filter(np.inf), log)
+        if attempt.nearby < 1.0 and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
         if status == "restored":
             left = max_iterations - total
             status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
@@ -2190,95 +2321,77 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
 
 def neighbours(search, saddle, attempt, escapes):
     """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
-    unknowns, bounds = saddle.point.unknowns, search.bounds
-    curvature = np.zeros(unknowns.size)
-    np.add.at(curvature, bounds.place, saddle.duals / saddle.distance)
-    for step in steps_aside(search.grid, unknowns, curvature, escapes):
-        yield begin(search, primal_part(search.grid, unknowns + step), attempt)
+    grid, unknowns = search.grid, saddle.point.unknowns
+    curvature = barrier_curvature(search, saddle)
+    for step in steps_aside(grid, unknowns, curvature, escapes):
+        yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
 
 
 def descend(search, iterate, attempt, tolerance, max_iterations, log):
-    """Lower the barrier's weight and follow the minima; return (status, iterate, iterations).
+    """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
 
-    The weight ends at a fortieth of the tolerance, so that each complementarity is far below it, as in (5); by
-    their sum the cost of an optimum is corrected. Where rounding does not allow the tolerance, the optimality
-    conditions are relative to the multipliers.
+    With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
+    tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
+    corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
     """
-    grid, mu = search.grid, attempt.weight
+    grid, iterate = search.grid, with_multipliers(search, iterate)
     first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
-    shift, last_shift, length, damping = 0.0, 0.0, 0.0, 0.0
-    low, shortened, watch, doubts = 0, 0, None, Doubts()
+    shift, length, damping, shortened, watch, doubts = Shift(), 0.0, 0.0, 0, None, Doubts()
+    low = 0  # iterations with the last weight
     for iteration in range(max_iterations + 1):
-        iterate, measured = measured_iterate(search, iterate)
-        point = iterate.point
-        log.append(grid, point, shift, length, mu)
-        sure = iteration > 0 and shift == 0.0
-        status = conclusion(search, iterate, measured, tolerance, first_cost, low > PATIENCE, sure)
-        if not status and log.is_late():
+        iterate = measured_iterate(search, iterate)
+        log.append(grid, iterate.point, shift.value, length, iterate.mu)
+        converged = is_optimal(search, iterate, tolerance, low > PATIENCE)
+        point, status = iterate.point, ""
+        if not point.error < np.inf:
+            status = "non-finite"
+        elif converged:
+            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+            doubtful = iteration == 0 or shift.value > 0.0
+            status = "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
+        elif is_boundless(iterate, first_cost):
+            status = "unbounded"
+        elif log.is_late():
             status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
-        before, mu = mu, lowered(point, measured, mu, LEAST_PART * tolerance)
-        if mu < before:
+        mu = lowered(iterate, LEAST_PART * tolerance)
+        if mu < iterate.mu:
             filtered.empty()
-            iterate, shortened, watch = tightened(search, iterate, before, mu), 0, None
+            iterate, shortened, watch = tightened(search, iterate, mu), 0, None
         low += mu <= LEAST_PART * tolerance
-        trial, step = None, regularised_step(search, iterate, mu, last_shift, damping, doubts.are_enough())
+        trial, step = None, regularised_step(search, iterate, shift, damping, doubts.are_enough())
         if step is not None:
-            shift, last_shift = step.shift, step.shift or last_shift
+            shift = step.shift
             watch = Watch(iterate, step) if shortened == SHORTENED else watch
             if watch is not None:
-                iterate, length, watch = watched(search, iterate, step, mu, watch, small_violation, filtered)
+                iterate, length, watch = watched(search, iterate, step, watch, small_violation, filtered)
                 shortened = 0
                 continue
-            trial, length = line_search(search, iterate, step, mu, attempt.shortest, small_violation, filtered)
+            trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
             doubts.note(step, trial is not None and leaves_much(point, step, length, trial.point))
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
-            convex = step is None or shift == 0.0 or is_minimum(search, iterate, tolerance)
-            if low and convex and is_acceptable(grid, point, measured, tolerance):
+            convex = step is None or shift.value == 0.0 or is_minimum(search, iterate, tolerance)
+            if low and convex and is_acceptable(grid, iterate, tolerance):
                 return "solved", iterate, iteration
             if step is None:
                 return "rank-deficient", iterate, iteration
             if not convex and is_nearly_stationary(point):
                 return "saddle point", iterate, iteration
             if is_rounding(grid, point):
-                # Rounding has the last word; a gap of one tolerance for every bound is then as good as it gets.
-                closed = measured[1] <= tolerance * search.bounds.place.size
-                return ("solved" if closed else "stalled"), iterate, iteration
-            filtered.add(point.violation, point.cost - mu * iterate.logarithms)
-            status, trial = restored(search, iterate, mu, 0.9, filtered, log)
+                if not is_closed(search, iterate, tolerance):
+                    return "stalled", iterate, iteration
+                return "solved", iterate, iteration  # rounding has the last word
+            filtered.add(point.violation, merit(iterate))
+            status, trial = restored(search, iterate, 0.9, filtered, log)
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
+            trial = with_multipliers(search, trial)
         iterate = trial
     return "iteration limit", iterate, max_iterations
-
-
-def conclusion(search, iterate, measured, tolerance, first_cost, acceptable_will_do, sure):
-    """The status with which the descent ends at an iterate, or an empty word where it goes on.
-
-    Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leave room for doubt.
-    """
-    grid, point = search.grid, iterate.point
-    if not point.error < np.inf:
-        return "non-finite"
-    closed = measured[3] <= tolerance and is_solved(grid, point, tolerance)
-    if closed or (acceptable_will_do and is_acceptable(grid, point, measured, tolerance)):
-        return "solved" if sure or is_minimum(search, iterate, tolerance) else "saddle point"
-    return "unbounded" if is_boundless(point, measured[6], first_cost) else ""
-
-
-def lowered(point, measured, mu, least):
-    """The weight for the next step: lower where the barrier problem is solved well enough (7).
-
-    The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
-    hardly active, as on singular arcs.
-    """
-    while mu > least and barrier_error(point, measured, mu) <= 10.0 * mu:
-        mu = max(least, min(0.2 * mu, mu**1.5))
-    return mu
 
 
 def is_minimum(search, iterate, tolerance):
@@ -2286,35 +2399,34 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    grid, bounds, system, *_ = search
-    shift = max(FLAT, 100.0 * tolerance)
-    point, (diagonal, unused) = iterate.point, np.empty((2, iterate.point.unknowns.size))
-    barrier = grid.is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals, 0.0
-    add_barrier(point.gradient, *barrier, shift, FLAT, unused, diagonal)
-    return factor_kkt(grid, point.unknowns, 1.0, diagonal, system) == 0
+    unknowns, shift = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
+    iterate = iterate._replace(mu=0.0)
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, shift, FLAT)
+    return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
 
 
-def is_boundless(point, largest, first_cost):
+def is_boundless(iterate, first_cost):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    return largest > LARGEST or (point.residual <= 1e-6 and point.cost < -BOTTOMLESS * max(1.0, first_cost))
+    if iterate.measured.largest > LARGEST:
+        return True
+    return iterate.point.residual <= 1e-6 and iterate.point.cost < -BOTTOMLESS * max(1.0, first_cost)
 
 
-def restored(search, iterate, mu, reduction, filtered, log):
-    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough."""
+def restored(search, iterate, reduction, filtered, log):
+    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough.
 
-    def lets_pass(point, logarithms):
-        return filtered.lets_pass(point.violation, point.cost - mu * logarithms)
-
-    status, unknowns, distance = restore(search, iterate, reduction, lets_pass, log.is_late)
-    unknowns = primal_part(search.grid, unknowns)
-    return status, with_multipliers(search, unknowns, distance, np.minimum(mu / distance, 1e3))
+    The iterate has no multipliers.
+    """
+    status, found = restore(search, iterate, reduction, filtered, log.is_late)
+    found = found._replace(mu=iterate.mu, duals=central_duals(iterate.mu, found.distance))
+    return status, found
 
 
 # Momenta of a discrete motion by the forced discrete Legendre transforms.
 
 
 def discrete_momenta(grid, unknowns):
-    """Momenta (bodies, N + 1, n): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
+    """Momenta (BODIES, N + 1, m): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
 
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
@@ -2325,7 +2437,7 @@ def discrete_momenta(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def interval_momenta(unknowns, steps, h, parameters, momenta):
-    """Fill `momenta` from the gradient of every interval's l."""
+    """Fill `momenta` (BODIES, N + 1, EQUATIONS.size) from the gradient of every interval's l at `unknowns` (n,)."""
     part = zero_vector(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
@@ -2337,7 +2449,7 @@ def interval_momenta(unknowns, steps, h, parameters, momenta):
             momenta[body, steps, i] = part[STRIDE + EQUATIONS[i]]
 
 
-# Whether a number that was given can be a count of something.
+# Whether numbers that were given can be counts, and a duration.
 
 
 def checked_count(name, number):
@@ -2349,6 +2461,14 @@ def checked_count(name, number):
     if not is_count:
         raise ValueError(f"{name} is {number!r}, expected a positive integer")
     return int(number)
+
+
+def checked_times(steps, duration):
+    """The number of steps and the duration of all; ValueError when they are not positive, or not finite."""
+    steps = checked_count("steps", steps)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    return steps, float(duration)
 
 
 # Whether a number that was given can be a tolerance.
@@ -2371,10 +2491,8 @@ NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
 
 def checked_grid(steps, duration, parameters):
-    """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
-    steps = checked_count("steps", steps)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    """A Grid; `parameters` are numbers, or arrays (BODIES,). ValueError for what is not finite or not positive."""
+    steps, duration = checked_times(steps, duration)
     table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
@@ -2385,7 +2503,7 @@ def checked_grid(steps, duration, parameters):
             finite = finite and all(map(math.isfinite, table[:, i].tolist()))
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+    return Grid(steps, duration / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
 
 
 def plain_grid(grid):
@@ -2404,7 +2522,7 @@ def replace_values(boundary, where, values):
 
 
 def views(grid, unknowns):
-    """Views of a vector of unknowns: nodes (bodies, N + 1, NODE), what lies on intervals (bodies, N, STRIDE - NODE)."""
+    """Views of `unknowns` (n,): nodes (BODIES, N + 1, NODE), what lies on intervals (BODIES, N, STRIDE - NODE)."""
     item, chain = unknowns.itemsize, grid.steps * STRIDE + NODE
     nodes = np.ndarray((BODIES, grid.steps + 1, NODE), float, unknowns, 0, (chain * item, STRIDE * item, item))
     shape = BODIES, grid.steps, STRIDE - NODE
@@ -2413,7 +2531,7 @@ def views(grid, unknowns):
 
 
 def side_by_side(values):
-    """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
+    """Values (BODIES, times, m) as (times, BODIES m): the columns of several bodies side by side."""
     return values[0].copy()
 
 
@@ -2430,7 +2548,7 @@ def print_log(rows):
 
 
 class Layout(NamedTuple):
-    """Masks of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+    """Masks (n,) of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
 
     is_multiplier: np.ndarray
     is_free: np.ndarray
@@ -2458,7 +2576,7 @@ def layout(steps):
 
 
 def free_unknowns(grid):
-    """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
+    """Boolean mask (n,) of the unknowns that no boundary condition fixes and that mean something."""
     return layout(grid.steps).is_free
 
 
@@ -3406,12 +3524,12 @@ def in_units(grid, point):
 
 
 class Solution(NamedTuple):
-    """What `solve` returns; arrays run over the N + 1 nodes, or over the N intervals where it is said.
+    """What `solve` returns; `t` is (N + 1,), others have a row for each of the N + 1 nodes, or of the N intervals.
 
     Where the status is "solved", `cost` is corrected by what residuals are worth. `residual` is the max-norm of all
-    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution; `u` holds
-    controls (on intervals), `unknowns` is the vector that `guess` takes. Columns of several bodies stand side by
-    side.
+    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution. `q`, `p` and
+    `multipliers` have a column for each coordinate, `u` for each control (on intervals), of several bodies side by
+    side; `unknowns` (n,) is the vector that `guess` takes, `log` has a row for each iterate.
     """
 
     status: str
@@ -3543,12 +3661,12 @@ def make_grid(
 
 
 def duration_of(grid, unknowns):
-    """The length of the time interval."""
+    """The length of the time interval; `unknowns` (n,)."""
     return grid.steps * grid.h
 
 
 def initial_guess(grid):
-    """Unknowns to start from: pinned values at the ends, a guess of the motion between them, no multipliers."""
+    """Unknowns (n,) to start from: pinned values at the ends, a guess of the motion between them, no multipliers."""
     start_x = grid.parameters[:, 8, None]
     start_theta = grid.parameters[:, 9, None]
     end_x = grid.parameters[:, 12, None]
@@ -3564,7 +3682,7 @@ def initial_guess(grid):
 
 
 def with_pinned_values(grid, unknowns):
-    """A copy of the unknowns in which those that a boundary condition fixes have their values."""
+    """A copy of `unknowns` (n,) in which those that a boundary condition fixes have their values."""
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
@@ -3574,7 +3692,7 @@ def with_pinned_values(grid, unknowns):
 
 
 def pin_values(grid, unknowns, nodes):
-    """Give the unknowns that a boundary condition fixes their values; `nodes` is a view of the unknowns."""
+    """Give `unknowns` (n,) that a boundary condition fixes their values; `nodes` are their view by `views`."""
     start_x = grid.parameters[:, 8]
     start_theta = grid.parameters[:, 9]
     end_x = grid.parameters[:, 12]
@@ -3586,7 +3704,7 @@ def pin_values(grid, unknowns, nodes):
 
 
 def variable_bounds(grid):
-    """Least and greatest values of all unknowns, infinite where there are none or where a value is given."""
+    """Least and greatest values (n,) of all unknowns, infinite where there are none or where a value is given."""
     u_max = grid.parameters[:, 6, None]
     d_max = grid.parameters[:, 7, None]
     lower = np.full(grid.is_multiplier.size, -np.inf)
@@ -3603,7 +3721,7 @@ def variable_bounds(grid):
 
 
 def unpack(grid, unknowns):
-    """Times, positions, momenta, controls and multipliers of a vector of unknowns."""
+    """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
     t = duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps
     p = discrete_momenta(grid, unknowns)
@@ -3708,7 +3826,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_e9dd42f4507ad99d"
+_IDENTITY = "codegen_cart_pole_e649b21930ec9c3e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

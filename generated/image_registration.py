@@ -93,7 +93,7 @@ GROUP = 64  # particles whose derivatives are gathered together
 
 @njit(cache=True, error_model="numpy")
 def single_values(z):
-    """Scalars of single particles that all their pairs share, shape (n, 1)."""
+    """Scalars of particles at `z`, shape (2, n, d), that all their pairs share, shape (n, 1)."""
     singles = np.empty((z.shape[1], 1))
     for i in range(z.shape[1]):
         singles[i, 0] = accurate_dot((1.0, -z[0, i, 0], -z[0, i, 1]), (1.0, z[0, i, 0], z[0, i, 1]))
@@ -102,7 +102,7 @@ def single_values(z):
 
 @njit(cache=True, error_model="numpy")
 def domain_margin(z):
-    """The least value of what must be positive wherever a particle is."""
+    """The least value of what must be positive wherever a particle of `z`, shape (2, n, d), is."""
     margin = np.inf
     for i in range(z.shape[1]):
         margin = min(margin, accurate_dot((1.0, -z[0, i, 0], -z[0, i, 1]), (1.0, z[0, i, 0], z[0, i, 1])))
@@ -111,7 +111,7 @@ def domain_margin(z):
 
 @njit(cache=True, error_model="numpy")
 def guide(start, target, fraction, place):
-    """Fill `place`, shape (n, d), with where particles may be after a fraction of their way."""
+    """Fill `place`, shape (n, d) as all are, with where particles may be after a part of their way."""
     for i in range(start.shape[0]):
         x_i = start[i, 0]
         y_i = start[i, 1]
@@ -140,7 +140,7 @@ def guide(start, target, fraction, place):
 
 @njit(cache=True, error_model="numpy")
 def hamiltonian(z, own, parameters):
-    """H at a state."""
+    """H at a state `z`, shape (2, n, d), of particles with parameters `own`, shape (n, k)."""
     singles = single_values(z)
     energy = 0.0
     for i in range(z.shape[1]):
@@ -716,14 +716,14 @@ def upper_half(x):
     return shifted - (shifted - x)
 
 
-# LU factorisation with partial pivoting of a small dense matrix.
+# LU factorisation with partial pivoting of a small dense matrix, and solving with its factors.
 #
 # Source: Golub and Van Loan (2013), Matrix computations, algorithm 3.4.1.
 
 
 @njit(cache=True, error_model="numpy")
 def factor_matrix(matrix, pivots):
-    """Factor in place. Return -1, or the first column whose pivot is zero or NaN."""
+    """Factor `matrix` (m, m) in place, fill `pivots` (m,); -1, or the first column whose pivot is zero or NaN."""
     size = matrix.shape[0]
     for i in range(size):
         pivot = i
@@ -746,6 +746,24 @@ def factor_matrix(matrix, pivots):
     return -1
 
 
+@njit(cache=True, error_model="numpy")
+def solve_factored(matrix, pivots, right_hand_side):
+    """Overwrite a right-hand side, shape (n,), by the solution, with the factors that `factor_matrix` left."""
+    size = matrix.shape[0]
+    for i in range(size):
+        pivot = pivots[i]
+        value = right_hand_side[pivot]
+        right_hand_side[pivot] = right_hand_side[i]
+        right_hand_side[i] = value
+    for i in range(1, size):
+        for j in range(i):
+            right_hand_side[i] -= matrix[i, j] * right_hand_side[j]
+    for i in range(size - 1, -1, -1):
+        for j in range(i + 1, size):
+            right_hand_side[i] -= matrix[i, j] * right_hand_side[j]
+        right_hand_side[i] /= matrix[i, i]
+
+
 # Linear algebra of many particles: Cholesky factors, products with symmetric matrices, norms.
 #
 # Inner loops run along rows, so that they are vectorised. Source: Golub and Van Loan (2013), Matrix computations,
@@ -754,7 +772,7 @@ def factor_matrix(matrix, pivots):
 
 @njit(cache=True, error_model="numpy")
 def mirror_lower_triangle(matrix):
-    """Copy what is below the diagonal to above it."""
+    """Copy what is below the diagonal of a matrix, shape (n, n), to above it."""
     for row in range(matrix.shape[0]):
         for column in range(row):
             matrix[column, row] = matrix[row, column]
@@ -762,7 +780,7 @@ def mirror_lower_triangle(matrix):
 
 @njit(cache=True, error_model="numpy")
 def symmetric_product(matrix, vectors, products):
-    """Fill `products`, shape (n, m), with a symmetric matrix times vectors, shape (n, m)."""
+    """Fill `products` with a symmetric matrix, shape (n, n), times vectors, both of shape (n, m)."""
     size, columns = vectors.shape
     for row in range(size):
         for c in range(columns):
@@ -785,7 +803,7 @@ def symmetric_product(matrix, vectors, products):
 
 @njit(cache=True, error_model="numpy")
 def cholesky(matrix):
-    """Replace a symmetric matrix by its factor L', upper triangular, with matrix = L L'; return whether it has one."""
+    """Replace a symmetric matrix, shape (n, n), by the upper factor L' of matrix = L L'; return whether it has one."""
     size = matrix.shape[0]
     for k in range(size):
         if not matrix[k, k] > 0.0:
@@ -820,7 +838,7 @@ def solve_cholesky(factor, vectors):
 
 @njit(cache=True, error_model="numpy")
 def largest(values):
-    """Max-norm of a vector; infinite when an entry is not a number."""
+    """Max-norm of a vector, shape (n,); infinite when an entry is not a number."""
     size = 0.0
     for k in range(values.size):
         if not abs(values[k]) < np.inf:
@@ -841,30 +859,6 @@ def copy_state(source, target):
     return finite
 
 
-# Solving for several right-hand sides at once with the LU factors of a dense matrix.
-
-
-@njit(cache=True, error_model="numpy")
-def solve_columns(matrix, pivots, vectors):
-    """Solve in place for several right-hand sides, shape (n, m), with the factors that `factor_matrix` left."""
-    size, columns = vectors.shape
-    for k in range(size):
-        for c in range(columns):
-            vectors[k, c], vectors[pivots[k], c] = vectors[pivots[k], c], vectors[k, c]
-    for k in range(size):
-        for column in range(k):
-            factor = matrix[k, column]
-            for c in range(columns):
-                vectors[k, c] -= factor * vectors[column, c]
-    for k in range(size - 1, -1, -1):
-        for column in range(k + 1, size):
-            factor = matrix[k, column]
-            for c in range(columns):
-                vectors[k, c] -= factor * vectors[column, c]
-        for c in range(columns):
-            vectors[k, c] /= matrix[k, k]
-
-
 # The linearised field J H'' times directions, from stored second derivatives or, where they are too many, anew.
 #
 # Stored ones are an array of shape (P, 2nd, 2nd), else there is None: numba compiles what is used of both.
@@ -873,7 +867,7 @@ STORED = 3.0e7  # numbers in all matrices of second derivatives up to which they
 
 
 def curvature_at(points, own, parameters):
-    """The second derivatives at all points (P, 2, n, d), or None if they are too many."""
+    """The second derivatives, shape (P, 2nd, 2nd), at all points, shape (P, 2, n, d), or None if they are too many."""
     if float(points.shape[0]) * points[0].size ** 2 > STORED:
         return None
     hessians = np.empty((points.shape[0], points[0].size, points[0].size))
@@ -908,7 +902,7 @@ def linearised_field(hessians, points, k, own, parameters, directions, products)
 
 @njit(cache=True, error_model="numpy")
 def moved(before, step, gradient, after):
-    """Fill `after` with before + step (H_p, -H_q); return the largest change of its entries and their size."""
+    """Fill `after`, shape (2, n, d), with before + step (H_p, -H_q); return the largest change and entry."""
     change, size = 0.0, 0.0
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):
@@ -928,12 +922,14 @@ NON_FINITE = -1  # what `advance` returns when a state is infinite or not a numb
 
 
 @njit(cache=True, error_model="numpy")
-def advance(z, h, own, parameters, points, after, near=0.0):
-    """Fill `points`, shape (POINTS, 2, n, d), and the state `after` a step; return iterations, or why it failed.
+def advance(z, t, h, given, work, after):
+    """Fill the state `after` a step from `z`, both of shape (2, n, d); return iterations, or why it failed.
 
-    Where `points` are those of a step from a nearby state, `near` is the relative accuracy that suffices for implicit
-    substeps, which then begin there; else it is zero.
+    Of `work`, the first, shape (POINTS, 2, n, d), takes the points of the step. Where it holds those of a step from a
+    nearby state, the second is the relative accuracy that suffices for implicit substeps, which then begin there; else
+    it is zero.
     """
+    (parameters, own), (points, near) = given, work
     before, gradient, iterations = np.empty(z.shape), np.empty(z.shape), 0
     copy_state(z, before)
     for s in range(POINTS):
@@ -989,7 +985,7 @@ ROUNDING = 1e-15  # relative change below which nothing is left but rounding
 
 @njit(cache=True, error_model="numpy")
 def between(before, after, a, b, point):
-    """Fill `point` with the place at which a substep evaluates the field."""
+    """Fill `point`, shape (2, n, d) as both ends, with where a substep evaluates the field."""
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):
             point[0, i, k] = before[0, i, k] + a * (after[0, i, k] - before[0, i, k])
@@ -1004,7 +1000,7 @@ def is_settled(change, previous, size, accuracy):
 
 @njit(cache=True, error_model="numpy")
 def implicit_substep(before, step, a, b, own, parameters, near, gradient, point, after):
-    """Solve a substep; return the iterations, or why there is no solution.
+    """Fill `after`, shape (2, n, d), with the end of a substep; return the iterations, or why there is no solution.
 
     Where `point` is near to where the field will be evaluated, `near` is the relative accuracy that suffices, and the
     iteration starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
@@ -1029,10 +1025,10 @@ def implicit_substep(before, step, a, b, own, parameters, near, gradient, point,
 
 @njit(cache=True, error_model="numpy")
 def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
-    """Newton's method from an explicit Euler step."""
+    """The same by Newton's method from an explicit Euler step."""
     size = before.size
     hessian, matrix, pivots = np.empty((size, size)), np.empty((size, size)), np.empty(size, np.int64)
-    wanted, right = np.empty(before.shape), np.empty((size, 1))
+    wanted, right = np.empty(before.shape), np.empty(size)
     ends, goals = after.reshape(size), wanted.reshape(size)
     hamiltonian_gradient(before, own, parameters, gradient)
     moved(before, step, gradient, after)
@@ -1048,13 +1044,13 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
             if factor_matrix(matrix, pivots) >= 0:
                 return NOT_CONVERGED
         for k in range(size):
-            right[k, 0] = goals[k] - ends[k]
-        solve_columns(matrix, pivots, right)
+            right[k] = goals[k] - ends[k]
+        solve_factored(matrix, pivots, right)
         change, scale = 0.0, 0.0
         for k in range(size):
-            ends[k] += right[k, 0]
-            change, scale = max(change, abs(right[k, 0])), max(scale, abs(ends[k]))
-            if not abs(right[k, 0]) < np.inf:
+            ends[k] += right[k]
+            change, scale = max(change, abs(right[k])), max(scale, abs(ends[k]))
+            if not abs(right[k]) < np.inf:
                 return NOT_CONVERGED
         if is_settled(change, previous, scale, ROUNDING):
             between(before, after, a, b, point)
@@ -1066,7 +1062,7 @@ def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
 
 @njit(cache=True, error_model="numpy")
 def substep_matrix(hessian, step, a, b, matrix):
-    """Fill `matrix` with 1 - step J H'' diag(a, b), the derivative of a substep's equations by its end."""
+    """Fill `matrix`, shape (2nd, 2nd), with 1 - step J H'' diag(a, b): the derivative of the equations by the end."""
     size, half = hessian.shape[0], hessian.shape[0] // 2
     for row in range(half):
         for column in range(size):
@@ -1079,7 +1075,7 @@ def substep_matrix(hessian, step, a, b, matrix):
 
 @njit(cache=True, error_model="numpy")
 def implicit_directions(hessians, points, k, step, a, b, own, parameters, before, products, after):
-    """Fill `after` with the derivative of a substep times directions, or return False."""
+    """Fill `after` with the derivative of a substep times the directions `before`, both (2nd, m), or return False."""
     middle, half = np.empty(before.shape), before.shape[0] // 2
     for row in range(before.shape[0]):
         for c in range(before.shape[1]):
@@ -1104,28 +1100,29 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
         previous = change
     if hessians is None:
         return False
-    return direct_directions(hessians[k], step, a, b, before, middle, after)
+    return direct_directions(hessians[k], step, a, b, before, after)
 
 
 @njit(cache=True, error_model="numpy")
-def direct_directions(hessian, step, a, b, before, middle, after):
-    """Solve the linear equations of a substep by elimination."""
+def direct_directions(hessian, step, a, b, before, after):
+    """Solve the linear equations of a substep by elimination; otherwise as `implicit_directions`."""
     size, half = hessian.shape[0], hessian.shape[0] // 2
-    matrix, pivots = np.empty((size, size)), np.empty(size, np.int64)
+    matrix, pivots, middle, right = np.empty((size, size)), np.empty(size, np.int64), np.empty(size), np.empty(size)
     substep_matrix(hessian, step, a, b, matrix)
     if factor_matrix(matrix, pivots) >= 0:
         return False
-    for row in range(size):
-        for c in range(before.shape[1]):
-            middle[row, c] = (1.0 - (a if row < half else b)) * before[row, c]
-    for row in range(half):
-        for c in range(before.shape[1]):
+    for c in range(before.shape[1]):
+        for row in range(size):
+            middle[row] = (1.0 - (a if row < half else b)) * before[row, c]
+        for row in range(half):
             place, momentum = before[row, c], before[half + row, c]
             for column in range(size):
-                place += step * hessian[half + row, column] * middle[column, c]
-                momentum -= step * hessian[row, column] * middle[column, c]
-            after[row, c], after[half + row, c] = place, momentum
-    solve_columns(matrix, pivots, after)
+                place += step * hessian[half + row, column] * middle[column]
+                momentum -= step * hessian[row, column] * middle[column]
+            right[row], right[half + row] = place, momentum
+        solve_factored(matrix, pivots, right)
+        for row in range(size):
+            after[row, c] = right[row]
     return True
 
 
@@ -1142,9 +1139,10 @@ def follow(h, own, parameters, path, points, near=0.0):
     which then begin there; else it is zero.
     Return the iterations of all implicit steps, or a negative number that says why a step failed.
     """
-    iterations = 0
+    given, iterations = (parameters, own), 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], path[k + 1], near)
+        work = points[k * POINTS : (k + 1) * POINTS], near
+        outcome = advance(path[k], k * h, h, given, work, path[k + 1])
         if outcome < 0:
             return outcome
         if not domain_margin(path[k + 1]) > 0.0:
@@ -1155,7 +1153,7 @@ def follow(h, own, parameters, path, points, near=0.0):
 
 @njit(cache=True, error_model="numpy")
 def discrete_cost(h, own, parameters, points):
-    """The sum of 2 h H over the points at which the scheme evaluates it, with the scheme's weights."""
+    """The sum of 2 h H over the points, shape (N POINTS, 2, n, d), with the scheme's weights."""
     cost = 0.0
     for k in range(points.shape[0]):
         cost += 2.0 * h * COST_WEIGHTS[k % POINTS] * hamiltonian(points[k], own, parameters)
@@ -1165,9 +1163,9 @@ def discrete_cost(h, own, parameters, points):
 @njit(cache=True, error_model="numpy")
 def defects(h, own, parameters, path, points, errors):
     """Fill `errors`, shape (N, 2, n, d), with a step from each state minus the next state; return as `follow` does."""
-    after, iterations = np.empty(path[0].shape), 0
+    after, given, iterations = np.empty(path[0].shape), (parameters, own), 0
     for k in range(path.shape[0] - 1):
-        outcome = advance(path[k], h, own, parameters, points[k * POINTS : (k + 1) * POINTS], after, 0.0)
+        outcome = advance(path[k], k * h, h, given, (points[k * POINTS : (k + 1) * POINTS], 0.0), after)
         if outcome < 0:
             return outcome
         for s in range(2):
@@ -1196,7 +1194,7 @@ def cost_and_energies(h, own, parameters, path, points, energy):
 
 @njit(cache=True, error_model="numpy")
 def same_state(one, other):
-    """Whether two states are equal in every number."""
+    """Whether two states, shape (2, n, d), are equal in every number."""
     for s in range(2):
         for i in range(one.shape[1]):
             for a in range(one.shape[2]):
@@ -1244,7 +1242,7 @@ def approximate_inverse(factor, left, right, count, values, change):
 
 @njit(cache=True, error_model="numpy")
 def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, points):
-    """Improve path[0, 1] as long as the residual falls; return how many steps were made.
+    """Improve path[0, 1], shape (n, d), as long as the residual falls; return how many steps were made.
 
     `path` and `points` belong to the best momenta at the end, whose residual the caller has to look at.
     """
@@ -1338,9 +1336,10 @@ def end_residual(state, target, sigma):
 
 @njit(cache=True, error_model="numpy")
 def extend_basis(k, basis, rotated, rotations, remainder):
-    """One step of GMRES: make row k + 1 of `basis` orthonormal to those before, and rotate its coefficients.
+    """One step of GMRES: make row k + 1 of `basis`, shape (m + 1, nd), orthonormal; rotate its coefficients.
 
-    Row k of `rotated` takes them as a column of a triangular matrix; the size of remainder[k + 1] is the residual.
+    Row k of `rotated`, shape (m, m + 1), takes them as a column of a triangular matrix, `rotations`, shape (m, 2),
+    cosine and sine; the size of remainder[k + 1], shape (m + 1,), is the residual.
     Source: Saad (2003), Iterative methods for sparse linear systems, algorithm 6.9 and section 6.5.3.
     """
     new, before = basis[k + 1], 0.0
@@ -1371,7 +1370,7 @@ class Linearised:
     """The derivative of the residual by the initial momenta, about one trajectory or one sequence of states."""
 
     def __init__(self, case, points, factor):
-        """Take the second derivatives at all points; `factor` is that of `preconditioner`."""
+        """Take second derivatives at all points, shape (N POINTS, 2, n, d); `factor` is that of `preconditioner`."""
         self.case, self.points, self.factor, self.count = case, points, factor, 0
         self.hessians = curvature_at(points, case.own, case.parameters)
 
@@ -1396,14 +1395,14 @@ class Linearised:
         return arrival(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
 
     def solved(self, right, forcing):
-        """The change of initial momenta that changes the residual by `right`; NaN where there is none."""
+        """The change of initial momenta that changes the residual by `right`, both (nd,); NaN where there is none."""
         if right.size > DENSE:
             return self.gmres(right, forcing)
-        matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right[:, None].copy()
+        matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right.copy()
         if factor_matrix(matrix, pivots) >= 0:
             return np.full(right.size, np.nan)
-        solve_columns(matrix, pivots, solution)
-        return solution[:, 0]
+        solve_factored(matrix, pivots, solution)
+        return solution
 
     def preconditioned(self, vector):
         """The preconditioner's inverse times a vector, shape (nd,)."""
@@ -1414,7 +1413,7 @@ class Linearised:
         return result.ravel()
 
     def gmres(self, right, forcing):
-        """Solve to a relative residual of `forcing`, as far as BASIS directions go."""
+        """The same to a relative residual of `forcing`, as far as BASIS directions go."""
         most, norm = min(BASIS, right.size), np.linalg.norm(right)
         basis, rotated = np.empty((most + 1, right.size)), np.zeros((most, most + 1))
         rotations, remainder = np.zeros((most, 2)), np.zeros(most + 1)
@@ -1432,7 +1431,7 @@ class Linearised:
 
 
 def preconditioner(case):
-    """The Cholesky factor of duration times H_pp at the start, None if that is not positive definite."""
+    """The Cholesky factor of duration times H_pp at the start, shape (n, n) or (nd, nd); None if it is not definite."""
     size = case.start.shape[0] if BLOCKS == 1 else case.start.size
     matrix = np.empty((size, size))
     momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
@@ -1462,7 +1461,7 @@ def rounding(case, path):
 
 
 def rounding_of_states(case, path, errors):
-    """The same for the defects of all steps, when all states move by a unit in the last place."""
+    """The same for the defects of all steps, shape (N, 2, n, d), when all states move by a unit in the last place."""
     h, noise = case.duration / case.steps, 0.0
     found, points = np.empty_like(errors), np.empty((case.steps * POINTS, *path.shape[1:]))
     for trial in jittered(path):
@@ -1486,8 +1485,8 @@ def first_steps(case, h, factor, path, points):
 def shoot(case, factor, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
-    `factor` is that of `preconditioner`. A row of `log` is (residual, tangents, step length). Return how it ended, the
-    iterations and the last residual.
+    `factor` is that of `preconditioner`. A row of `log`, one for each iteration, is (residual, tangents, step length).
+    Return how it ended, the iterations and the last residual.
     """
     h = case.duration / case.steps
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
@@ -1569,7 +1568,7 @@ def all_states(case, factor, path, points, log):
 
 
 def shift_states(linear, errors, shifts):
-    """Fill shifts[1:] with the linearised trajectory from shifts[0] that removes the defects."""
+    """Fill shifts[1:], (N, 2nd, 1), with the linearised trajectory from shifts[0] that removes defects (N, 2, n, d)."""
     case = linear.case
     h = case.duration / case.steps
     for k, error in enumerate(errors):
@@ -1579,7 +1578,7 @@ def shift_states(linear, errors, shifts):
         shifts[k + 1, :, 0] += error.ravel() if solved else np.nan
 
 
-# Whether a number that was given can be a count of something.
+# Whether numbers that were given can be counts, and a duration.
 
 
 def checked_count(name, number):
@@ -1591,6 +1590,14 @@ def checked_count(name, number):
     if not is_count:
         raise ValueError(f"{name} is {number!r}, expected a positive integer")
     return int(number)
+
+
+def checked_times(steps, duration):
+    """The number of steps and the duration of all; ValueError when they are not positive, or not finite."""
+    steps = checked_count("steps", steps)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    return steps, float(duration)
 
 
 # Whether a number that was given can be a tolerance.
@@ -1625,7 +1632,7 @@ class Case(NamedTuple):
 
 
 def checked_case(start, target, sigma, own, own_names, parameters, steps, duration, tolerance, max_iterations):
-    """A Case; ValueError names the points, or the argument, that are unusable and why."""
+    """A Case, whose fields give the shapes; ValueError names the points, or the argument, that are unusable and why."""
     start, target = np.array(start, dtype=float), np.array(target, dtype=float)
     if start.ndim != 2 or start.shape[1] != DIMENSION or start.shape[0] < 1:
         raise ValueError(f"start has shape {start.shape}, expected (n, {DIMENSION}) with at least one point")
@@ -1644,16 +1651,14 @@ def checked_case(start, target, sigma, own, own_names, parameters, steps, durati
     parameters = np.array(parameters, dtype=float)
     if not np.isfinite(parameters).all():
         raise ValueError(f"parameters must be finite, got {parameters}")
-    steps, max_iterations = checked_count("steps", steps), checked_count("max_iterations", max_iterations)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
-    own = np.ascontiguousarray(own)
+    steps, duration = checked_times(steps, duration)
+    own, max_iterations = np.ascontiguousarray(own), checked_count("max_iterations", max_iterations)
     tolerance = checked_tolerance(tolerance, 1e-6)
-    return Case(start, target, sigma, own, parameters, steps, float(duration), tolerance, max_iterations)
+    return Case(start, target, sigma, own, parameters, steps, duration, tolerance, max_iterations)
 
 
 def require_possible(what, points):
-    """Refuse points that are not finite, outside their domain, or given twice."""
+    """Refuse points, shape (n, d), that are not finite, outside their domain, or given twice."""
     if not np.isfinite(points).all():
         row = int(np.argmin(np.isfinite(points).all(axis=1)))
         raise ValueError(f"{what} of point {row + 1} is {points[row]}, expected finite numbers")
@@ -1721,7 +1726,7 @@ def action_of(case, places):
 
 
 def stiffness(case, inverses):
-    """Pivots and couplings of the block-tridiagonal second derivatives by the places at the nodes 1 ... N."""
+    """Pivots (N, m, m) and couplings (N - 1, m, m) of the block-tridiagonal second derivatives at the nodes 1 ... N."""
     blocks = inverses * (len(inverses) / case.duration)
     size = blocks.shape[1]
     free = np.repeat(case.sigma > 0.0, size // len(case.sigma))
@@ -1751,7 +1756,7 @@ def relaxed(pivots, couplings, forces):
 
 
 def direction(pivots, couplings, memory, gradient):
-    """Where to go from a gradient at the nodes 1 ... N, by the two loops over pairs of (step, change of gradient)."""
+    """Where to go from a gradient, shape (N, n, d), by the two loops over pairs of (step, change of gradient)."""
     forces, weights = -gradient, []
     for step, change in reversed(memory):
         weights.append((step * forces).sum() / (step * change).sum())
@@ -1763,7 +1768,7 @@ def direction(pivots, couplings, memory, gradient):
 
 
 def bent_path(case, count, bend):
-    """Places on the guessed way at count + 1 nodes, in the middle aside by a part of its length, all to one hand."""
+    """Places (count + 1, n, d) on the guessed way, in the middle aside by a part of its length, all to one hand."""
     places, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
     for k in range(count + 1):
         guide(case.start, case.target, k / count, places[k])
@@ -1832,7 +1837,8 @@ def descended(case, count):
 # Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
 # path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
 # once from a guessed path, and with more steps, of which then ever fewer are taken. Only an attempt whose residual is
-# below the tolerance, or below what rounding makes of it, counts as a solution.
+# below the tolerance, or below what rounding makes of it, counts as a solution. All attempts fill `path`, shape
+# (N + 1, 2, n, d), and `points`, shape (N POINTS, 2, n, d), from what is in them, and `log`, see `shoot`.
 
 OUTCOMES = {
     1: "solved",
@@ -1862,7 +1868,7 @@ def momenta_of(start, velocity, own, parameters):
 
 
 def straight_momenta(case, factor, target):
-    """`momenta_of` the velocity of the straight way to a target, from the factor of `preconditioner`."""
+    """`momenta_of` the velocity of the straight way to a target, shape (n, d), from the factor of `preconditioner`."""
     moved = target - case.start
     if factor is None:
         return moved / case.duration
@@ -1871,7 +1877,7 @@ def straight_momenta(case, factor, target):
 
 
 def guessed_path(start, target, steps, duration, own, parameters):
-    """States on the guessed way from start to target, momenta by the discrete Legendre transform H_pp^-1 dq/h."""
+    """States (N + 1, 2, n, d) on the guessed way, with momenta by the discrete Legendre transform H_pp^-1 dq/h."""
     path = np.zeros((steps + 1, 2, *start.shape))
     for k in range(steps + 1):
         guide(start, target, k / steps, path[k, 0])
@@ -1927,14 +1933,14 @@ def by_less_action(case, factor, path, points, log):
 
 
 def penalised(case, cost, end):
-    """Half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points that may miss their targets."""
+    """Half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, shape (n, d), that may miss."""
     free = case.sigma > 0.0
     missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
     return 0.5 * (cost + missed.sum())
 
 
 def misses_by_far(case, end):
-    """Whether some point that may miss its target does so by more than sigma."""
+    """Whether some of the points `end`, shape (n, d), that may miss its target does so by more than sigma."""
     return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
 
 
@@ -1995,7 +2001,7 @@ def by_continuation(case, factor, path, points, log):
 
 
 def room(case, start_momenta=None):
-    """States and points for the steps of a case, with its points at the start and given momenta."""
+    """A `path` and `points` for the steps of a case, with its points at the start and given momenta, shape (n, d)."""
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
     return path, np.zeros((case.steps * POINTS, *path.shape[1:]))
@@ -2112,7 +2118,7 @@ def jacobian(case, momenta):
 
 
 def path_cost(case, path):
-    """The discrete cost of states, shape (N + 1, 2, n, d), each of which is stepped from."""
+    """The discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
     points, errors = np.zeros((case.steps * POINTS, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
     defects(case.duration / case.steps, case.own, case.parameters, path, points, errors)
     return discrete_cost(case.duration / case.steps, case.own, case.parameters, points)
@@ -2127,7 +2133,7 @@ def path_errors(case, path):
 
 
 def path_of(case, unknowns):
-    """The states that belong to inner places and all momenta, in one vector; see `all_equations`."""
+    """The states, shape (N + 1, 2, n, d), that belong to the unknowns of `all_equations`."""
     path, size = np.empty((case.steps + 1, 2, *case.start.shape)), case.start.size
     inner = (case.steps - 1) * size
     path[1:-1, 0] = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
@@ -2138,13 +2144,13 @@ def path_of(case, unknowns):
 
 
 def first_unknowns(case):
-    """Inner places and all momenta on the guessed path."""
+    """Inner places and all momenta on the guessed path, shape (2ndN,)."""
     path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
 
 def all_equations(case, unknowns):
-    """Every step from a state minus the next state, in one vector of length 2ndN.
+    """Every step from a state minus the next state, shape (2ndN,).
 
     Unknowns are the places at inner nodes, then the momenta at all nodes; the last places are target - sigma^2 p_N.
     """
@@ -2152,7 +2158,7 @@ def all_equations(case, unknowns):
 
 
 def all_equations_jacobian(case, unknowns):
-    """The derivative of `all_equations`, a dense matrix of shape (2ndN, 2ndN)."""
+    """The derivative of `all_equations`, shape (2ndN, 2ndN)."""
     path, size, steps = path_of(case, unknowns), case.start.size, case.steps
     points, errors = np.zeros((steps * POINTS, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
     h = case.duration / steps
@@ -2232,7 +2238,7 @@ def solve(
 
 @packed_operations()
 def solve_case(case, guess=None):
-    """Solve what `make_case` made, from initial momenta if they are given; see `solve`."""
+    """Solve what `make_case` made, from the momenta `guess`, shape (n, 2), if they are given; see `solve`."""
     return Solution(*described(case, "stepping", guess))
 
 
@@ -2359,7 +2365,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_8c799a1fe8d899a8"
+_IDENTITY = "codegen_image_registration_6c856b9ff32c1590"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -79,7 +79,7 @@ SUBSTEPS = ((0.5, 0.0, 1.0), (0.5, 1.0, 0.0),)  # fraction of the step, place an
 
 @njit(cache=True, error_model="numpy")
 def hamiltonian(z, own, parameters):
-    """H at a state."""
+    """H at a state `z`, shape (2, n, d), of particles with parameters `own`, shape (n, k)."""
     energy = 0.0
     for i in range(z.shape[1]):
         px_i = z[1, i, 0]
@@ -179,16 +179,15 @@ def packed_operations():
 #
 # z1 = z0 + f h (H_p(p), -H_q(q)) at q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1, with a and b zero or one, not both one.
 
-NON_FINITE = -1  # what `advance` returns when a state is infinite or not a number
-
 
 @njit(cache=True, error_model="numpy")
-def advance(z, h, own, parameters, points, after):
-    """Fill the state `after` a step; return 0, or why it failed.
+def advance(z, t, h, given, work, after):
+    """Fill the state `after` a step from `z`, both of shape (2, n, d); return 0 iterations.
 
     Neighbouring substeps share what has not changed between them: H_q as long as places rest, H_p as long as momenta
     do. `points[0]` keeps H_q and the places to which it belongs, for the step that follows.
     """
+    (parameters, own), points = given, work[0]
     rates, slopes, places = np.empty(z[0].shape), points[0, 0], points[0, 1]
     has_rates, has_slopes = False, True
     for i in range(z.shape[1]):
@@ -215,23 +214,21 @@ def advance(z, h, own, parameters, points, after):
             slope(after, own, parameters, slopes)
             moved(after, 1, -step, slopes)
             has_rates, has_slopes = False, True
-    total = 0.0
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             places[i, k] = after[0, i, k] if has_slopes else np.nan
-            total += abs(after[0, i, k]) + abs(after[1, i, k])
-    return 0 if total < np.inf else NON_FINITE
+    return 0
 
 
 @njit(cache=True, error_model="numpy")
 def moved(z, part, step, rates):
-    """Add step times rates to the places (part 0) or momenta (part 1) of a state."""
+    """Add step times rates, shape (n, d), to the places (part 0) or momenta (part 1) of a state, shape (2, n, d)."""
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             z[part, i, k] += step * rates[i, k]
 
 
-# Whether a number that was given can be a count of something.
+# Whether numbers that were given can be counts, and a duration.
 
 
 def checked_count(name, number):
@@ -245,7 +242,15 @@ def checked_count(name, number):
     return int(number)
 
 
-# Step after step from given places and momenta of particles, and what is measured along the stored states.
+def checked_times(steps, duration):
+    """The number of steps and the duration of all; ValueError when they are not positive, or not finite."""
+    steps = checked_count("steps", steps)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    return steps, float(duration)
+
+
+# The motion of particles: what its steps are given, and what is measured along the stored states.
 
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
@@ -253,124 +258,160 @@ FAILURES = {
 }
 
 
-class Grid(NamedTuple):
-    """N steps of length h, parameters, own parameters of particles, shape (n, k), and the start, shape (2, n, d)."""
-
-    steps: int
-    h: float
-    parameters: np.ndarray
-    own: np.ndarray
-    start: np.ndarray
-
-
-@njit(cache=True, error_model="numpy")
-def follow(start, steps, h, own, parameters, every, path, before):
-    """Make the steps and store every `every`-th state, and the last, in rows of `path`, shape (M, 2, n, d).
-
-    Row i of `before` takes the state one step before that of row i + 1 of `path`. Returns the number of steps made,
-    the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
-    """
-    state, after, points = start.copy(), np.empty(start.shape), np.full((POINTS, *start.shape), np.nan)
-    rows, iterations, wait = 1, 0, every
-    stored(state, path[0])
-    for k in range(steps):
-        outcome = advance(state, h, own, parameters, points, after)
-        if outcome < 0:
-            if wait < every:
-                stored(state, path[rows])
-                rows += 1
-            return k, rows, iterations, outcome
-        iterations += outcome
-        wait -= 1
-        if wait == 0 or k == steps - 1:
-            stored(state, before[rows - 1])
-            stored(after, path[rows])
-            rows += 1
-            wait = every
-        stored(after, state)
-    return steps, rows, iterations, 0
+def settings_for(start, own):
+    """What steps are given beside parameters: own parameters, shape (n, k); ValueError when a shape does not fit."""
+    if start.ndim != 3 or start.shape[0] != 2 or start.shape[2] != DIMENSION:
+        raise ValueError(f"start has shape {start.shape}, expected (2, n, {DIMENSION}): places, then momenta")
+    own = np.array([np.broadcast_to(np.asarray(values, dtype=float), start.shape[1:2]) for values in own])
+    if not np.isfinite(own).all():
+        raise ValueError("own parameters must be finite")
+    return (np.ascontiguousarray(own.reshape(-1, start.shape[1]).T),)
 
 
 @njit(cache=True, error_model="numpy")
-def stored(state, row):
-    """Copy a state."""
-    for s in range(2):
-        for i in range(state.shape[1]):
-            for k in range(state.shape[2]):
-                row[s, i, k] = state[s, i, k]
+def allocate_work(h, given):
+    """The points of a step, shape (POINTS, 2, n, d), of which none is known, and that none is near."""
+    return np.full((POINTS, 2, given[1].shape[0], DIMENSION), np.nan), 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def largest_defect(before, path, h, own, parameters):
-    """Max-norm of a step from each state of `before` minus the next row of `path`."""
-    after, points, largest = np.empty(path[0].shape), np.full((POINTS, *path[0].shape), np.nan), 0.0
-    for row in range(1, path.shape[0]):
-        if advance(before[row - 1], h, own, parameters, points, after) < 0:
+def largest_residual(before, path, rows, steps, h, given, every):
+    """Max-norm of a step from the states in rows of `before` minus rows 1, 2, ... of `path`, of shape (2 n d,)."""
+    state = np.empty((2, given[1].shape[0], DIMENSION))
+    after, work, largest = np.empty(state.shape), allocate_work(h, given), 0.0
+    start, end = state.reshape(-1), after.reshape(-1)
+    for row in range(1, rows):
+        for i in range(start.size):
+            start[i] = before[row - 1, i]
+        if advance(state, 0.0, h, given, work, after) < 0:
             return np.inf
-        for s in range(2):
-            for i in range(after.shape[1]):
-                for k in range(after.shape[2]):
-                    largest = max(largest, abs(after[s, i, k] - path[row, s, i, k]))
+        for i in range(end.size):
+            error = abs(end[i] - path[row, i])
+            if not error < np.inf:
+                return np.inf
+            largest = max(largest, error)
     return largest
 
 
 @njit(cache=True, error_model="numpy")
-def energies(path, own, parameters):
-    """H at every stored state."""
-    values = np.empty(path.shape[0])
-    for row in range(path.shape[0]):
-        values[row] = hamiltonian(path[row], own, parameters)
-    return values
-
-
-def checked_grid(steps, duration, parameters, own, start):
-    """A Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive."""
-    steps = checked_count("steps", steps)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
-    parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)
-    if start.ndim != 3 or start.shape[0] != 2 or start.shape[2] != DIMENSION:
-        raise ValueError(f"start has shape {start.shape}, expected (2, n, {DIMENSION}): places, then momenta")
-    own = np.array([np.broadcast_to(np.asarray(values, dtype=float), start.shape[1:2]) for values in own])
-    own = np.ascontiguousarray(own.reshape(-1, start.shape[1]).T)
-    for name, values in (("parameters", parameters), ("own parameters", own), ("start", start)):
-        if not np.isfinite(values).all():
-            raise ValueError(f"{name} must be finite")
-    return Grid(steps, float(duration) / steps, parameters, own, start)
-
-
-def integrate(grid, every):
-    """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations)."""
-    every = min(checked_count("every", every), grid.steps)
-    path = np.empty((1 - (-grid.steps // every), *grid.start.shape))
-    before = np.empty((path.shape[0] - 1, *grid.start.shape))
-    steps, rows, iterations, outcome = follow(
-        grid.start, grid.steps, grid.h, grid.own, grid.parameters, every, path, before
-    )
-    measured = rows if outcome == 0 else 1 + steps // every
-    residual = largest_defect(before[: measured - 1], path[:measured], grid.h, grid.own, grid.parameters)
-    t = grid.h * np.minimum(every * np.arange(rows), steps)
-    energy = energies(path[:rows], grid.own, grid.parameters)
-    q, p = (path[:rows, part].reshape(rows, -1).copy() for part in (0, 1))
-    if outcome == 0:
-        status, message = "solved", f"all {steps} steps were made"
-    else:
-        status, remedy = FAILURES[outcome]
-        place = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
-        message = f"{status} in {place}: {remedy}"
-    return status, message, steps, t, q, p, energy, residual if steps else np.nan, iterations
-
-
-def path_residual(grid, path):
-    """Max-norm of each step minus the next state along consecutive states, shape (M, 2 n d)."""
-    states = np.ascontiguousarray(path, dtype=float).reshape(-1, *grid.start.shape)
-    return largest_defect(states[:-1], states, grid.h, grid.own, grid.parameters)
+def energies(path, times, given, values):
+    """Fill `values`, shape (M,), with H at the states in the first rows of `path`, of shape (2 n d,)."""
+    parameters, own = given
+    states = path.reshape((path.shape[0], 2, own.shape[0], DIMENSION))
+    for row in range(values.size):
+        values[row] = hamiltonian(states[row], own, parameters)
 
 
 def energy(state, t, parameters, own=None):
     """H at a state, shape (2 n d,), for the default particles unless their own parameters are given."""
     own = make_own() if own is None else own
     return hamiltonian(np.ascontiguousarray(state, dtype=float).reshape(2, -1, DIMENSION), own, parameters)
+
+
+# Step after step from an initial state, and what is reported about the states that are stored.
+#
+# A scheme's `advance(state, t, h, given, work, interval)` fills the end of `interval` with the state after a step, in
+# arrays of `allocate_work(h, given)`; it returns the iterations, or a negative number that says why there is no step.
+# `given` is the same for all steps: parameters, then what else the scheme takes.
+
+
+class Grid(NamedTuple):
+    """N steps of length h, the values of the parameters, the initial state, and what all steps are `given`."""
+
+    steps: int
+    h: float
+    parameters: np.ndarray
+    start: np.ndarray
+    given: tuple[object, ...]
+
+
+def checked_grid(steps, duration, parameters, start, *own):
+    """A Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive."""
+    steps, duration = checked_times(steps, duration)
+    parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)
+    settings = settings_for(start, *own)
+    for name, values in (("parameters", parameters), ("start", start)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} must be finite, got {values}")
+    return Grid(steps, duration / steps, parameters, start, (parameters, *settings))
+
+
+@njit(cache=True, error_model="numpy")
+def follow(start, steps, h, given, every, path, before):
+    """Make the steps and store every `every`-th state, and the last, in the rows of `path`, shape (M, start.size).
+
+    Row i of `before` takes the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written
+    there. Stops at the first step that fails, and then stores the last good state. Returns the number of steps made,
+    the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
+    """
+    state, interval = start.copy(), np.empty(start.shape)
+    now, after, size = state.reshape(-1), interval.reshape(-1), start.size
+    work = allocate_work(h, given)
+    rows, iterations, wait = 1, 0, every
+    for i in range(size):
+        path[0, i] = now[i]
+    for k in range(steps):
+        outcome = advance(state, k * h, h, given, work, interval)
+        total = 0.0
+        for i in range(size):
+            total += abs(after[i])
+        if outcome >= 0 and not total < np.inf:
+            outcome = -1
+        if outcome < 0:
+            if wait < every:
+                for i in range(size):
+                    path[rows, i] = now[i]
+                rows += 1
+            return k, rows, iterations, outcome
+        iterations += outcome
+        wait -= 1
+        is_stored = wait == 0 or k == steps - 1
+        if is_stored and every > 1:
+            for i in range(size):
+                before[rows - 1, i] = now[i]
+        for i in range(size):
+            now[i] = after[i]
+        if is_stored:
+            for i in range(size):
+                path[rows, i] = now[i]
+            rows += 1
+            wait = every
+    return steps, rows, iterations, 0
+
+
+def integrate(grid, every):
+    """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations).
+
+    Shapes are (M,) for M stored states, and (M, n) for q and p, of n numbers each.
+    """
+    every, size = min(checked_count("every", every), grid.steps), grid.start.size
+    path = np.empty((1 - (-grid.steps // every), size))
+    before = path if every == 1 else np.empty((path.shape[0] - 1, size))
+    steps, rows, iterations, outcome = follow(grid.start, grid.steps, grid.h, grid.given, every, path, before)
+    t, energy = grid.h * np.minimum(every * np.arange(rows), steps), np.empty(rows)
+    energies(path, t, grid.given, energy)
+    measured = rows if outcome == 0 else 1 + steps // every
+    residual = largest_residual(before, path, measured, steps, grid.h, grid.given, every)
+    status, message = describe(grid, steps, iterations, outcome)
+    q, p = path[:rows, : size // 2].copy(), path[:rows, size // 2 :].copy()
+    return status, message, steps, t, q, p, energy, residual if steps else np.nan, iterations
+
+
+def describe(grid, steps, iterations, outcome):
+    """Status and one sentence on how the trajectory ended, naming the step that failed and its time."""
+    if outcome == 0:
+        effort = f" with {iterations / steps:.2f} iterations each" if iterations else ""
+        return "solved", f"all {steps} steps were made{effort}"
+    status, remedy = FAILURES[outcome]
+    place = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
+    return status, f"{status} in {place}: {remedy}"
+
+
+def path_residual(grid, path):
+    """The residual along an array of consecutive states, shape (M, 2 n); see `largest_residual`."""
+    path = np.array(path, dtype=float)
+    count = path.shape[0]
+    return largest_residual(path, path, count, count, grid.h, grid.given, 1)
 
 # ---- What is called from outside ----
 
@@ -445,7 +486,7 @@ def make_grid(
     if duration is None:
         duration = 0.2
     own = []
-    return checked_grid(steps, duration, [m, eps, sigma], own, start)
+    return checked_grid(steps, duration, [m, eps, sigma], start, own)
 
 
 @packed_operations()
@@ -574,7 +615,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_lennard_jones_e36ce66291e1a104"
+_IDENTITY = "codegen_lennard_jones_36de3a69825c3caa"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

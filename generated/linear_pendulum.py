@@ -125,7 +125,7 @@ EQUATIONS = np.arange(1, 2)  # multipliers of the equations of motion in a node
 
 @njit(error_model="numpy")
 def interval_gradient(unknowns, t, h, parameters, gradient):
-    """Gradient of an interval's share l of the optimisation problem's Lagrangian; returns Cd."""
+    """Gradient (ELEMENT + SHARED,) of an interval's share l at `unknowns` (ELEMENT,); returns Cd."""
     q_k = unknowns[0]
     lambda_q_k = unknowns[1]
     f_k = unknowns[2]
@@ -150,7 +150,7 @@ def interval_gradient(unknowns, t, h, parameters, gradient):
 
 @njit(error_model="numpy")
 def interval_hessian(unknowns, t, h, parameters, hessian):
-    """Hessian (lower triangle, structural nonzeros) of an interval's share l of the Lagrangian."""
+    """Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian."""
     x0 = 1/h**2
     x1 = h*(x0 - 0.25)
     x2 = 0.5*h
@@ -165,13 +165,13 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
 
 
 def control_hessian(h, parameters, block):
-    """Controls' block of the Hessian (lower triangle), the same on every interval."""
+    """Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on every interval."""
     block[0, 0] = 2*h  # d2l/df_k df_k
 
 
 @njit(error_model="numpy")
 def start_gradient(unknowns, t, parameters, gradient):
-    """Add the gradient of the start's own share of the Lagrangian; returns its cost."""
+    """Add the gradient (NODE + SHARED,) of the start's own share, at `unknowns` (NODE,); returns its cost."""
     start_dq = parameters[1]
     gradient[1] += start_dq  # by lambda_q_k
     return 0
@@ -179,7 +179,7 @@ def start_gradient(unknowns, t, parameters, gradient):
 
 @njit(error_model="numpy")
 def end_gradient(unknowns, t, parameters, gradient):
-    """Add the gradient of the end's own share of the Lagrangian; returns its cost."""
+    """Add the gradient (NODE + SHARED,) of the end's own share, at `unknowns` (NODE,); returns its cost."""
     end_dq = parameters[3]
     gradient[1] += -end_dq  # by lambda_q_k1
     return 0
@@ -276,14 +276,15 @@ class Log:
 
 # Value and gradient of the Lagrangian of the optimisation problem: a sum over bodies, intervals and ends.
 #
-# Unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N; then those that no node
-# owns. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other unknowns is
-# the stationarity of the optimum.
+# The n unknowns lie in one vector: for each body node 0, interval 0, node 1, interval 1, ..., node N, which are
+# N STRIDE + NODE; then the ROOT ones that no node owns. In docstrings n and N = `steps` are these numbers, P is that of
+# parameters. The gradient by the multipliers is the residual of the discrete equations, the gradient by the other
+# unknowns is the stationarity of the optimum.
 
 
 @njit(error_model="numpy")
 def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
-    """Fill the gradient of the Lagrangian, zero where unknowns are pinned, and return the discrete cost."""
+    """Fill the `gradient` (n,) by `unknowns` (n,), zero where they are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
         gradient[i] = 0.0
@@ -314,7 +315,7 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
 
 @njit(error_model="numpy", inline="always")
 def add_end(part, first, size, body, gradient):
-    """Add the gradient of one share: `size` unknowns from `first` on, then the shared unknowns of a body."""
+    """Add `part` (size + SHARED,) to `gradient` (n,): to `size` from `first` on, then to the body's shared unknowns."""
     for i in range(size):
         gradient[first + i] += part[i]
 
@@ -324,7 +325,7 @@ def add_end(part, first, size, body, gradient):
 
 @njit(error_model="numpy")
 def measure(gradient, is_multiplier):
-    """Max-norm and sum of the residual of the discrete equations, and max-norm of the stationarity.
+    """Max-norm and sum of the residual of the equations, and max-norm of the stationarity, from `gradient` (n,).
 
     All are infinite when an entry is infinite or NaN.
     """
@@ -346,11 +347,12 @@ def measure(gradient, is_multiplier):
 
 
 class Grid(NamedTuple):
-    """N intervals of length h, parameters (bodies, P), and which unknowns are multipliers.
+    """N = `steps` intervals of length h, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
-    Where there are `sizes`, all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces` is then
-    `weight` times `sizes`, by which the gradient is multiplied. `bounds`, if known, are in parts of them too.
+    Where there are `sizes` (n,), all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces`
+    (n,) is then `weight` times `sizes`, by which the gradient is multiplied. `bounds`, least and greatest values (n,),
+    if known, are in parts of them too.
     """
 
     steps: int
@@ -364,7 +366,7 @@ class Grid(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Unknowns, gradient of the Lagrangian there, discrete cost, and norms of residual and stationarity.
+    """Unknowns (n,), gradient (n,) of the Lagrangian there, discrete cost, and norms of residual and stationarity.
 
     `violation` is the sum of all residuals; `error` is the max-norm of all equations of the optimum, and infinite where
     the cost is not finite.
@@ -380,7 +382,7 @@ class Point(NamedTuple):
 
 
 def evaluate(grid, unknowns):
-    """Evaluate cost, gradient and norms at a vector of unknowns."""
+    """Evaluate cost, gradient and norms at `unknowns` (n,)."""
     gradient = np.empty(unknowns.size)
     return Point(
         unknowns,
@@ -401,7 +403,7 @@ def lagrangian(grid, point):
 
 @njit(cache=True, error_model="numpy")
 def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
-    """Fill the gradient of the Lagrangian; return what a Point holds beside it."""
+    """Fill the `gradient` (n,) of the Lagrangian; return what a Point holds beside it."""
     cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
     error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
@@ -440,9 +442,9 @@ IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN
 
 @njit(error_model="numpy")
 def pin_ends(k, steps, diagonal, element):
-    """Add the last node's share of `diagonal`, and pin what is given at the ends.
+    """Add the last node's share of `diagonal` (N STRIDE + NODE,), and pin what is given at the ends.
 
-    The row and column of an unknown that a boundary condition gives are those of the unit matrix.
+    The row and column of `element` (ROWS, WIDTH) for what a boundary condition gives are those of the unit matrix.
     """
     if k == steps - 1:
         for i in range(NODE):
@@ -457,7 +459,7 @@ def pin_ends(k, steps, diagonal, element):
 
 @njit(error_model="numpy")
 def pin(place, element):
-    """Make one row and column of an element matrix that of the unit matrix, and its right-hand side zero."""
+    """Make a row and column of `element` (ROWS, WIDTH) that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
         element[place, i] = 0.0
         element[i, place] = 0.0
@@ -470,7 +472,7 @@ def pin(place, element):
 
 @njit(error_model="numpy")
 def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
-    """Pin what is given."""
+    """Pin what is given in the `element` (ROWS, WIDTH) of interval k."""
     pin_ends(k, steps, diagonal, element)
 
 
@@ -501,9 +503,9 @@ BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both k
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 
-    The first `count` rows of `matrix`, `width` columns, are read and overwritten by D U. `upper` (count, width) takes U
-    without its unit diagonal. `order` says which row was eliminated when; `inverse` (count, 2), in that order, is the
-    inverse of the pivots: its diagonal, and what is between a row and the next one.
+    The first `count` rows of `matrix` (.., width) are read and overwritten by D U. `upper` (count, width) takes U
+    without its unit diagonal. `order` (count,) says which row was eliminated when; `inverse` (count, 2), in that order,
+    is the inverse of the pivots: its diagonal, and what is between a row and the next one.
     """
     for c in range(count):
         order[c] = c
@@ -542,7 +544,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row that comes at place c; return whether its pivot is negative."""
+    """Eliminate the row that comes at place c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -565,7 +567,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows that come at places c and c + 1 together; one of two such pivots is negative."""
+    """Eliminate the rows at places c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b
@@ -593,7 +595,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
-    """Subtract a multiple of row p of one matrix from row i of another, or of the same."""
+    """Subtract a multiple of row p of `source` (.., width) from row i of `target` (.., width), another or the same."""
     for j in range(0, width, 4):
         one = target[i, j] - multiple * source[p, j]
         two = target[i, j + 1] - multiple * source[p, j + 1]
@@ -609,7 +611,7 @@ def subtract_row(multiple, source, p, width, target, i):
 def subtract_products(upper, matrix, count, first, rows, width, rest):
     """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
 
-    `rest` has that many rows and is `width` columns wide; afterwards its upper triangle is right.
+    The upper triangle of `rest` (rows, width) is right afterwards; `upper` and `matrix` have `count` rows.
     """
     for i in range(rows):
         for j in range(i // 4 * 4, width, 4):
@@ -630,7 +632,7 @@ def subtract_products(upper, matrix, count, first, rows, width, rest):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_forward(upper, order, count, width, values):
-    """Overwrite the first `count` values by inverse(U') times them; the rest loses its share."""
+    """Overwrite the first `count` of `values` (width,) by inverse(U') times them; the rest loses its share."""
     for c in range(count):
         p = order[c]
         value = values[p]
@@ -645,7 +647,7 @@ def solve_forward(upper, order, count, width, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_pivots(inverse, order, count, values):
-    """Multiply the first `count` values by the inverse of the pivots."""
+    """Multiply the first `count` of `values` by the `inverse` (count, 2) of the pivots, in `order` (count,)."""
     carried = 0.0
     for c in range(count):
         value = values[order[c]]
@@ -657,7 +659,7 @@ def solve_pivots(inverse, order, count, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_backward(upper, order, count, width, values):
-    """Overwrite the first `count` values by the solution with U, in which the rest is known.
+    """Overwrite the first `count` of `values` (width,) by the solution with U, in which the rest is known.
 
     What is known goes to the right-hand sides first, so that only the short sums over the other unknowns have to wait
     for one another.
@@ -685,7 +687,7 @@ def solve_backward(upper, order, count, width, values):
 
 @njit(error_model="numpy", forceinline=True)
 def invert_positive_definite(block, size):
-    """Invert a small symmetric matrix in place by Gauss-Jordan elimination; False when it is not positive definite."""
+    """Invert a symmetric `block` (size, size) in place by Gauss-Jordan; False when it is not positive definite."""
     for k in range(size):
         pivot = block[k, k]
         if not 0.0 < pivot < np.inf:
@@ -731,8 +733,8 @@ TOUCHED = np.unique(COUPLED_COLUMNS)  # unknowns whose rows the elimination chan
 def scatter(hessian, gradient, k, element, coupling):
     """Put second derivatives by unknowns that stay into the element matrix, and the mixed ones into `coupling`.
 
-    There, too, the right-hand side is a column if it is carried along: minus what the body's `gradient`
-    has for those that interval k eliminates.
+    `hessian` (HESSIAN_ROWS.size,), `element` (ROWS, WIDTH), `coupling` (CONDENSED, WIDTH), where the right-hand side,
+    too, is a column if it is carried along: minus what the body's `gradient` has for those that interval k eliminates.
     """
     for j in range(KEPT.size):
         element[KEPT_ROWS[j], KEPT_COLUMNS[j]] = element[KEPT_COLUMNS[j], KEPT_ROWS[j]] = hessian[KEPT[j]]
@@ -744,7 +746,7 @@ def scatter(hessian, gradient, k, element, coupling):
 
 @njit(error_model="numpy", inline="always")
 def subtract_condensed(coupling, inverse, element):
-    """Subtract B' inverse(C) B from the element matrix; B has a column for each of the matrix's."""
+    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH); B, `coupling` (CONDENSED, WIDTH), has its columns."""
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0
@@ -755,7 +757,7 @@ def subtract_condensed(coupling, inverse, element):
 
 @njit(error_model="numpy")
 def condense(gradient, inverses, couplings, steps, right):
-    """Fill a body's right-hand side -(g - B' inverse(C) g_u) of the unknowns that stay; shared unknowns come last."""
+    """Fill a body's `right` (N BLOCK + NODE + SHARED,), -(g - B' inverse(C) g_u); `gradient` (N STRIDE + NODE,)."""
     for i in range(NODE):
         right[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
     for k in range(steps - 1, -1, -1):
@@ -772,7 +774,7 @@ def condense(gradient, inverses, couplings, steps, right):
 
 @njit(error_model="numpy")
 def expand(gradient, inverses, couplings, steps, solved, step):
-    """Fill a body's step with what was solved for and the share -inverse(C) (g_u + B d) of every interval."""
+    """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):
         step[steps * STRIDE + i] = solved[steps * BLOCK + i]
@@ -798,7 +800,7 @@ def expand(gradient, inverses, couplings, steps, solved, step):
 
 
 def allocate_condensed(grid):
-    """For every body the block C, which is filled in, with room for its inverse, and room for B of all intervals."""
+    """`inverses` (BODIES, 2, CONDENSED, CONDENSED) of C and its inverse, `couplings` (BODIES, N, CONDENSED, WIDTH)."""
     inverses, block = np.zeros((BODIES, 2, CONDENSED, CONDENSED)), np.zeros((CONDENSED, CONDENSED))
     control_hessian(grid.h, grid.parameters[0], block)
     for a in range(CONDENSED):
@@ -810,7 +812,7 @@ def allocate_condensed(grid):
 
 @njit(error_model="numpy", inline="always")
 def prepare_condensed(weight, parts, diagonal, inverses):
-    """Invert the controls' block C, scaled, weighted and shifted; False when it is not positive definite."""
+    """Invert the block C of a body, by `parts` (ELEMENT,), `weight` and `diagonal`; False if not positive definite."""
     block, inverse = inverses[0], inverses[1]
     for a in range(CONDENSED):
         for b in range(CONDENSED):
@@ -821,7 +823,7 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
-    """Add K - B' inverse(C) B of interval k to the element matrix, and keep B for the recovery of the controls."""
+    """Add K - B' inverse(C) B of interval k, from `hessian`, to `element` (ROWS, WIDTH); `couplings` keeps B."""
     scatter(hessian, gradient, k, element, couplings[k])
     subtract_condensed(couplings[k], inverses[1], element)
     return True
@@ -854,10 +856,11 @@ COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the sha
 def allocate_factors(grid):
     """Room for the factors of all bodies, and for what is condensed.
 
-    A body has BLOCK rows for each block, then LAST rows for its last node and block 0. Three arrays hold the rows of
-    the upper factor, the inverse of the pivots, and the order of elimination. The right-hand side, if it was carried
-    along, is a column of the upper factor, multiplied by the inverse of the pivots already. Places and the inverse of
-    the pivots are zeros, so that solving without factors, as compilation does, stays inside the arrays.
+    A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
+    upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
+    The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
+    pivots already. Places and the inverse of the pivots are zeros, so that solving without factors, as compilation
+    does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
     upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
@@ -872,8 +875,10 @@ def eliminate_body(
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
-    Returns whether that was possible, the number of negative pivots, and by how many they are too many: when there are,
-    the elimination has stopped.
+    `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
+    the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
+    `allocate_factors`; `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the number of negative
+    pivots, and by how many they are too many: when there are, the elimination has stopped.
     """
     if not prepare_condensed(weight, parts, diagonal, inverses):
         return False, 0, 0
@@ -919,7 +924,7 @@ def eliminate_body(
 
 @njit(error_model="numpy", inline="always")
 def add_right_hand_side(slopes, k, steps, element):
-    """Subtract the gradient by block k, and by the last node, from the column that elimination carries along."""
+    """Subtract `slopes` (N STRIDE + NODE,) by block k, and by the last node, from the column carried along."""
     for i in range(BLOCK):
         element[i, RIGHT] -= slopes[k * STRIDE + i]
     if k == steps - 1:
@@ -929,9 +934,10 @@ def add_right_hand_side(slopes, k, steps, element):
 
 @njit(error_model="numpy")
 def fill_parts(sizes, forces, parts):
-    """Fill the sizes of an element's unknowns, the same on all intervals, by which derivatives are multiplied.
+    """Fill the sizes (ELEMENT + SHARED,) of an element's unknowns, by which derivatives are multiplied.
 
-    They include the root of the cost's weight, and are ones where nothing is scaled.
+    The same on all intervals, they include the root of the cost's weight, and are ones where nothing is scaled:
+    `sizes` and `forces` are (n,), or empty.
     """
     for i in range(parts.size):
         parts[i] = 1.0
@@ -939,7 +945,7 @@ def fill_parts(sizes, forces, parts):
 
 @njit(error_model="numpy")
 def fill_factors(weight, parts, factors):
-    """Fill what an interval's second derivatives are multiplied by; return whether that makes a difference.
+    """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
 
     It is the sizes of both unknowns, and the weight where both are primal.
     """
@@ -954,7 +960,7 @@ def fill_factors(weight, parts, factors):
 
 @njit(error_model="numpy")
 def begin_front(element, rest):
-    """Put the first element matrix into what borders a block, where the unknowns of block 0 have their place."""
+    """Put the first `element` (ROWS, WIDTH) into `rest` (REST, REST_WIDTH), where block 0 has its place."""
     for i in range(BORDER):
         for j in range(ROWS + CARRIED):
             element[SIZE + i, j] = element[FIRST[i], j]
@@ -969,8 +975,8 @@ def begin_front(element, rest):
 def move_front(element, rest):
     """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
 
-    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k. Of `rest`, only
-    the upper triangle is in use.
+    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k: `rest` (REST,
+    REST_WIDTH), of which only the upper triangle is in use. `element` is (ROWS, WIDTH).
     """
     for i in range(NODE):
         element[i, i] += rest[i, i]
@@ -991,7 +997,7 @@ def move_front(element, rest):
 
 @njit(error_model="numpy")
 def end_front(rest, last):
-    """The rows of the last node and of block 0, both triangles; behind them what is left for the shared unknowns."""
+    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0, both triangles; then what is left for shared."""
     clear(last)
     for i in range(REST):
         last[i, i] = rest[i, i]
@@ -1009,7 +1015,10 @@ def end_front(rest, last):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def forward(upper, inverse, order, steps, right, last):
-    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`."""
+    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`.
+
+    `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `right` (N BLOCK + NODE + SHARED,), `last` (LAST_WIDTH,).
+    """
     front = zero_vector(WIDTH)
     for i in START_PINNED:
         right[i] = 0.0
@@ -1040,7 +1049,7 @@ def forward(upper, inverse, order, steps, right, last):
 def backward(upper, order, steps, carried, last, right):
     """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
 
-    `right` holds what is left of the right-hand side, zeros where that is a column of the factors.
+    `right`, as in `forward`, holds what is left of the right-hand side, zeros where that is a column of the factors.
     """
     front, first = zero_vector(WIDTH), steps * BLOCK
     front[RIGHT] = -1.0 if carried else 0.0
@@ -1073,7 +1082,11 @@ def factor(
     unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
     inverses, couplings,
 ):  # fmt: skip
-    """Eliminate all bodies; whether that was possible, and the excess of negative pivots."""
+    """Eliminate all bodies; whether that was possible, and the excess of negative pivots.
+
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P); the factors are those of
+    `allocate_factors`.
+    """
     parts = zero_vector(ELEMENT)
     fill_parts(sizes, forces, parts)
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST, LAST_WIDTH)
@@ -1091,7 +1104,7 @@ def factor(
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def substitute(gradient, carried, steps, upper, inverse, order, inverses, couplings, step):
-    """Solve with the factors, forward, unless elimination has done that, and backward."""
+    """Solve with the factors, forward, unless `carried`: elimination has done that, and backward to `step` (n,)."""
     chain = steps * STRIDE + NODE
     for body in range(BODIES):
         slopes, solution = gradient[body * chain : (body + 1) * chain], step[body * chain : (body + 1) * chain]
@@ -1112,10 +1125,10 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
 
     Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
     elimination stops when there are too many. None means that the matrix is singular, or that a block that is
-    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal`, an
-    array as long as the unknowns, is added to the diagonal of the whole matrix. The right-hand side -`gradient` takes
-    part in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away.
-    Everything is in parts of sizes where the grid has them, so that pivots do not depend on units.
+    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal` (n,),
+    like `unknowns` (n,), is added to the diagonal of the whole matrix. The right-hand side -`gradient` (n,) takes part
+    in the elimination where there is room for it, which takes a third of the work of `solve_kkt` away. Everything is in
+    parts of sizes where the grid has them, so that pivots do not depend on units.
     """
     factors, equations = system
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
@@ -1132,9 +1145,9 @@ def is_factored(excess):
 
 
 def solve_kkt(grid, system, gradient, step, carried=False):
-    """Newton step for all unknowns: the solution of KKT matrix . step = -gradient, after factor_kkt gave a number.
+    """Newton step (n,): the solution of KKT matrix . step = -gradient, after `factor_kkt` gave a number.
 
-    That number must not have been positive. `carried` says that `factor_kkt` was given the same gradient.
+    That number must not have been positive. `carried` says that `factor_kkt` had the same `gradient` (n,).
     """
     substitute(gradient, carried, grid.steps, *system[0], step)
 
@@ -1260,7 +1273,7 @@ def least_violation(grid, point, system):
 
 
 def discrete_momenta(grid, unknowns):
-    """Momenta (bodies, N + 1, n): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
+    """Momenta (BODIES, N + 1, m): p_k = -(D1 Ld + f-) of the interval after a node, D2 Ld + f+ of the last one.
 
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
@@ -1271,7 +1284,7 @@ def discrete_momenta(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def interval_momenta(unknowns, steps, h, parameters, momenta):
-    """Fill `momenta` from the gradient of every interval's l."""
+    """Fill `momenta` (BODIES, N + 1, EQUATIONS.size) from the gradient of every interval's l at `unknowns` (n,)."""
     part = zero_vector(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
@@ -1283,7 +1296,7 @@ def interval_momenta(unknowns, steps, h, parameters, momenta):
             momenta[body, steps, i] = part[STRIDE + EQUATIONS[i]]
 
 
-# Whether a number that was given can be a count of something.
+# Whether numbers that were given can be counts, and a duration.
 
 
 def checked_count(name, number):
@@ -1295,6 +1308,14 @@ def checked_count(name, number):
     if not is_count:
         raise ValueError(f"{name} is {number!r}, expected a positive integer")
     return int(number)
+
+
+def checked_times(steps, duration):
+    """The number of steps and the duration of all; ValueError when they are not positive, or not finite."""
+    steps = checked_count("steps", steps)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    return steps, float(duration)
 
 
 # Whether a number that was given can be a tolerance.
@@ -1317,10 +1338,8 @@ NONE = np.zeros(0)  # sizes of unknowns that are not scaled
 
 
 def checked_grid(steps, duration, parameters):
-    """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
-    steps = checked_count("steps", steps)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    """A Grid; `parameters` are numbers, or arrays (BODIES,). ValueError for what is not finite or not positive."""
+    steps, duration = checked_times(steps, duration)
     table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
@@ -1331,7 +1350,7 @@ def checked_grid(steps, duration, parameters):
             finite = finite and all(map(math.isfinite, table[:, i].tolist()))
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
-    return Grid(steps, float(duration) / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+    return Grid(steps, duration / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
 
 
 def plain_grid(grid):
@@ -1350,7 +1369,7 @@ def replace_values(boundary, where, values):
 
 
 def views(grid, unknowns):
-    """Views of a vector of unknowns: nodes (bodies, N + 1, NODE), what lies on intervals (bodies, N, STRIDE - NODE)."""
+    """Views of `unknowns` (n,): nodes (BODIES, N + 1, NODE), what lies on intervals (BODIES, N, STRIDE - NODE)."""
     item, chain = unknowns.itemsize, grid.steps * STRIDE + NODE
     nodes = np.ndarray((BODIES, grid.steps + 1, NODE), float, unknowns, 0, (chain * item, STRIDE * item, item))
     shape = BODIES, grid.steps, STRIDE - NODE
@@ -1359,7 +1378,7 @@ def views(grid, unknowns):
 
 
 def side_by_side(values):
-    """Values (bodies, times, n) as (times, bodies n): the columns of several bodies side by side."""
+    """Values (BODIES, times, m) as (times, BODIES m): the columns of several bodies side by side."""
     return values[0].copy()
 
 
@@ -1376,7 +1395,7 @@ def print_log(rows):
 
 
 class Layout(NamedTuple):
-    """Masks of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+    """Masks (n,) of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
 
     is_multiplier: np.ndarray
     is_free: np.ndarray
@@ -1404,7 +1423,7 @@ def layout(steps):
 
 
 def free_unknowns(grid):
-    """Boolean mask of the unknowns that no boundary condition fixes and that mean something."""
+    """Boolean mask (n,) of the unknowns that no boundary condition fixes and that mean something."""
     return layout(grid.steps).is_free
 
 
@@ -1853,12 +1872,12 @@ def scaled_grid(grid, unknowns):
 
 
 class Solution(NamedTuple):
-    """What `solve` returns; arrays run over the N + 1 nodes, or over the N intervals where it is said.
+    """What `solve` returns; `t` is (N + 1,), others have a row for each of the N + 1 nodes, or of the N intervals.
 
     Where the status is "solved", `cost` is corrected by what residuals are worth. `residual` is the max-norm of all
-    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution; `u` holds
-    controls (on intervals), `unknowns` is the vector that `guess` takes. Columns of several bodies stand side by
-    side.
+    discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution. `q`, `p` and
+    `multipliers` have a column for each coordinate, `u` for each control (on intervals), of several bodies side by
+    side; `unknowns` (n,) is the vector that `guess` takes, `log` has a row for each iterate.
     """
 
     status: str
@@ -1954,12 +1973,12 @@ def make_grid(
 
 
 def duration_of(grid, unknowns):
-    """The length of the time interval."""
+    """The length of the time interval; `unknowns` (n,)."""
     return grid.steps * grid.h
 
 
 def initial_guess(grid):
-    """Unknowns to start from: pinned values at the ends, a guess of the motion between them, no multipliers."""
+    """Unknowns (n,) to start from: pinned values at the ends, a guess of the motion between them, no multipliers."""
     start_q = grid.parameters[:, 0, None]
     end_q = grid.parameters[:, 2, None]
     unknowns = np.zeros(grid.is_multiplier.size)
@@ -1972,7 +1991,7 @@ def initial_guess(grid):
 
 
 def with_pinned_values(grid, unknowns):
-    """A copy of the unknowns in which those that a boundary condition fixes have their values."""
+    """A copy of `unknowns` (n,) in which those that a boundary condition fixes have their values."""
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
@@ -1982,7 +2001,7 @@ def with_pinned_values(grid, unknowns):
 
 
 def pin_values(grid, unknowns, nodes):
-    """Give the unknowns that a boundary condition fixes their values; `nodes` is a view of the unknowns."""
+    """Give `unknowns` (n,) that a boundary condition fixes their values; `nodes` are their view by `views`."""
     start_q = grid.parameters[:, 0]
     end_q = grid.parameters[:, 2]
     nodes[:, 0, 0] = start_q
@@ -1990,7 +2009,7 @@ def pin_values(grid, unknowns, nodes):
 
 
 def unpack(grid, unknowns):
-    """Times, positions, momenta, controls and multipliers of a vector of unknowns."""
+    """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
     t = duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps
     p = discrete_momenta(grid, unknowns)
@@ -2095,7 +2114,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_1eed942d3c762d25"
+_IDENTITY = "codegen_linear_pendulum_6bae41adcc4bda07"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

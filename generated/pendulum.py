@@ -82,7 +82,7 @@ UNKNOWNS = 1  # what a step solves for numerically: p_k1
 
 @njit(cache=True, error_model="numpy")
 def predict_step(state, t, h, parameters, unknowns):
-    """Where to start solving for p_k1."""
+    """Where to start solving from `state` (STATE,) for `unknowns` (UNKNOWNS,): p_k1."""
     q_k = state[0]
     p_k = state[1]
     unknowns[0] = -h*math.sin(q_k) + p_k  # p_k1
@@ -90,7 +90,7 @@ def predict_step(state, t, h, parameters, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def step_residual(unknowns, state, t, h, parameters, residual):
-    """What must vanish, as a function of p_k1."""
+    """What must vanish, `residual` (UNKNOWNS,), as a function of p_k1."""
     p_k1 = unknowns[0]
     q_k = state[0]
     p_k = state[1]
@@ -99,7 +99,7 @@ def step_residual(unknowns, state, t, h, parameters, residual):
 
 @njit(cache=True, error_model="numpy")
 def step_jacobian(unknowns, state, t, h, parameters, residual, jacobian):
-    """Residual, and its Jacobian by p_k1."""
+    """Residual, and its `jacobian` (UNKNOWNS, UNKNOWNS) by p_k1."""
     p_k1 = unknowns[0]
     q_k = state[0]
     p_k = state[1]
@@ -110,7 +110,7 @@ def step_jacobian(unknowns, state, t, h, parameters, residual, jacobian):
 
 @njit(cache=True, error_model="numpy")
 def complete_step(unknowns, state, t, h, parameters, interval):
-    """Inner stages, if there are any, and the state at the right node, given p_k1."""
+    """Fill `interval` (STAGES + STATE,): inner stages, and the state at the right node, given p_k1."""
     p_k1 = unknowns[0]
     q_k = state[0]
     p_k = state[1]
@@ -121,7 +121,7 @@ def complete_step(unknowns, state, t, h, parameters, interval):
 
 @njit(cache=True, error_model="numpy")
 def step_equations(state, interval, t, h, parameters, residual):
-    """The scheme's equations as they stand above; a step makes them vanish."""
+    """The scheme's equations as they stand above, `residual` (STAGES + STATE,); a step makes them vanish."""
     q_k1 = interval[0]
     p_k1 = interval[1]
     q_k = state[0]
@@ -132,7 +132,7 @@ def step_equations(state, interval, t, h, parameters, residual):
 
 @njit(cache=True, error_model="numpy")
 def energy(state, t, parameters):
-    """The Hamiltonian."""
+    """The Hamiltonian at `state` (STATE,)."""
     q_k = state[0]
     p_k = state[1]
     return 0.5*p_k**2 - math.cos(q_k)
@@ -166,63 +166,41 @@ def packed_operations():
                 config.SLP_VECTORIZE = PACKING["before"]
 
 
-# Linear equation in one unknown, in the form of a one by one matrix.
+# One step of an implicit scheme by Newton's method, whose first correction is exact where equations are linear.
 
-
-@njit(cache=True, error_model="numpy")
-def factor_matrix(matrix, pivots):
-    """Return -1, or 0 when the coefficient is zero or NaN."""
-    return -1 if abs(matrix[0, 0]) > 0.0 else 0
-
-
-@njit(cache=True, error_model="numpy")
-def solve_factored(matrix, pivots, right_hand_side):
-    """Divide in place."""
-    right_hand_side[0] /= matrix[0, 0]
-
-
-# One step of an implicit scheme by Newton's method, iterated to rounding level.
-#
-# Newton's method squares the error, so that after a correction of relative size 1e-13 nothing but rounding is left. The
-# correction of each unknown is measured against its own size, which it may have had a few steps ago: a sum over unknowns
-# would depend on their units. Corrections are taken in full: where they do not converge the step is too long for the
-# scheme, and shorter corrections were seen to end in spurious minima of the residual as often as in a solution.
-
-NON_FINITE, SINGULAR, NOT_CONVERGED = -1, -2, -3  # what `advance` returns when there is no solution
+SINGULAR = -2  # what `advance` returns when a linear system has no unique solution
+NON_FINITE, NOT_CONVERGED = -1, -3  # what it returns when Newton's method finds none
 LEAST = 1e-300  # numbers below it are so close to the least ones that they have no relative size
-ROUNDING = 1e-8  # corrections below this part of all unknowns are taken for rounding errors once they no longer shrink
+ROUNDING = 1e-8  # corrections below this part of all unknowns are rounding errors once they no longer shrink
 
 
 @njit(cache=True, error_model="numpy")
-def allocate_work(h, parameters):
-    """Unknowns, residual, Jacobian and its pivots, sizes and last corrections of unknowns."""
-    matrix, pivots = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS, np.int64)
-    return np.empty(UNKNOWNS), np.empty(UNKNOWNS), matrix, pivots, np.zeros(UNKNOWNS), np.empty(UNKNOWNS)
+def allocate_work(h, given):
+    """Unknowns and residual, shape (UNKNOWNS,), Jacobian and pivots; to iterate, sizes and last corrections as well."""
+    unknowns, residual = np.zeros(UNKNOWNS), np.empty(UNKNOWNS)
+    jacobian, pivots = np.empty((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS, np.int64)
+    return unknowns, residual, jacobian, pivots, np.zeros(UNKNOWNS), np.empty(UNKNOWNS)
 
 
 @njit(cache=True, error_model="numpy")
-def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
-    """Fill `interval` with inner stages and the state at the right node; return the iterations, or why it failed."""
-    unknowns, residual, jacobian, pivots, sizes, last = work
+def advance(state, t, h, given, work, interval):
+    """Fill `interval`, shape (STAGES + STATE,), with inner stages and the state at the right node.
+
+    `state` has shape (STATE,). Return the iterations, or why there is no solution.
+    """
+    parameters, (unknowns, residual, jacobian, pivots) = given[0], work[:4]
     predict_step(state, t, h, parameters, unknowns)
-    magnitude = 0.0
-    for i in range(state.size):
+    (tolerance, max_iterations), (sizes, last), magnitude = given[1:], work[4:], 0.0
+    for i in range(STATE):
         magnitude += abs(state[i])
     for i in range(UNKNOWNS):
         sizes[i], last[i] = max(0.5 * sizes[i], LEAST), np.inf
     for iteration in range(1, max_iterations + 1):
-        step_jacobian(unknowns, state, t, h, parameters, residual, jacobian)
-        total = 0.0
-        for i in range(UNKNOWNS):
-            total += abs(residual[i])
-        if not total < np.inf:
-            return NON_FINITE
-        if factor_matrix(jacobian, pivots) >= 0:
-            return SINGULAR
-        solve_factored(jacobian, pivots, residual)
+        outcome = correct(state, t, h, parameters, unknowns, residual, jacobian, pivots)
+        if outcome < 0:
+            return outcome
         scale = magnitude
         for i in range(UNKNOWNS):
-            unknowns[i] -= residual[i]
             scale += abs(unknowns[i])
         if has_converged(unknowns, residual, tolerance, ROUNDING * scale, sizes, last):
             complete_step(unknowns, state, t, h, parameters, interval)
@@ -230,9 +208,31 @@ def advance(state, t, h, parameters, work, interval, tolerance, max_iterations):
     return NOT_CONVERGED
 
 
+@njit(error_model="numpy", forceinline=True)
+def correct(state, t, h, parameters, unknowns, residual, jacobian, pivots):
+    """Make a Newton correction of the unknowns, which `residual` holds afterwards; return 1, or why there is none."""
+    step_jacobian(unknowns, state, t, h, parameters, residual, jacobian)
+    total = 0.0
+    for i in range(UNKNOWNS):
+        total += abs(residual[i])
+    if not total < np.inf:
+        return NON_FINITE
+    if not abs(jacobian[0, 0]) > 0.0:
+        return SINGULAR
+    residual[0] /= jacobian[0, 0]
+    for i in range(UNKNOWNS):
+        unknowns[i] -= residual[i]
+    return 1
+
+
 @njit(error_model="numpy")
 def has_converged(unknowns, corrections, tolerance, rounding, sizes, last):
-    """Whether each correction is small, or a rounding error that has stopped to shrink; note sizes and corrections."""
+    """Whether each correction, shape (UNKNOWNS,), is small, or a rounding error that has stopped to shrink.
+
+    Newton's method squares the error, so that after a correction of relative size 1e-13 nothing but rounding is
+    left. Each is measured against its unknown's own size, which that may have had a few steps ago: a sum over
+    unknowns would depend on their units. `sizes` and `last` take what the next call has to know.
+    """
     settled = True
     for i in range(UNKNOWNS):
         change = abs(corrections[i])
@@ -243,84 +243,7 @@ def has_converged(unknowns, corrections, tolerance, rounding, sizes, last):
     return settled
 
 
-# Step after step from an initial state, and what is measured along the stored path.
-#
-# `interval` holds what belongs to one step: inner stages (STAGES of them), then the state at the right node.
-
-
-@njit(cache=True, error_model="numpy")
-def follow(start, steps, h, parameters, every, tolerance, max_iterations, path, before):
-    """Make the steps and store every `every`-th state, and the last, in the rows of `path`.
-
-    Row i of `before` takes the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written
-    there. Stops at the first step that fails, and then stores the last good state. Returns the number of steps made,
-    the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
-    """
-    state, interval = start.copy(), np.empty(STAGES + STATE)
-    work = allocate_work(h, parameters)
-    rows, iterations, wait = 1, 0, every
-    for i in range(STATE):
-        path[0, i] = state[i]
-    for k in range(steps):
-        outcome = advance(state, k * h, h, parameters, work, interval, tolerance, max_iterations)
-        total = 0.0
-        for i in range(STATE):
-            total += abs(interval[STAGES + i])
-        if outcome >= 0 and not total < np.inf:
-            outcome = -1
-        if outcome < 0:
-            if wait < every:
-                for i in range(STATE):
-                    path[rows, i] = state[i]
-                rows += 1
-            return k, rows, iterations, outcome
-        iterations += outcome
-        wait -= 1
-        is_stored = wait == 0 or k == steps - 1
-        if is_stored and every > 1:
-            for i in range(STATE):
-                before[rows - 1, i] = state[i]
-        for i in range(STATE):
-            state[i] = interval[STAGES + i]
-        if is_stored:
-            for i in range(STATE):
-                path[rows, i] = state[i]
-            rows += 1
-            wait = every
-    return steps, rows, iterations, 0
-
-
-@njit(cache=True, error_model="numpy")
-def largest_residual(before, path, rows, steps, h, parameters, every, tolerance, max_iterations):
-    """Max-norm of the scheme's own equations over the steps that led from `before` to rows 1, 2, ... of `path`.
-
-    Inner stages, which are not stored, are computed again from the state before the step.
-    """
-    interval, residual = np.empty(STAGES + STATE), np.empty(STAGES + STATE)
-    work = allocate_work(h, parameters)
-    largest = 0.0
-    for row in range(1, rows):
-        t = (min(row * every, steps) - 1) * h
-        if STAGES > 0:
-            advance(before[row - 1], t, h, parameters, work, interval, tolerance, max_iterations)
-        for i in range(STATE):
-            interval[STAGES + i] = path[row, i]
-        step_equations(before[row - 1], interval, t, h, parameters, residual)
-        for i in range(STAGES + STATE):
-            if not abs(residual[i]) < np.inf:
-                return np.inf
-            largest = max(largest, abs(residual[i]))
-    return largest
-
-
-@njit(cache=True, error_model="numpy")
-def energies(path, times, parameters, values):
-    """Fill `values` with the Hamiltonian along the path."""
-    for row in range(values.size):
-        values[row] = energy(path[row], times[row], parameters)
-
-
-# Whether a number that was given can be a count of something.
+# Whether numbers that were given can be counts, and a duration.
 
 
 def checked_count(name, number):
@@ -332,6 +255,14 @@ def checked_count(name, number):
     if not is_count:
         raise ValueError(f"{name} is {number!r}, expected a positive integer")
     return int(number)
+
+
+def checked_times(steps, duration):
+    """The number of steps and the duration of all; ValueError when they are not positive, or not finite."""
+    steps = checked_count("steps", steps)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    return steps, float(duration)
 
 
 # Whether a number that was given can be a tolerance.
@@ -348,7 +279,7 @@ def checked_tolerance(tolerance, most):
     return float(tolerance)
 
 
-# What surrounds the steps: the time grid and its checks, storage, and what is reported about a trajectory.
+# The motion of a body: what its steps are given, and what is measured along the stored states.
 
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
@@ -357,28 +288,17 @@ FAILURES = {
 }
 
 
-class Grid(NamedTuple):
-    """N steps of length h, the values of the parameters, and the initial state (q, p)."""
-
-    steps: int
-    h: float
-    parameters: np.ndarray
-    start: np.ndarray
-
-
-def checked_grid(steps, duration, parameters, start):
-    """A Grid; ValueError when a number is not finite, or when steps or duration are not positive."""
-    steps = checked_count("steps", steps)
-    if not 0.0 < duration < np.inf:
-        raise ValueError(f"duration is {duration!r}, expected a positive number")
-    parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)
-    if not np.isfinite(parameters).all():
-        raise ValueError(f"parameters must be finite, got {parameters}")
+def settings_for(start):
+    """What steps are given beside parameters: tolerance and iterations; ValueError when the start does not fit."""
     if start.shape != (STATE,):
         raise ValueError(f"start has shape {start.shape}, expected ({STATE},): first positions, then momenta")
-    if not np.isfinite(start).all():
-        raise ValueError(f"start must be finite, got {start}")
-    return Grid(steps, float(duration) / steps, parameters, start)
+    return 1e-13, 50
+
+
+def with_settings(grid, tolerance, max_iterations):
+    """The grid with other settings; ValueError when they are unusable."""
+    tolerance, max_iterations = checked_tolerance(tolerance, 1e-6), checked_count("max_iterations", max_iterations)
+    return grid._replace(given=(grid.parameters, tolerance, max_iterations))
 
 
 def replace_values(boundary, values):
@@ -389,24 +309,129 @@ def replace_values(boundary, values):
         boundary[quantity] = float(value)
 
 
-def integrate(grid, every, tolerance, max_iterations):
-    """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations)."""
-    every = min(checked_count("every", every), grid.steps)
-    tolerance, max_iterations = checked_tolerance(tolerance, 1e-6), checked_count("max_iterations", max_iterations)
-    path = np.empty((1 - (-grid.steps // every), STATE))
-    before = path if every == 1 else np.empty((path.shape[0] - 1, STATE))
-    steps, rows, iterations, outcome = follow(
-        grid.start, grid.steps, grid.h, grid.parameters, every, tolerance, max_iterations, path, before
-    )
-    t = grid.h * np.minimum(every * np.arange(rows), steps)
-    energy = np.empty(rows)
-    energies(path, t, grid.parameters, energy)
+def step(grid, state, t=0.0):
+    """State (q, p), shape (STATE,), a step of length grid.h after `state`; NaN when its equations cannot be solved."""
+    state, interval = np.array(state, dtype=float), np.empty(STAGES + STATE)
+    outcome = advance(state, t, grid.h, grid.given, allocate_work(grid.h, grid.given), interval)
+    return interval[STAGES:] if outcome >= 0 else np.full(STATE, np.nan)
+
+
+@njit(cache=True, error_model="numpy")
+def largest_residual(before, path, rows, steps, h, given, every):
+    """Max-norm of the scheme's own equations over the steps that led from `before` to rows 1, 2, ... of `path`.
+
+    Rows have shape (STATE,). Inner stages, which are not stored, are computed again from the state before the step.
+    """
+    interval, residual = np.empty(STAGES + STATE), np.empty(STAGES + STATE)
+    work = allocate_work(h, given)
+    largest = 0.0
+    for row in range(1, rows):
+        t = (min(row * every, steps) - 1) * h
+        if STAGES > 0:
+            advance(before[row - 1], t, h, given, work, interval)
+        for i in range(STATE):
+            interval[STAGES + i] = path[row, i]
+        step_equations(before[row - 1], interval, t, h, given[0], residual)
+        for i in range(STAGES + STATE):
+            if not abs(residual[i]) < np.inf:
+                return np.inf
+            largest = max(largest, abs(residual[i]))
+    return largest
+
+
+@njit(cache=True, error_model="numpy")
+def energies(path, times, given, values):
+    """Fill `values`, shape (M,), with the Hamiltonian along the path, shape (M or more, STATE), at `times`."""
+    for row in range(values.size):
+        values[row] = energy(path[row], times[row], given[0])
+
+
+# Step after step from an initial state, and what is reported about the states that are stored.
+#
+# A scheme's `advance(state, t, h, given, work, interval)` fills the end of `interval` with the state after a step, in
+# arrays of `allocate_work(h, given)`; it returns the iterations, or a negative number that says why there is no step.
+# `given` is the same for all steps: parameters, then what else the scheme takes.
+
+
+class Grid(NamedTuple):
+    """N steps of length h, the values of the parameters, the initial state, and what all steps are `given`."""
+
+    steps: int
+    h: float
+    parameters: np.ndarray
+    start: np.ndarray
+    given: tuple[object, ...]
+
+
+def checked_grid(steps, duration, parameters, start, *own):
+    """A Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive."""
+    steps, duration = checked_times(steps, duration)
+    parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)
+    settings = settings_for(start, *own)
+    for name, values in (("parameters", parameters), ("start", start)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} must be finite, got {values}")
+    return Grid(steps, duration / steps, parameters, start, (parameters, *settings))
+
+
+@njit(cache=True, error_model="numpy")
+def follow(start, steps, h, given, every, path, before):
+    """Make the steps and store every `every`-th state, and the last, in the rows of `path`, shape (M, start.size).
+
+    Row i of `before` takes the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written
+    there. Stops at the first step that fails, and then stores the last good state. Returns the number of steps made,
+    the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
+    """
+    state, interval = start.copy(), np.empty(STAGES + STATE)
+    now, after, size = state, interval[STAGES:], STATE
+    work = allocate_work(h, given)
+    rows, iterations, wait = 1, 0, every
+    for i in range(size):
+        path[0, i] = now[i]
+    for k in range(steps):
+        outcome = advance(state, k * h, h, given, work, interval)
+        total = 0.0
+        for i in range(size):
+            total += abs(after[i])
+        if outcome >= 0 and not total < np.inf:
+            outcome = -1
+        if outcome < 0:
+            if wait < every:
+                for i in range(size):
+                    path[rows, i] = now[i]
+                rows += 1
+            return k, rows, iterations, outcome
+        iterations += outcome
+        wait -= 1
+        is_stored = wait == 0 or k == steps - 1
+        if is_stored and every > 1:
+            for i in range(size):
+                before[rows - 1, i] = now[i]
+        for i in range(size):
+            now[i] = after[i]
+        if is_stored:
+            for i in range(size):
+                path[rows, i] = now[i]
+            rows += 1
+            wait = every
+    return steps, rows, iterations, 0
+
+
+def integrate(grid, every):
+    """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations).
+
+    Shapes are (M,) for M stored states, and (M, n) for q and p, of n numbers each.
+    """
+    every, size = min(checked_count("every", every), grid.steps), grid.start.size
+    path = np.empty((1 - (-grid.steps // every), size))
+    before = path if every == 1 else np.empty((path.shape[0] - 1, size))
+    steps, rows, iterations, outcome = follow(grid.start, grid.steps, grid.h, grid.given, every, path, before)
+    t, energy = grid.h * np.minimum(every * np.arange(rows), steps), np.empty(rows)
+    energies(path, t, grid.given, energy)
     measured = rows if outcome == 0 else 1 + steps // every
-    residual = largest_residual(
-        before, path, measured, steps, grid.h, grid.parameters, every, tolerance, max_iterations
-    )
+    residual = largest_residual(before, path, measured, steps, grid.h, grid.given, every)
     status, message = describe(grid, steps, iterations, outcome)
-    q, p = path[:rows, : STATE // 2].copy(), path[:rows, STATE // 2 :].copy()
+    q, p = path[:rows, : size // 2].copy(), path[:rows, size // 2 :].copy()
     return status, message, steps, t, q, p, energy, residual if steps else np.nan, iterations
 
 
@@ -420,20 +445,11 @@ def describe(grid, steps, iterations, outcome):
     return status, f"{status} in {place}: {remedy}"
 
 
-def step(grid, state, t=0.0, tolerance=1e-13, max_iterations=50):
-    """State (q, p) one step of length grid.h after `state`; NaN when the equations cannot be solved."""
-    interval = np.empty(STAGES + STATE)
-    state = np.array(state, dtype=float)
-    work = allocate_work(grid.h, grid.parameters)
-    outcome = advance(state, t, grid.h, grid.parameters, work, interval, tolerance, max_iterations)
-    return interval[STAGES:] if outcome >= 0 else np.full(STATE, np.nan)
-
-
-def path_residual(grid, path, tolerance=1e-13, max_iterations=50):
-    """Max-norm of the scheme's own equations along an array of consecutive states, shape (M, 2 n)."""
+def path_residual(grid, path):
+    """The residual along an array of consecutive states, shape (M, 2 n); see `largest_residual`."""
     path = np.array(path, dtype=float)
     count = path.shape[0]
-    return largest_residual(path, path, count, count, grid.h, grid.parameters, 1, tolerance, max_iterations)
+    return largest_residual(path, path, count, count, grid.h, grid.given, 1)
 
 
 # The equations of one implicit step as a root finder wants them.
@@ -443,14 +459,14 @@ def path_residual(grid, path, tolerance=1e-13, max_iterations=50):
 
 
 def predict(grid, state, t=0.0):
-    """Unknowns from which to start."""
+    """Unknowns from which to start, shape (UNKNOWNS,), for a step from `state`, shape (STATE,)."""
     unknowns = np.empty(UNKNOWNS)
     predict_step(np.array(state, dtype=float), t, grid.h, grid.parameters, unknowns)
     return unknowns
 
 
 def residual(grid, unknowns, state, t=0.0):
-    """Residual of the step from `state` at time t."""
+    """Residual, shape (UNKNOWNS,), of the step from `state` at time t."""
     values = np.empty(UNKNOWNS)
     step_residual(np.array(unknowns, dtype=float), np.array(state, dtype=float), t, grid.h, grid.parameters, values)
     return values
@@ -465,7 +481,7 @@ def jacobian(grid, unknowns, state, t=0.0):
 
 
 def complete(grid, unknowns, state, t=0.0):
-    """State (q, p) at the right node that belongs to a solution of the step's equations."""
+    """State (q, p), shape (STATE,), at the right node that belongs to a solution of the step's equations."""
     interval = np.empty(STAGES + STATE)
     unknowns, state = np.array(unknowns, dtype=float), np.array(state, dtype=float)
     complete_step(unknowns, state, t, grid.h, grid.parameters, interval)
@@ -516,7 +532,7 @@ def solve(
         duration=duration,
         start=start,
     )
-    return Solution(*integrate(grid, every, tolerance, max_iterations))
+    return Solution(*integrate(with_settings(grid, tolerance, max_iterations), every))
 
 
 def make_grid(
@@ -538,7 +554,7 @@ def initial_state(
     *,
     start=None,
 ):
-    """Initial state (q, p); `start` as in `solve`."""
+    """Initial state (STATE,): q, p; `start` as in `solve`."""
     if start is not None and not isinstance(start, dict):
         return np.array(start, dtype=float)
     prescribed = {
@@ -654,7 +670,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_35d4436f21b73a14"
+_IDENTITY = "codegen_pendulum_d83b21ff00b75425"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
