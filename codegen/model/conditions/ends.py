@@ -67,10 +67,7 @@ class AtEnd(AtStart):
     argument = field = "end_conditions"
     end = "end"
     scope: ClassVar[Scope] = {"end_conditions": (*MOVING, EndValue, *STATIC)}
-    remedies: ClassVar[Remedies] = {
-        Time: "time is the duration there, so write its expression",
-        ControlInput: _CONTROLS,
-    }
+    remedies: ClassVar[Remedies] = {Time: _DURATION, ControlInput: _CONTROLS}
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
         """Those with values of single bodies couple these; the others hold for every body by itself.
@@ -86,7 +83,7 @@ class AtEnd(AtStart):
             if not entry.equality:
                 raise BoundaryError(f"{entry.what} couples bodies by an inequality", "couple them by equations only")
             require_single_bodies(entry.what, symbols & values, symbols & moving)
-        model = super().added(model, [entry for entry in own if entry not in couplings])
+        model = super().added(model, [entry for entry in own if not entry.expression.free_symbols & values])
         return replace(model, couplings=conditions_of(couplings, self.argument))
 
     def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
