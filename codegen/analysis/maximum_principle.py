@@ -17,6 +17,7 @@ import sympy
 
 from codegen.errors import ArgumentError, DegenerateError
 from codegen.model import Boundary, Model
+from codegen.model.conditions.table import CONDITIONS
 from codegen.model.legendre import new_symbols, solve_blocks
 
 
@@ -47,12 +48,8 @@ def beyond_maximum_principle(model: Model) -> str:
         "several phases": bool(model.phases),
         "a first-order system": model.form == "first-order",
         "bounds": bool(model.bounds),
-        "path conditions": bool(model.path),
-        "conditions on integrals": bool(model.integrals),
-        "holonomic constraints": bool(model.holonomic),
-        "conditions at its ends": bool(model.start_conditions or model.end_conditions),
+        **dict.fromkeys((kind.words for kind in CONDITIONS if kind.of_model(model)), True),
         "a terminal cost": model.terminal_cost != 0,
-        "periodic ends": bool(model.periodic),
         "free parameters": bool(model.free_parameters),
         "several bodies": model.bodies > 1,
         "no controls": not model.controls,

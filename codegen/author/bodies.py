@@ -56,9 +56,8 @@ def together(
         given = [*(getattr(body, what) for body in bodies), further]
         return [*chain.from_iterable(each.items() if isinstance(each, Mapping) else each for each in given)]
 
-    def merged(what: str) -> dict[Any, Any]:
-        return _merged(what, [getattr(body, what) for body in bodies])
-
+    mappings = ("force", "start", "end", "bounds", "guess", "scale")
+    merged: Any = {what: _merged(what, [getattr(body, what) for body in bodies]) for what in mappings}
     return Control(
         **{form: motion},
         cost=_sum("cost", [*(body.cost for body in bodies), cost]),
@@ -67,12 +66,7 @@ def together(
         terminal_maximise=_sum("terminal_maximise", [*(b.terminal_maximise for b in bodies), terminal_maximise]),
         duration=bodies[0].duration,
         steps=bodies[0].steps,
-        force=merged("force"),
-        start=merged("start"),
-        end=merged("end"),
-        bounds=merged("bounds"),
-        guess=merged("guess"),
-        scale=merged("scale"),
+        **merged,
         periodic=_merged("periodic", [_shifts(body.periodic) for body in bodies]),
         path=listed("path", path),
         integral=listed("integral", integral),

@@ -105,7 +105,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         return at(f, c, places.controls_at(i, c))
 
     lagrangian = sympy.S.Zero
-    integrands = (model.cost or sympy.S.Zero, *(integral.integrand for integral in model.integrals))
+    integrands = (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
     integrals = [sympy.S.Zero] * len(integrands)
     path: list[PathValue] = []
     forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]

@@ -15,8 +15,8 @@ from sympy import Expr, Symbol
 from codegen.lower.kernels import Kernel
 from codegen.lower.printer import readable
 from codegen.model import Model
-from codegen.transcribe.path_conditions import nodal_conditions
-from codegen.transcribe.program import ControlProgram, EndElement, IntegralEquation, Phase, Unknown
+from codegen.model.conditions.table import CONDITIONS
+from codegen.transcribe.program import ControlProgram, EndElement, Phase, Unknown
 
 _WIDTH = 110
 
@@ -44,14 +44,8 @@ def _problem(program: ControlProgram) -> Iterator[list[str]]:
     time = [f"duration = {sympy.sstr(model.duration)}"]
     bounds = _bounds(program.shared[program.own :])
     if not program.phases:
-        bounds = [*_bounds((*program.node, *program.controls)), *bounds, *_lasting(model), *_sums(program.integrals)]
-    bounds += [f"{q} at the end = {q} at the start{_added(shift)}" for q, shift in model.periodic]
+        bounds = [*_bounds((*program.node, *program.controls)), *bounds, *_conditions(model)]
     yield _block(f"Find {_unknowns(program)}{_objective(program)}, where", [*time, *bounds])
-
-
-def _added(shift: Expr) -> str:
-    text = sympy.sstr(shift)
-    return "" if shift == 0 else f" - {text[1:]}" if text.startswith("-") and not shift.is_Add else f" + {text}"
 
 
 def _objective(program: ControlProgram) -> str:
@@ -112,21 +106,12 @@ def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
     return lines
 
 
-def _lasting(model: Model) -> list[str]:
-    """The conditions that hold at every time, as their author wrote them."""
-    places = {c.name: "at the nodes" for c in nodal_conditions(model, equality=True)}
-    places |= {c.name: "at the nodes and on the intervals" for c in nodal_conditions(model, equality=False)}
-    return [f"{c.name} {places.get(c.name, 'on the intervals')}" for c in model.path] + [
-        f"{sympy.sstr(constraint)} = 0 at the nodes" for constraint in model.holonomic
-    ]
-
-
 def _intervals(program: ControlProgram) -> Iterator[list[str]]:
     """The equations of one interval."""
     length = "h = 1/N, in parts of the duration" if program.scaled_time else "h = duration/N"
     yield _block(
         f"On each of N intervals, from t_k to t_k1 = t_k + h, {length} (suffixes _k and _k1 mark its nodes):",
-        [*_equations(program.equations, program.model), *_shares(program.integrals)],
+        _equations(program.equations),
     )
 
 
@@ -156,31 +141,20 @@ def _heading(program: ControlProgram, number: int, phase: Phase) -> str:
 def _phase_lines(phase: Phase, model: Model) -> list[str]:
     lacking = {phase.inside[i].name for i in phase.regular.lacking}
     present = [u for u in (*phase.node, *phase.inside) if u.name not in lacking and not u.meaning.startswith("slack")]
-    equations = [*_equations(phase.equations, model), *_shares(phase.integrals)]
-    return [*_bounds(present), *_lasting(model), *_sums(phase.integrals), *equations]
+    return [*_bounds(present), *_conditions(model), *_equations(phase.equations)]
 
 
-def _sums(integrals: Sequence[IntegralEquation]) -> list[str]:
-    """What holds for the sums of shares over all intervals."""
-    return [
-        f"sum of Gd_{number} {'=' if i.condition.equality else '<='} {sympy.sstr(i.condition.value)} ({i.condition})"
-        for number, i in enumerate(integrals, start=1)
-    ]
+def _conditions(model: Model) -> list[str]:
+    """What holds for the motion, beside what is said of its ends."""
+    return [sentence for kind in CONDITIONS for sentence in kind.sentences(model)]
 
 
-def _shares(integrals: Sequence[IntegralEquation]) -> list[str]:
-    """The shares that an interval has in integrals."""
-    return [f"Gd_{number} = {sympy.sstr(i.quadrature)}" for number, i in enumerate(integrals, start=1)]
-
-
-def _equations(equations: Pairs, model: Model) -> list[str]:
+def _equations(equations: Pairs) -> list[str]:
     """Discrete equations; those of conditions at nodes have been written, and so has a cost that vanishes."""
-    said = {f"0 at every node ({c.name})" for c in nodal_conditions(model, equality=True)}
-    said |= {f"0 at every node (the constraint {c})" for c in model.holonomic}
     return [
         f"0 >= {sympy.sstr(value)}" if label.startswith("-") else f"{label.partition(' (')[0]} = {sympy.sstr(value)}"
         for label, value in equations
-        if label not in said and (label != "Cd" or value != 0)
+        if not label.startswith("0 at every node") and (label != "Cd" or value != 0)
     ]
 
 
@@ -192,8 +166,7 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
     both = " + f+_{k-1} + f-_k" if forced else ""
     lead = f"{'Forced discrete' if forced else 'Discrete'} Euler-Lagrange equations at inner nodes"
     force = left = right = ""
-    if program.model.holonomic:
-        kappa = ", ".join(u.name for u in program.node if u.name.startswith("kappa_"))
+    if kappa := ", ".join(u.name for u in program.node if u.meaning.startswith("force along the normal")):
         lead += f", with G the derivative of the constraints and kappa of entries {kappa}"
         force, left, right = (f" {part} G(q_k)^T kappa_k" for part in ("+ h", "- h/2", "+ h/2"))
     lines = [f"0 = D2 Ld(q_{{k-1}}, q_k) + D1 Ld(q_k, q_{{k+1}}){both}{force}"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import sympy
 
 from codegen.drawing import Item
-from codegen.model.relations import short
+from codegen.model.relations import short, text
 
 
 @dataclass(frozen=True)
@@ -34,16 +34,10 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Integral:
-    """The integral of `integrand` over the duration equals `value`, or (`equality` false) does not exceed it."""
+class Integral(Condition):
+    """The integral of `expression` over the duration equals `value`, or (`equality` false) does not exceed it."""
 
-    name: str
-    integrand: sympy.Expr
-    value: sympy.Expr
-    equality: bool = True
-
-    def __str__(self) -> str:
-        return short(self.name)
+    value: sympy.Expr = sympy.S.Zero
 
 
 @dataclass(frozen=True)
@@ -53,6 +47,16 @@ class Bounds:
     symbol: sympy.Symbol
     lower: sympy.Expr | None
     upper: sympy.Expr | None
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The same as conditions."""
+        signed = [(-1, ">=", self.lower), (1, "<=", self.upper)]
+        return tuple(
+            Condition(f"{self.symbol} {relation} {text(limit)}", sign * (self.symbol - limit), equality=False)
+            for sign, relation, limit in signed
+            if limit is not None
+        )
 
 
 @dataclass(frozen=True)
@@ -149,3 +153,12 @@ class Model:
     def default_values(self) -> dict[sympy.Symbol, float]:
         """The parameters with their default values."""
         return dict(zip(self.parameters, self.defaults, strict=True))
+
+
+def prescribed(model: Model, end: str) -> dict[sympy.Symbol, sympy.Expr]:
+    """The coordinates and rates that `start` or `end` gives values to."""
+    boundary = model.start if end == "start" else model.end
+    if boundary is None:
+        return {}
+    pairs = zip([*model.coordinates, *model.rates], [*boundary.positions, *boundary.rates], strict=True)
+    return {symbol: value for symbol, value in pairs if value is not None}

@@ -17,19 +17,12 @@ from codegen.author.problem import FORMS, Control, Problem, Simulate, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
-from codegen.model import drawings, regularity, trials, values
-from codegen.model.conditions import (
-    bounds_of,
-    conditions_of,
-    couplings_of,
-    free_parameters_of,
-    integrals_of,
-    velocity_bounds,
-)
-from codegen.model.definitions import Boundary, Condition, EndValue, Model
-from codegen.model.relations import text
+from codegen.model import drawings, trials, values
+from codegen.model.conditions.table import CONDITIONS
+from codegen.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
+from codegen.model.relations import Entry, text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
-from codegen.model.written import Entry, maximises, used_quantities, written_costs, written_entries
+from codegen.model.written import maximises, used_quantities, written_costs, written_entries
 
 
 def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
@@ -80,8 +73,11 @@ def checked_model(
     used = [plain[symbol] for symbol in used_quantities(entries)]
     entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
-    values.require_values(model, bounds_of(entries, used), trials.trial_points(model, elsewhere))
-    regularity.require_regular(model)
+    values.require_values(model, _bounds_of(entries, used), trials.trial_points(model, elsewhere))
+    points = trials.trial_points(model)
+    values.require_regular_lagrangian(model, points)
+    for kind in CONDITIONS:
+        kind.require_regular(model, points)
     return model
 
 
@@ -102,7 +98,8 @@ def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.S
 
 def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
     """Refuse controls of which nothing says how they are best, in any of the problems."""
-    if not kinds.controls or any(problem.path or problem.integral for problem in problems):
+    limits = [kind.argument for kind in CONDITIONS if symbols.ControlInput in kind.scope[kind.argument]]
+    if not kinds.controls or any(getattr(problem, argument) for problem in problems for argument in limits):
         return
     if not any(entry.expression != 0 for problem in problems for entry in written_costs(problem)):
         raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
@@ -143,16 +140,9 @@ def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kind
 
 
 def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
-    for entry in entries:
-        if entry.role == "constraint" and form != "lagrangian":
-            raise ExpressionError(f"{entry.what} beside {form}", "give a Lagrangian, or write the condition in path")
-        if entry.role == "constraint" and not entry.equality:
-            raise ExpressionError(f"{entry.what} is an inequality", "write it in path")
-    for entry in entries:
-        if entry.role == "periodic" and entry.key in problem.start:
-            raise BoundaryError(
-                f"start and end fix {entry.key}, which is periodic", "leave it out of one end, or out of periodic"
-            )
+    for kind in CONDITIONS:
+        for entry in (entry for entry in entries if entry.role == kind.argument):
+            kind.require_fitting(entry, problem, form)
     for value in kinds.end_values:
         coordinate, where = value.partner, f"{value.partner}.of({value.body})"
         require_body(value, problem.bodies)
@@ -178,10 +168,9 @@ def _built(
     end, tied_at_end = _boundary(entries, "end", coordinates, rates, free)
     is_control = isinstance(problem, Control)
     first_order = form == "dynamics"
-    couplings, end_conditions = couplings_of(
-        entries, [plain[value] for value in kinds.end_values], (*coordinates, *rates)
-    )
-    return Model(
+    # In Lagrangian form velocities are no unknowns of their own.
+    of_velocities = _bounds_of(entries, rates if form == "lagrangian" else ())
+    model = Model(
         task=problem.task,
         name=name,
         title=title,
@@ -201,24 +190,35 @@ def _built(
         guess=_pairs(entries, "guess"),
         steps=int(problem.steps),
         dynamics=_each(entries, "dynamics", coordinates) if first_order else (),
-        bounds=bounds_of(entries, (*coordinates, *(rates if form == "hamiltonian" else ()), *controls)),
-        path=(*velocity_bounds(entries, rates if form == "lagrangian" else ()), *conditions_of(entries, "path")),
-        integrals=integrals_of(entries),
-        start_conditions=(*tied_at_start, *conditions_of(entries, "start_conditions")),
-        end_conditions=(*tied_at_end, *end_conditions),
+        bounds=_bounds_of(entries, (*coordinates, *(rates if form == "hamiltonian" else ()), *controls)),
+        path=tuple(condition for bound in of_velocities for condition in bound.conditions),
+        start_conditions=tied_at_start,
+        end_conditions=tied_at_end,
         terminal_cost=_value(entries, "terminal_cost"),
         maximised=isinstance(problem, Control) and maximises(problem),
-        holonomic=tuple(condition.expression for condition in conditions_of(entries, "constraint")),
-        periodic=_pairs(entries, "periodic"),
-        free_parameters=free_parameters_of(entries, free),
+        free_parameters=_free_parameters_of(entries, free),
         bodies=int(getattr(problem, "bodies", 1)),
         body=plain[kinds.body] if kinds.body is not None else None,
         end_values=tuple(
             EndValue(plain[value], kinds.coordinates.index(value.partner), value.body) for value in kinds.end_values
         ),
-        couplings=couplings,
         scales=_scales(entries),
     )
+    for kind in CONDITIONS:
+        model = kind.added(model, entries)
+    return model
+
+
+def _bounds_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[Bounds, ...]:
+    """Bounds of the given symbols, without those that have none."""
+    lower, upper = dict(_pairs(entries, "lower bound")), dict(_pairs(entries, "upper bound"))
+    return tuple(Bounds(s, lower.get(s), upper.get(s)) for s in symbols if s in lower or s in upper)
+
+
+def _free_parameters_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[FreeParameter, ...]:
+    """The given symbols with their first guesses and bounds."""
+    guess, lower, upper = (dict(_pairs(entries, role)) for role in ("first guess", "lower bound", "upper bound"))
+    return tuple(FreeParameter(s, guess[s], lower.get(s), upper.get(s)) for s in symbols)
 
 
 def _scales(entries: Sequence[Entry]) -> tuple[tuple[sympy.Symbol, float], ...]:

@@ -12,14 +12,16 @@ from typing import Any
 import sympy
 
 from codegen.author.copies import meet_on_the_way, written_out
-from codegen.author.problem import SAME_AT_BOTH_ENDS, Control, Phases, form_of
+from codegen.author.problem import Control, Phases, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
 from codegen.model import drawings, normal_form, trials, values
-from codegen.model.definitions import FreeParameter, Model
+from codegen.model.conditions.table import CONDITIONS
+from codegen.model.definitions import FreeParameter, Model, prescribed
+from codegen.model.relations import Entry
 from codegen.model.scope import Kinds, kinds_of
-from codegen.model.written import Entry, jump_entries, maximises, used_quantities, written_costs, written_entries
+from codegen.model.written import jump_entries, maximises, used_quantities, written_costs, written_entries
 
 Jump = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
 
@@ -104,10 +106,10 @@ def _require_supported(place: int, phase: Control) -> None:
             "it says how it starts, but begins where the phase before ends",
             f"write a value in jumps[{place - 1}], or a condition in the end or end_conditions of phase {place}",
         )
-    if phase.periodic:
-        raise BoundaryError("it is periodic", SAME_AT_BOTH_ENDS)
-    if phase.constraint:
-        raise ExpressionError("it has a holonomic constraint", "use generalised coordinates in problems of phases")
+    for kind in CONDITIONS:
+        if kind.not_in_phases and getattr(phase, kind.argument):
+            error, finding, remedy = kind.not_in_phases
+            raise error(finding, remedy)
     if phase.bodies != 1:
         raise ExpressionError(f"bodies is {phase.bodies!r}", "let one body move in problems of phases")
     if place and phase.drawing:
@@ -233,7 +235,7 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
 def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, Any]) -> None:
     """What does not jump has to satisfy the bounds of both phases, with room between them unless it is given."""
     numbers, place = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
-    given = values.prescribed(before, "end")
+    given = prescribed(before, "end")
     for symbol in (s for s in (*before.coordinates, *before.rates) if s not in jump):
         both = [bound for model in (before, after) for bound in model.bounds if bound.symbol == symbol]
         least = max(_numbers([bound.lower for bound in both], numbers), default=-math.inf)

@@ -1,8 +1,9 @@
-"""Relations as an author writes them, turned into expressions that vanish or are not positive."""
+"""What an author writes, checked: values of symbols, and relations as expressions that vanish or are not positive."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +11,93 @@ import sympy
 from sympy.core import relational
 from sympy.logic import boolalg
 
-from codegen.errors import ExpressionError
+from codegen.author.symbols import Coordinate, FreeParameter, Momentum, Parameter, Quantity, State, Velocity
+from codegen.errors import ExpressionError, SymbolError
 from codegen.expressions import checks as expressions
+
+MOVING = (Coordinate, Velocity, Momentum, State)
+STATIC = (Parameter, FreeParameter)
+"""Kinds of symbols: what moves with the system, and what has one value for the whole motion."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An expression: its `role` in the problem, `what` messages call it, the symbol that it is the value of, if any.
+
+    Relations have a `name` and are either equalities (the expression vanishes) or not (it is not positive).
+    """
+
+    role: str
+    what: str
+    expression: sympy.Expr
+    key: Quantity | None = None
+    name: str = ""
+    equality: bool = True
+
+
+def entry_of(role: str, what: str, value: Any, key: Quantity | None = None) -> Entry:
+    """The entry of an expression; ExpressionError where it is none, or none that can be generated."""
+    return Entry(role, what, expressions.checked(value, what), key)
+
+
+def checked_mapping(what: str, mapping: Any, entry: str) -> Mapping[Quantity, Any]:
+    """A mapping whose keys were declared; ExpressionError, or SymbolError for a key, that shows how to write it."""
+    if not isinstance(mapping, Mapping):
+        raise ExpressionError(f"{what} is a {type(mapping).__name__}", f"write {what} as {{{entry}, ...}}")
+    for key in mapping:
+        require_declared(what, "has the key", key)
+    return mapping
+
+
+def require_declared(what: str, has: str, symbol: Any) -> None:
+    """Raise SymbolError for a key or an entry of `what` that is no declared symbol."""
+    if not isinstance(symbol, Quantity):
+        raise SymbolError(
+            f"{what} {has} {symbol!r}, which was never declared",
+            "use the symbols that coordinates(...) or control(...) returned",
+        )
+
+
+def checked_sequence(what: str, values: Any, entry: str) -> Sequence[Any]:
+    """A list or tuple; ExpressionError that shows how to write it."""
+    if not isinstance(values, (list, tuple)):
+        raise ExpressionError(f"{what} is a {type(values).__name__}", f"write {what} as [{entry}, ...]")
+    return values
+
+
+def value_entries(what: str, mapping: Any) -> Iterator[Entry]:
+    """The values that an argument, which is its role, gives to symbols."""
+    for key, value in checked_mapping(what, mapping, "symbol: value").items():
+        yield entry_of(what, f"{what} of {key}", value, key)
+
+
+def relation_entries(what: str, values: Any) -> Iterator[Entry]:
+    """The relations of an argument, which is their role; ExpressionError for names or relations that occur twice."""
+    seen, named = set[sympy.Expr](), set[str]()
+    for place, (given_name, written) in enumerate(named_relations(what, values)):
+        found = relation(written, f"{what}[{given_name or place!r}]")
+        name = given_name or found.name
+        if given_name in named:
+            raise ExpressionError(f"{what} has two relations of the name {given_name!r}", "give each another name")
+        named |= {given_name} if given_name else set()
+        if found.expression in seen:
+            raise ExpressionError(f"{what} lists {short(name)} twice", "list it once")
+        seen.add(found.expression)
+        yield Entry(what, f"{what} {short(name)}", found.expression, None, name, found.equality)
+
+
+def named_relations(what: str, values: Any) -> Iterator[tuple[str, Any]]:
+    """Relations, each after the name that its author gave it, or nothing."""
+    for value in [*values.items()] if isinstance(values, Mapping) else checked_sequence(what, values, "relation"):
+        # A pair is a relation with its name, as mappings have them.
+        name, written = value if isinstance(value, tuple) and len(value) == 2 else ("", value)
+        yield _given_name(what, name) if isinstance(value, tuple) else "", written
+
+
+def _given_name(what: str, name: Any) -> str:
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        raise ExpressionError(f"{what} has the name {name!r}", f'write {what} as {{"name": relation, ...}}')
+    return name.strip()
 
 
 @dataclass(frozen=True)
@@ -51,7 +137,7 @@ def relation(value: Any, what: str) -> Relation:
         raise ExpressionError(
             f"{what} joins relations by {type(value).__name__}", "give relations that all hold, one entry each"
         )
-    left, right, sign = _sides(value)
+    left, right, sign = sides(value)
     left, right = (expressions.checked(side, what) for side in (left, right))
     name = f"{text(left)} {sign} {text(right)}"
     difference = right - left if sign == ">=" else left - right
@@ -60,27 +146,6 @@ def relation(value: Any, what: str) -> Relation:
     if remainder is not None:
         raise _decided(f"{what}, {name},", bool(remainder == 0 or (sign != "=" and remainder.is_negative)))
     return Relation(name, expressions.checked(difference, what), sign == "=")
-
-
-def integral_sides(value: Any, what: str, moving: tuple[type, ...]) -> tuple[sympy.Expr, sympy.Expr]:
-    """The integrand, and what its integral equals or does not exceed, with the signs that say so.
-
-    The integrand is the side with symbols of the `moving` kinds. ExpressionError unless that is one side alone.
-    """
-    left, right, sign = _sides(value)
-    left, right = (expressions.checked(side, what) for side in (left, right))
-    moves = [any(isinstance(symbol, moving) for symbol in side.free_symbols) for side in (left, right)]
-    if all(moves):
-        raise ExpressionError(
-            f"both sides of {what} move", "write the integrand on one side, its integral's value on the other"
-        )
-    if not any(moves):
-        raise ExpressionError(
-            f"{what} has no integrand, since nothing in it moves", "write Eq(integrand, value), or leave it out"
-        )
-    integrand, limit = (left, right) if moves[0] else (right, left)
-    at_least = (sign == ">=") == moves[0] and sign != "="
-    return (-integrand, -limit) if at_least else (integrand, limit)
 
 
 def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
@@ -98,7 +163,8 @@ def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
     return remainder if remainder.is_number else None
 
 
-def _sides(value: Any) -> tuple[Any, Any, str]:
+def sides(value: Any) -> tuple[Any, Any, str]:
+    """Left side, right side and sign of a relation; what is none is to vanish."""
     if isinstance(value, relational.Equality):
         return value.lhs, value.rhs, "="
     if isinstance(value, (relational.LessThan, relational.StrictLessThan)):

@@ -21,34 +21,26 @@ from codegen.author.symbols import (
     Velocity,
 )
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
-from codegen.model.written import Entry
-
-_MOVING = (Coordinate, Velocity, Momentum, State)
-_STATIC = (Parameter, FreeParameter)
+from codegen.model.conditions.table import CONDITIONS
+from codegen.model.relations import MOVING, STATIC, Entry
 
 _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
-    "lagrangian": (*_MOVING, Time, *_STATIC),
-    "hamiltonian": (*_MOVING, Time, *_STATIC),
-    "dynamics": (*_MOVING, ControlInput, Time, *_STATIC),
-    "force": (*_MOVING, ControlInput, Time, *_STATIC),
-    "cost": (*_MOVING, ControlInput, Time, *_STATIC),
-    "path": (*_MOVING, ControlInput, Time, *_STATIC),
-    "integral": (*_MOVING, ControlInput, Time, *_STATIC),
-    "integral value": _STATIC,
-    "terminal_cost": (*_MOVING, *_STATIC),
-    "start_conditions": (*_MOVING, *_STATIC),
-    "end_conditions": (*_MOVING, EndValue, *_STATIC),
-    "constraint": (Coordinate, Time, Parameter),
-    "duration": _STATIC,
-    "start": (*_STATIC, BodyNumber),
-    "end": (*_STATIC, BodyNumber),
-    "guess": (Time, *_STATIC, BodyNumber),
+    "lagrangian": (*MOVING, Time, *STATIC),
+    "hamiltonian": (*MOVING, Time, *STATIC),
+    "dynamics": (*MOVING, ControlInput, Time, *STATIC),
+    "force": (*MOVING, ControlInput, Time, *STATIC),
+    "cost": (*MOVING, ControlInput, Time, *STATIC),
+    "terminal_cost": (*MOVING, *STATIC),
+    "duration": STATIC,
+    "start": (*STATIC, BodyNumber),
+    "end": (*STATIC, BodyNumber),
+    "guess": (Time, *STATIC, BodyNumber),
     "lower bound": (Parameter, BodyNumber),
     "upper bound": (Parameter, BodyNumber),
     "first guess": (Parameter,),
     "scale": (),
-    "periodic": (Parameter,),
-    "jump": (*_MOVING, *_STATIC),
+    "jump": (*MOVING, *STATIC),
+    **{role: kinds for kind in CONDITIONS for role, kinds in kind.scope.items()},
 }
 
 _WORDS: tuple[tuple[tuple[type[Quantity], ...], str], ...] = (
@@ -100,7 +92,7 @@ def _coordinates(used: Sequence[Quantity], form: str) -> tuple[Coordinate | Stat
         "hamiltonian": (Coordinate, Momentum),
         "dynamics": (State,),
     }
-    moving = [symbol for symbol in used if isinstance(symbol, _MOVING)]
+    moving = [symbol for symbol in used if isinstance(symbol, MOVING)]
     # Rates first: a coordinate does not tell whether it came with a velocity or with a momentum.
     for symbol in sorted(moving, key=lambda symbol: (isinstance(symbol, Coordinate), symbol.name)):
         if not isinstance(symbol, own[form]):
@@ -175,12 +167,11 @@ def _misplaced(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | E
         return ExpressionError(finding, f"use {symbol.partner}.of({symbol.body}) in end_conditions and path only")
     if isinstance(symbol, FreeParameter):
         return ExpressionError(finding, "a free parameter has no value there, use parameters and numbers only")
-    if isinstance(symbol, Time) and entry.role in ("terminal_cost", "end_conditions"):
+    if isinstance(symbol, Time) and entry.role == "terminal_cost":
         return ExpressionError(finding, "time is the duration there, so write its expression")
-    if isinstance(symbol, Time) and entry.role == "start_conditions":
-        return ExpressionError(finding, "time is zero there")
-    if isinstance(symbol, ControlInput) and entry.role.endswith("_conditions"):
-        return ExpressionError(finding, "limit controls by bounds or path, or make the control a state")
+    for kind in CONDITIONS:
+        if entry.role == kind.argument and type(symbol) in kind.remedies:
+            return ExpressionError(finding, kind.remedies[type(symbol)])
     allowed = _ALLOWED[entry.role]
     words = [word for kinds, word in _WORDS if any(kind in allowed for kind in kinds)]
     return ExpressionError(finding, f"use {', '.join(words)} and numbers only")

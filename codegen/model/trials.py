@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import sympy
 
 from codegen.expressions import checks as expressions
-from codegen.model.definitions import Model
-from codegen.model.values import prescribed, values_at_guess
+from codegen.model.definitions import Model, prescribed
+from codegen.model.values import values_at_guess
 
 
 def trial_points(

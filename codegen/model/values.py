@@ -6,11 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import sympy
 
-from codegen.errors import BoundaryError, ExpressionError
+from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.expressions import checks as expressions
-from codegen.expressions.terms import distinct
-from codegen.model.definitions import Bounds, Condition, Model
-from codegen.model.relations import text
+from codegen.expressions.samples import hessian_samples
+from codegen.model.conditions.base import Points
+from codegen.model.conditions.table import CONDITIONS
+from codegen.model.definitions import Bounds, Condition, Model, prescribed
 
 _ROUNDING = 1e-9
 """Relative size of a difference that counts as rounding of the values which an author gave."""
@@ -23,7 +24,7 @@ def values_at_guess(model: Model) -> dict[sympy.Symbol, float]:
     return values | {symbol: number for symbol, number in guesses.items() if number is not None}
 
 
-def require_values(model: Model, bounds: Sequence[Bounds], points: Sequence[Mapping[sympy.Symbol, float]]) -> None:
+def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> None:
     """Refuse values that are not finite at the default parameters, and values that contradict each other.
 
     `bounds` are all that the author gave, those of velocities and free parameters included; at one of `points` every
@@ -42,6 +43,18 @@ def require_values(model: Model, bounds: Sequence[Bounds], points: Sequence[Mapp
         _require_order(model, bound)
     _require_within(model, bounds)
     _require_real(model, points)
+
+
+def require_regular_lagrangian(model: Model, points: Points) -> None:
+    """Refuse a Lagrangian whose velocities cannot be recovered from the momenta (its Hessian in v is singular)."""
+    if model.form != "lagrangian":
+        return
+    null = expressions.null_direction(hessian_samples(model.function, model.rates, points))
+    if null is not None:
+        names = " ".join(str(v) for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6)
+        raise DegenerateError(
+            f"the Lagrangian is degenerate in {names}", "give every coordinate a kinetic energy, or leave it out"
+        )
 
 
 def _bodies(model: Model, *expressions: sympy.Expr | None) -> Iterator[dict[sympy.Symbol, float]]:
@@ -63,21 +76,12 @@ def _number(what: str, expression: sympy.Expr, values: Mapping[sympy.Symbol, flo
     return number
 
 
-def prescribed(model: Model, end: str) -> dict[sympy.Symbol, sympy.Expr]:
-    """The coordinates and rates that `start` or `end` gives values to."""
-    boundary = model.start if end == "start" else model.end
-    if boundary is None:
-        return {}
-    pairs = zip([*model.coordinates, *model.rates], [*boundary.positions, *boundary.rates], strict=True)
-    return {symbol: value for symbol, value in pairs if value is not None}
-
-
 def _given_values(model: Model) -> Iterator[tuple[str, sympy.Expr]]:
     for end in ("start", "end"):
         for symbol, value in prescribed(model, end).items():
             yield f"{end} of {symbol}", value
-    for symbol, shift in model.periodic:
-        yield f"shift of {symbol}", shift
+    for kind in CONDITIONS:
+        yield from kind.numbers(model)
 
 
 def _require_order(model: Model, bound: Bounds) -> None:
@@ -119,7 +123,7 @@ def _require_within(model: Model, bounds: Sequence[Bounds]) -> None:
                     raise BoundaryError(f"{what} is {number:g}, {word} bound {edge:g}", "correct one of them")
 
 
-def _require_real(model: Model, points: Sequence[Mapping[sympy.Symbol, float]]) -> None:
+def _require_real(model: Model, points: Points) -> None:
     """Refuse dynamics, costs, conditions and guesses that have no real value at any trial point."""
     form = "dynamics" if model.form == "first-order" else model.form
     named = [(f"the {form}", model.function), *((f"guess of {s}", value) for s, value in model.guess)]
@@ -127,13 +131,7 @@ def _require_real(model: Model, points: Sequence[Mapping[sympy.Symbol, float]]) 
     named += [(f"dynamics of {x}", value) for x, value in zip(model.coordinates, model.dynamics, strict=False)]
     named += [("cost", model.cost)] if model.cost is not None else []
     named += [("terminal_cost", model.terminal_cost)]
-    named += [(f"constraint {text(c)}", c) for c in model.holonomic]
-    values = [value.symbol for value in model.end_values]
-    couplings = [model.couplings[i] for i in distinct([c.expression for c in model.couplings], values)]
-    conditions = (*model.path, *model.start_conditions, *model.end_conditions, *couplings)
-    named += [(condition.name, condition.expression) for condition in conditions]
-    named += [(f"the integrand of {i}", i.integrand) for i in model.integrals]
-    named += [(f"the value of {i}", i.value) for i in model.integrals]
+    named += [pair for kind in CONDITIONS for pair in kind.values(model)]
     for what, expression in named:
         for body in _bodies(model, expression):
             if all(expressions.rounded_at(expression, {**point, **body}) is None for point in points):
@@ -146,8 +144,7 @@ def require_agreement(model: Model) -> None:
     """Refuse values at an end that violate a condition which depends on nothing else."""
     for end in ("start", "end"):
         fixed = {**prescribed(model, end), model.time: sympy.S.Zero if end == "start" else model.duration}
-        conditions = model.start_conditions if end == "start" else model.end_conditions
-        for condition in (*model.path, *conditions, *_holonomic_conditions(model)):
+        for condition in (condition for kind in CONDITIONS for condition in kind.at(model, end)):
             _require_agreement(model, end, fixed, condition)
 
 
@@ -165,11 +162,3 @@ def _require_agreement(model: Model, end: str, fixed: Mapping[sympy.Symbol, symp
         excess = abs(excess) if condition.equality else excess
         if excess > _ROUNDING * max([1.0, *map(abs, numbers.values())]):
             raise BoundaryError(f"{end} violates {condition} by {excess:g}", "correct one of them")
-
-
-def _holonomic_conditions(model: Model) -> Iterator[Condition]:
-    """The constraints, and that their rates of change vanish, which follows from them."""
-    for c in model.holonomic:
-        yield Condition(f"constraint {text(c)} = 0", c)
-        rate = sum((sympy.diff(c, q) * v for q, v in zip(model.coordinates, model.rates, strict=True)), sympy.S.Zero)
-        yield Condition(f"the rate of constraint {text(c)} = 0", rate + sympy.diff(c, model.time))

@@ -21,9 +21,10 @@ from codegen.discretise import (
     variational_interval,
 )
 from codegen.model import Model, legendre
+from codegen.model.conditions.table import CONDITIONS
+from codegen.model.definitions import prescribed
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
-from codegen.model.values import prescribed
 from codegen.show.notation import Block, Notation, written
 from codegen.show.particles import pairwise_equations
 from codegen.transcribe.program import ControlProgram, StepProgram
@@ -135,14 +136,11 @@ def _continuous(given: Model, method: str) -> Iterator[Block]:
 
 
 def _cost(model: Model) -> Iterator[Block]:
-    """The integrands: of the cost, and of conditions on integrals, with what their integrals are or do not exceed."""
+    """The integrands: of the cost, and of conditions."""
     if model.cost is not None:
         yield Block("Rate of the cost, and duration", ((_named("C"), model.cost), (_named("T"), model.duration)))
-    for number, integral in enumerate(model.integrals, start=1):
-        heading = f"Integral over [0, T] that {'equals' if integral.equality else 'is at most'} c_{number}"
-        yield Block(
-            heading, ((_named(f"rate G_{number}"), integral.integrand), (_named(f"c_{number}"), integral.value))
-        )
+    for heading, rows in (block for kind in CONDITIONS for block in kind.shown(model)):
+        yield Block(heading, tuple((_named(name), value) for name, value in rows))
 
 
 def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
@@ -172,7 +170,7 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         cost, quadratures = step.cost, step.integrals
     if model.cost is not None:
         yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))
-    if isinstance(program, ControlProgram) and side.integrals:
+    if isinstance(program, ControlProgram) and quadratures:
         rows = tuple((_named(f"Gd_{i}"), value) for i, value in enumerate(quadratures, start=1))
         yield Block("Shares in integrals, whose sums over all intervals are those of the integrals", rows)
 

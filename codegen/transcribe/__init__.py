@@ -61,9 +61,7 @@ def _controlled(model: Model, scheme: schemes.Scheme, method: str, controls: str
     if scheme.variational:
         return variational.variational(model, scheme, controls)
     _require_short(scheme)
-    if method == schemes.FIRST_ORDER:
-        return one_step.first_order(model, scheme, controls)
-    return one_step.hamiltonian(model, scheme, controls)
+    return one_step.one_step(model, scheme, method, controls)
 
 
 def _require_short(scheme: schemes.Scheme) -> None:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 from sympy import Expr, S, Symbol
 
-from codegen.discretise import STEP, PathValue, Sites
+from codegen.discretise import STEP, OneStepInterval, VariationalInterval
 from codegen.errors import ExpressionError
 from codegen.model import Model
 from codegen.transcribe.decided import with_decisions
-from codegen.transcribe.ends import End, Ends
+from codegen.transcribe.ends import End, Ends, pinned_at_zero
 from codegen.transcribe.guesses import at_guess, control_guess
 from codegen.transcribe.integrals import end_share, integral_equations, interval_share, own_unknowns
 from codegen.transcribe.names import Names, symbols
@@ -22,7 +22,7 @@ from codegen.transcribe.shared import Shared
 
 @dataclass(frozen=True)
 class Motion:
-    """The discrete equations of motion: unknowns of nodes and intervals, their share of l, the discrete cost.
+    """The discrete equations of motion: unknowns of nodes and intervals, their share of l, what the scheme made.
 
     The symbols of a node's unknowns in `element` are their names with suffix `_k` and `_k1`.
     """
@@ -32,11 +32,8 @@ class Motion:
     node: tuple[Unknown, ...]
     interval: tuple[Unknown, ...]
     interval_symbols: tuple[Symbol, ...]
-    controls: Sites
+    discrete: VariationalInterval | OneStepInterval
     element: Expr
-    cost: Expr
-    path: tuple[PathValue, ...]
-    integrals: tuple[Expr, ...]
     equations: tuple[tuple[str, Expr], ...]
     node_guess: tuple[Expr, ...]
     stage_guess: tuple[Expr, ...] = ()
@@ -46,27 +43,29 @@ def assemble(
     model: Model,
     motion: Motion,
     boundary_values: tuple[BoundaryValue, ...],
-    nodal: Sequence[NodalTerms],
+    nodal: NodalTerms,
     start: End,
     end: End,
     shared: Shared,
     names: Names,
 ) -> ControlProgram:
     """Lay out all unknowns, and add up the shares of the interval and of both ends."""
-    integrals = integral_equations(model, motion.integrals, names)
+    integrals = integral_equations(model, names)
     ends = Ends(
-        start + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.start_pins)),
-        end + end_share(integrals) + End(pins=tuple((name, S.Zero) for terms in nodal for name in terms.end_pins)),
+        start + End(aliases=shared.start_aliases) + pinned_at_zero(nodal.start_pins),
+        end + End(aliases=shared.end_aliases) + end_share(integrals) + pinned_at_zero(nodal.end_pins),
     )
-    path = interval_terms(model, motion.path, len(motion.interval), names)
-    motion = replace(motion, element=motion.element + path.element + interval_share(integrals))
+    quadratures = motion.discrete.integrals
+    path = interval_terms(model, motion.discrete.path, len(motion.interval), names)
+    motion = replace(motion, element=motion.element + path.element + interval_share(integrals, quadratures))
     program = _laid_out(model, motion, boundary_values, nodal, ends)
     program = _with_shared(program, replace(shared, own=(*shared.own, *own_unknowns(integrals))))
+    shares = ((f"Gd_{i}", value) for i, value in enumerate(quadratures, start=1))
     program = replace(
         program,
         interval=(*program.interval, *path.multipliers),
         interval_symbols=(*program.interval_symbols, *symbols([y.name for y in path.multipliers], "_k")),
-        equations=(*program.equations, *path.equations, *(pair for terms in nodal for pair in terms.equations)),
+        equations=(*program.equations, *path.equations, *nodal.equations, *shares),
         start=ends.start_element(program.node, program.shared),
         end=ends.end_element(program.node, program.shared, _idle_controls(program)),
         path_multipliers=len(path.multipliers),
@@ -83,34 +82,34 @@ def _laid_out(
     model: Model,
     motion: Motion,
     boundary_values: tuple[BoundaryValue, ...],
-    nodal: Sequence[NodalTerms],
+    nodal: NodalTerms,
     ends: Ends,
 ) -> ControlProgram:
     """The unknowns of nodes and intervals and the share of an interval; the ends' own shares are still empty."""
-    before = _bounded((*motion.node, *(unknown for terms in nodal for unknown in terms.unknowns)), model)
-    on_nodes = motion.controls.nodal
-    controls = _controls(model, len(motion.controls.stage_controls))
-    node = (*before, *ends.extra, *(controls if on_nodes else ()))
+    before = _bounded((*motion.node, *nodal.unknowns), model)
+    sites = motion.discrete.q
+    controls = _controls(model, len(sites.stage_controls))
+    node = (*before, *ends.extra, *(controls if sites.nodal else ()))
     empty = EndElement((), S.Zero, ())
     return ControlProgram(
         model=model,
         method=motion.method,
         scheme=motion.scheme,
-        controlled=motion.controls.controlled,
+        controlled=sites.controlled,
         node=node,
         interval=motion.interval,
-        controls=() if on_nodes else controls,
+        controls=() if sites.nodal else controls,
         left_symbols=symbols([unknown.name for unknown in node], "_k"),
         interval_symbols=motion.interval_symbols,
-        control_symbols=() if on_nodes else motion.controls.of_interval,
+        control_symbols=() if sites.nodal else sites.of_interval,
         right_symbols=symbols([unknown.name for unknown in node], "_k1"),
-        element=motion.element + sum((terms.element for terms in nodal), S.Zero) + ends.filling(),
-        cost=motion.cost,
+        element=motion.element + nodal.element + ends.filling(),
+        cost=motion.discrete.cost,
         equations=motion.equations,
         boundary_values=boundary_values,
         node_guess=motion.node_guess,
         stage_guess=motion.stage_guess,
-        control_guess=control_guess(model) * max(1, len(motion.controls.stage_controls)),
+        control_guess=control_guess(model) * max(1, len(sites.stage_controls)),
         only_at_ends=tuple(range(len(before), len(before) + len(ends.extra))),
         start=empty,
         end=empty,
@@ -177,7 +176,6 @@ def in_scaled_time(program: ControlProgram) -> ControlProgram:
         element=program.element.xreplace(scales),
         cost=program.cost.xreplace(scales),
         equations=pairs(program.equations),
-        integrals=tuple(replace(i, quadrature=i.quadrature.xreplace(scales)) for i in program.integrals),
         start=end(program.start),
         end=end(program.end),
         scaled_time=True,

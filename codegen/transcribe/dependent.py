@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from sympy import S
 
 from codegen.errors import BoundaryError
+from codegen.model.conditions.path import nodal_conditions
 from codegen.transcribe.chain_jacobian import ChainJacobian
-from codegen.transcribe.path_conditions import nodal_conditions
 from codegen.transcribe.program import ControlProgram
 
 _SINGULAR = 1e-10

@@ -7,8 +7,7 @@ vanish wherever it has no meaning.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import reduce
+from dataclasses import dataclass, fields
 
 from sympy import Expr, S, Symbol
 
@@ -36,20 +35,7 @@ class End:
 
     def __add__(self, other: End) -> End:
         """Both together."""
-        return End(
-            pins=(*self.pins, *other.pins),
-            extra=(*self.extra, *other.extra),
-            element=self.element + other.element,
-            conditions=(*self.conditions, *other.conditions),
-            cost=self.cost + other.cost,
-            aliases=(*self.aliases, *other.aliases),
-            slacks=(*self.slacks, *other.slacks),
-        )
-
-
-def joined(*ends: End) -> End:
-    """All contributions to one end together."""
-    return reduce(End.__add__, ends, End())
+        return End(*(getattr(self, part.name) + getattr(other, part.name) for part in fields(End)))
 
 
 def pinned_at_zero(names: Sequence[str]) -> End:
@@ -78,23 +64,27 @@ def conditioned_end(
                 f"the condition {condition} at the {_where(suffix)} is on values that are given there",
                 "leave it out, or leave a value free",
             )
-        nu = names.numbered("nu")
-        extra = [Unknown(nu, f"multiplier of {condition.name} at the {_where(suffix)}", True)]
-        slacks, left_side = list[tuple[str, str]](), "0"
-        (multiplier,) = symbols([nu], suffix)
-        term = value
-        if not condition.equality:
-            slack = names.numbered("s")
-            extra.append(Unknown(slack, f"slack of {condition.name} at the {_where(suffix)}"))
-            slacks, left_side = [(slack, nu)], f"-{slack}"
-            term = value + symbols([slack], suffix)[0]
-        out += End(
-            extra=tuple(extra),
-            element=multiplier * term,
-            conditions=((f"{left_side} ({condition.name})", value),),
-            slacks=tuple(slacks),
-        )
+        extra, term, equation = imposed(condition, value, ("nu", f"at the {_where(suffix)}", suffix), names)
+        slacks = tuple((slack.name, extra[0].name) for slack in extra[1:])
+        out += End(extra=extra, element=term, conditions=(equation,), slacks=slacks)
     return out
+
+
+def imposed(
+    condition: Condition, value: Expr, told: tuple[str, str, str], names: Names, least: Expr | None = None
+) -> tuple[tuple[Unknown, ...], Expr, tuple[str, Expr]]:
+    """A value g that vanishes by y g, or g <= 0 by y (g + s) with a slack s that is not below `least`.
+
+    The multiplier and the slack, the share of l, the equation to read; `told` are the multiplier's stem, where the
+    condition holds, and the suffix of symbols.
+    """
+    stem, where, suffix = told
+    unknowns, left_side = [Unknown(names.numbered(stem), f"multiplier of {condition.name} {where}", True)], "0"
+    if not condition.equality:
+        unknowns.append(Unknown(names.numbered("s"), f"slack of {condition.name} {where}", lower=least))
+        left_side = f"-{unknowns[1].name}"
+    multiplier, *slack = symbols([unknown.name for unknown in unknowns], suffix)
+    return tuple(unknowns), multiplier * sum(slack, value), (f"{left_side} ({condition.name})", value)
 
 
 def _where(suffix: str) -> str:

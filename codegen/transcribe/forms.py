@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from sympy import Expr, Symbol
 
+from codegen.author.symbols import Velocity
 from codegen.errors import ExpressionError
 from codegen.expressions.zeros import identically_zero
 from codegen.model import Boundary, Bounds, Condition, Model, legendre
+from codegen.model.conditions.table import CONDITIONS
 
 
 def in_velocities(model: Model) -> Model:
@@ -34,25 +37,18 @@ def rewritten(original: Model, transformed: Model) -> Model:
     """Write path, end conditions and terminal cost of the original in the rates of the transformed model."""
     if original.form == transformed.form:
         return transformed
-    conditions = (*original.path, *original.start_conditions, *original.end_conditions)
-    integrands = (integral.integrand for integral in original.integrals)
-    expressions = (*(condition.expression for condition in conditions), *integrands, original.terminal_cost)
+    kinds = [kind for kind in CONDITIONS if Velocity in kind.scope[kind.argument]]
+    expressions = (original.terminal_cost, *(c.expression for kind in kinds for c in kind.of_model(original)))
     if not any(expression.has(*original.rates) for expression in expressions):
         return transformed
     rates = legendre.velocity_of_momentum if original.form == "lagrangian" else legendre.momentum_of_velocity
     values = dict(zip(original.rates, rates(original), strict=True))
 
-    def written(old: Sequence[Condition]) -> tuple[Condition, ...]:
-        return tuple(replace(condition, expression=condition.expression.xreplace(values)) for condition in old)
-
-    return replace(
-        transformed,
-        path=written(original.path),
-        integrals=tuple(replace(i, integrand=i.integrand.xreplace(values)) for i in original.integrals),
-        start_conditions=written(original.start_conditions),
-        end_conditions=written(original.end_conditions),
-        terminal_cost=original.terminal_cost.xreplace(values),
-    )
+    written: dict[str, Any] = {
+        kind.field: tuple(replace(c, expression=c.expression.xreplace(values)) for c in kind.of_model(original))
+        for kind in kinds
+    }
+    return replace(transformed, **written, terminal_cost=original.terminal_cost.xreplace(values))
 
 
 def _rates_as_conditions(model: Model) -> Model:
@@ -85,17 +81,14 @@ def _momentum_bounds_as_conditions(model: Model) -> Model:
         if bounds.symbol not in model.rates:
             kept.append(bounds)
             continue
-        for sign, relation, limit in ((-1, ">=", bounds.lower), (1, "<=", bounds.upper)):
-            if limit is None:
-                continue
-            if model.body is not None and limit.has(model.body):
+        for condition in bounds.conditions:
+            if model.body is not None and condition.expression.has(model.body):
                 raise ExpressionError(
                     f"a bound on {bounds.symbol} depends on the body's number, and no unknown of the variational "
                     "method has it",
                     "give every body the same bound, or use --method hamiltonian",
                 )
-            name = f"{bounds.symbol} {relation} {limit}"
-            conditions.append(Condition(name, sign * (bounds.symbol - limit), equality=False))
+            conditions.append(condition)
     return replace(model, bounds=tuple(kept), path=(*model.path, *conditions)) if conditions else model
 
 

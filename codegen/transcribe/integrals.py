@@ -16,16 +16,16 @@ from codegen.model import Model
 from codegen.transcribe.ends import End
 from codegen.transcribe.names import Names
 from codegen.transcribe.periodic import Own
-from codegen.transcribe.program import ControlProgram, EndElement, IntegralEquation, Unknown
+from codegen.transcribe.program import ControlProgram, IntegralEquation, Unknown
 
 
-def integral_equations(model: Model, quadratures: Sequence[Expr], names: Names) -> tuple[IntegralEquation, ...]:
-    """The equations of the conditions on integrals, whose integrands have these quadratures over an interval."""
+def integral_equations(model: Model, names: Names) -> tuple[IntegralEquation, ...]:
+    """The equations of the conditions on integrals, with names for their unknowns."""
     equations = []
-    for condition, quadrature in zip(model.integrals, quadratures, strict=True):
+    for condition in model.integrals:
         multiplier = Symbol(names.numbered("zeta"), real=True)
         slack = None if condition.equality else Symbol(names.numbered("s"), real=True)
-        equations.append(IntegralEquation(condition, quadrature, multiplier, slack))
+        equations.append(IntegralEquation(condition, multiplier, slack))
     return tuple(equations)
 
 
@@ -40,9 +40,9 @@ def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
     return tuple(own)
 
 
-def interval_share(equations: Sequence[IntegralEquation]) -> Expr:
+def interval_share(equations: Sequence[IntegralEquation], quadratures: Sequence[Expr]) -> Expr:
     """What an interval's l gains."""
-    return Add(*(equation.multiplier * equation.quadrature for equation in equations))
+    return Add(*(equation.multiplier * value for equation, value in zip(equations, quadratures, strict=True)))
 
 
 def end_share(equations: Sequence[IntegralEquation]) -> End:
@@ -59,17 +59,12 @@ def _renamed(program: ControlProgram, names: Names) -> ControlProgram:
     old = [own.symbol for own in own_unknowns(program.integrals)]
     new = {symbol: Symbol(names.numbered(symbol.name.rpartition("_")[0]), real=True) for symbol in old}
 
-    def end(element: EndElement) -> EndElement:
-        return replace(element, element=element.element.xreplace(new))
-
     def equation(found: IntegralEquation) -> IntegralEquation:
-        slack = None if found.slack is None else new[found.slack]
-        return replace(found, multiplier=new[found.multiplier], slack=slack)
+        return replace(found, multiplier=new[found.multiplier], slack=found.slack and new[found.slack])
 
     return replace(
         program,
         element=program.element.xreplace(new),
-        start=end(program.start),
-        end=end(program.end),
+        end=replace(program.end, element=program.end.element.xreplace(new)),
         integrals=tuple(map(equation, program.integrals)),
     )

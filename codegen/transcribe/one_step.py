@@ -13,6 +13,7 @@ from sympy import Expr, S, Symbol
 
 from codegen.discretise import one_step_interval
 from codegen.model import Boundary, Model
+from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import FIRST_ORDER, Scheme
 from codegen.transcribe import holonomic, path_conditions
 from codegen.transcribe.assembly import Motion, assemble
@@ -21,45 +22,21 @@ from codegen.transcribe.ends import End, conditioned_end
 from codegen.transcribe.forms import in_momenta
 from codegen.transcribe.guesses import coordinate_guess, momentum_guess
 from codegen.transcribe.names import Names, symbols
-from codegen.transcribe.periodic import (
-    Periodic,
-    periodic_unknowns,
-    periodic_velocities_in_momenta,
-)
+from codegen.transcribe.periodic import Periodic, periodic_unknowns, periodic_velocities_in_momenta
 from codegen.transcribe.program import BoundaryValue, ControlProgram, Unknown
 from codegen.transcribe.shared import Shared, shared_unknowns
 
 
-def hamiltonian(model: Model, scheme: Scheme, controls: str) -> ControlProgram:
-    """Transcribe with unknowns q and p on nodes, stages, mu and u on intervals (or u on nodes).
+def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> ControlProgram:
+    """Transcribe with unknowns (q, p), or x, on nodes, stages, mu and u on intervals (or u on nodes).
 
-    Raises what the Legendre transform raises, BoundaryError for conditions that do not fit together, and
-    ArgumentError for holonomic constraints.
+    Raises what the Legendre transform raises, BoundaryError for conditions that do not fit together, and ArgumentError
+    for holonomic constraints.
     """
-    holonomic.refuse(model, "hamiltonian")
+    holonomic.refuse(model, method)
     model, boundary_values = with_symbolic_boundaries(model)
-    return _transcribed(model, in_momenta(model), scheme, "hamiltonian", controls, boundary_values)
-
-
-def first_order(model: Model, scheme: Scheme, controls: str) -> ControlProgram:
-    """Transcribe x' = f(x, u, t) with unknowns x on nodes, stages, mu and u on intervals (or u on nodes).
-
-    Raises BoundaryError for conditions that do not fit together, and ArgumentError for holonomic constraints.
-    """
-    holonomic.refuse(model, FIRST_ORDER)
-    model, boundary_values = with_symbolic_boundaries(model)
-    return _transcribed(model, model, scheme, FIRST_ORDER, controls, boundary_values)
-
-
-def _transcribed(
-    model: Model,
-    phase: Model,
-    scheme: Scheme,
-    method: str,
-    controls: str,
-    boundary_values: tuple[BoundaryValue, ...],
-) -> ControlProgram:
-    """Boundary values are those of `model`; dynamics, conditions and terminal cost those of `phase`."""
+    # Boundary values are those of `model`; dynamics, conditions and terminal cost those of `phase`.
+    phase = model if method == FIRST_ORDER else in_momenta(model)
     names = Names(phase)
     guesses = (*coordinate_guess(model), *momentum_guess(model))
     states = (*phase.coordinates, *phase.rates)
@@ -67,26 +44,20 @@ def _transcribed(
     if model.form == "lagrangian":
         periodic += periodic_velocities_in_momenta(model, phase, names)
     shared = shared_unknowns(model, periodic, guesses, names)
-    placed = _with_positions(model, phase)
+    assert model.end is not None, "a control problem has an end"
+    free = (None,) * len(phase.rates)  # whose values there may be velocities
+    placed = replace(phase, start=Boundary(model.start.positions, free), end=Boundary(model.end.positions, free))
     start, end = _ends(model, placed, periodic, shared, boundary_values, names)
-    equalities = path_conditions.nodal_conditions(phase, equality=True)
     return assemble(
         phase,
         _motion(phase, scheme, method, controls, guesses),
         boundary_values,
-        (path_conditions.nodal_equalities(placed, equalities, "y", names),),
-        start + End(aliases=periodic.start_aliases),
-        end + End(aliases=(*periodic.end_aliases, *shared.end_aliases)),
+        path_conditions.nodal_equalities(placed, nodal_conditions(phase, equality=True), "y", names),
+        start,
+        end,
         shared,
         names,
     )
-
-
-def _with_positions(model: Model, phase: Model) -> Model:
-    """The phase model with the positions that are given at the ends; its rates there may be velocities' momenta."""
-    assert model.end is not None, "a control problem has an end"
-    free = (None,) * len(phase.rates)
-    return replace(phase, start=Boundary(model.start.positions, free), end=Boundary(model.end.positions, free))
 
 
 def _ends(
@@ -140,11 +111,8 @@ def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: t
             *(Unknown(m, f"multiplier of the step of {n}", True) for m, n in pairs),
         ),
         interval_symbols=(*interval.stages, *mu),
-        controls=interval.q,
+        discrete=interval,
         element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
-        cost=interval.cost,
-        path=interval.path,
-        integrals=interval.integrals,
         equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
         node_guess=guesses,
         stage_guess=tuple(guesses[names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),

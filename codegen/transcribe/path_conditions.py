@@ -14,13 +14,15 @@ where the coordinates are given (a condition on given numbers has no derivative,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import sympy
 from sympy import Expr, Rational, S, Symbol
 
 from codegen.discretise import STEP, PathValue, at_nodes
 from codegen.model import Boundary, Condition, Model
+from codegen.model.conditions.path import is_nodal, nodal_conditions
+from codegen.transcribe.ends import imposed
 from codegen.transcribe.forms import occurring, same_after
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.program import Unknown
@@ -58,19 +60,14 @@ class NodalTerms:
     end_pins: tuple[str, ...] = ()
     equations: tuple[tuple[str, Expr], ...] = ()
 
+    def __add__(self, other: NodalTerms) -> NodalTerms:
+        """Both together."""
+        return NodalTerms(*(getattr(self, part.name) + getattr(other, part.name) for part in fields(NodalTerms)))
+
 
 def with_inner_path(model: Model) -> Model:
     """The model with those path conditions only that hold inside an interval: all but equalities on coordinates."""
-    return replace(model, path=tuple(g for g in model.path if not (_nodal(model, g) and g.equality)))
-
-
-def nodal_conditions(model: Model, equality: bool) -> tuple[Condition, ...]:
-    """The path equalities, or the path inequalities, in which neither rates nor controls occur."""
-    return tuple(g for g in model.path if _nodal(model, g) and g.equality == equality)
-
-
-def _nodal(model: Model, condition: Condition) -> bool:
-    return not condition.expression.free_symbols & {*model.rates, *model.controls}
+    return replace(model, path=tuple(g for g in model.path if not (is_nodal(model, g) and g.equality)))
 
 
 def start_inequalities(model: Model) -> tuple[Condition, ...]:
@@ -88,21 +85,15 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
     multipliers, slacks, places, equations = list[Unknown](), list[Unknown](), list[int](), list[tuple[str, Expr]]()
     element: Expr = S.Zero
     for value in values:
-        condition = value.condition
-        where = f"{condition.name} at {value.place} of an interval"
-        multipliers.append(Unknown(names.numbered("y"), f"multiplier of {where}", True))
-        (y,) = symbols([multipliers[-1].name], "_k")
-        term, left_side = value.value, "0"
-        if not condition.equality:
-            yields = value.condition in {other.condition for other in values if other.place != value.place}
-            least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
-            slacks.append(Unknown(names.numbered("s"), f"slack of {where}", lower=least))
-            places.append(first + len(multipliers) - 1)
-            (s,) = symbols([slacks[-1].name], "_k")
-            term += s
-            left_side = f"-{slacks[-1].name}"
-        element += y * term
-        equations.append((f"{left_side} ({condition.name})", value.value))
+        condition, told = value.condition, ("y", f"at {value.place} of an interval", "_k")
+        yields = condition in {other.condition for other in values if other.place != value.place}
+        least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
+        (multiplier, *slack), term, equation = imposed(condition, value.value, told, names, least)
+        multipliers.append(multiplier)
+        slacks += slack
+        places += [first + len(multipliers) - 1] * len(slack)
+        element += term
+        equations.append(equation)
     inequalities = tuple(value for value in values if not value.condition.equality)
     return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(places), inequalities, element, tuple(equations))
 

@@ -9,7 +9,7 @@ x - w = 0 at the start, and x - w - shift = 0 at the end.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import sympy
 from sympy import Expr, S, Symbol
@@ -51,14 +51,7 @@ class Periodic:
 
     def __add__(self, other: Periodic) -> Periodic:
         """Both together."""
-        return Periodic(
-            own=(*self.own, *other.own),
-            start_aliases=(*self.start_aliases, *other.start_aliases),
-            end_aliases=(*self.end_aliases, *other.end_aliases),
-            start_conditions=(*self.start_conditions, *other.start_conditions),
-            end_conditions=(*self.end_conditions, *other.end_conditions),
-            momenta=(*self.momenta, *other.momenta),
-        )
+        return Periodic(*(getattr(self, part.name) + getattr(other, part.name) for part in fields(Periodic)))
 
 
 def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequence[Expr], names: Names) -> Periodic:

@@ -179,7 +179,7 @@ class _Chain:
             switch_guess=() if switch is None else self._placed(switch.guess),
             equations=_written(raw.equations, scales),
             switch_equations=() if switch is None else _written(switch.equations, scales),
-            integrals=tuple(replace(i, quadrature=i.quadrature.xreplace(scales)) for i in raw.integrals),
+            integrals=raw.integrals,
         )
 
     def _placed(self, guesses: Iterable[tuple[str, Expr]]) -> tuple[tuple[int, Expr], ...]:

@@ -65,13 +65,12 @@ class Coupling:
 
 @dataclass(frozen=True)
 class IntegralEquation:
-    """A condition on an integral: the sum of `quadrature` over all intervals plus `excess` vanishes.
+    """A condition on an integral: the sum of its quadratures over all intervals plus `excess` vanishes.
 
     `multiplier` and, of an inequality, `slack` are shared unknowns.
     """
 
     condition: Integral
-    quadrature: Expr
     multiplier: Symbol
     slack: Symbol | None
 
@@ -144,7 +143,7 @@ class ControlProgram:
     and it may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
     `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns; the redundant ones
     (number from 1, name) follow from them and are left out. `integrals` are conditions on integrals over the duration,
-    of each body; of several phases they stand with the phase.
+    of each body, with quadratures last in `equations`; of several phases they stand with the phase.
 
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
     unknowns that is already inside `element`.

@@ -16,7 +16,8 @@ import sympy
 from codegen.expressions import checks as expressions
 from codegen.expressions.terms import Kind, sorted_terms
 from codegen.model import Model
-from codegen.model.values import prescribed, values_at_guess
+from codegen.model.definitions import prescribed
+from codegen.model.values import values_at_guess
 
 _DEPENDENT = 1e-7
 """Part of a gradient outside the span of earlier gradients, relative to its length, that counts as rounding."""

@@ -20,11 +20,13 @@ from codegen.transcribe.redundancy import independent_couplings
 class Shared:
     """Shared unknowns, first each body's own ones, then the common ones; and what couples bodies.
 
-    `redundant` are the couplings that follow from the others: numbers, from 1, among all of them, and names.
+    `start_aliases` and `end_aliases` say what equals them at the ends; `redundant` are the couplings that
+    follow from the others: numbers, from 1, among all of them, and names.
     """
 
     own: tuple[Own, ...]
     common: tuple[Own, ...]
+    start_aliases: tuple[Alias, ...]
     end_aliases: tuple[Alias, ...]
     couplings: tuple[Coupling, ...]
     coupling_symbols: tuple[tuple[Symbol, int, int], ...]
@@ -69,7 +71,8 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
     return Shared(
         own=tuple(replace(o, unknown=_bounded(model, o.unknown, tied_nodes)) for o in own),
         common=common,
-        end_aliases=tuple(aliases),
+        start_aliases=periodic.start_aliases,
+        end_aliases=(*periodic.end_aliases, *aliases),
         couplings=tuple(
             Coupling(Unknown(names.numbered("nu"), c.name, True), c.expression.xreplace(shifted)) for c in kept
         ),

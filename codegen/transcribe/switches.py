@@ -27,11 +27,12 @@ from sympy import Expr, S, Symbol
 from codegen.expressions.tangents import gradient
 from codegen.expressions.zeros import identically_zero
 from codegen.model import Condition, Model
-from codegen.model.values import prescribed
+from codegen.model.conditions.path import nodal_conditions
+from codegen.model.definitions import prescribed
+from codegen.transcribe.ends import imposed
 from codegen.transcribe.forms import occurring
 from codegen.transcribe.guesses import coordinate_guess, momentum_guess
 from codegen.transcribe.names import Names, symbols
-from codegen.transcribe.path_conditions import nodal_conditions
 from codegen.transcribe.program import ControlProgram, Unknown
 from codegen.transcribe.renaming import Slots
 
@@ -211,16 +212,11 @@ def _conditioned(transition: Transition, motion: Switch, names: Names) -> Switch
     cost = transition.at(transition.before.terminal_cost)
     shared, equations, element = list[Unknown](), list[tuple[str, Expr]](), motion.element + cost
     for condition in transition.conditions():
-        value, left_side = transition.at(condition.expression), "0"
-        nu, where = names.numbered("nu"), f"{condition.name} at {transition.where}"
-        shared.append(Unknown(nu, f"multiplier of {where}", True))
-        term = value
-        if not condition.equality:
-            slack = names.numbered("s")
-            shared.append(Unknown(slack, f"slack of {where}", lower=S.Zero))
-            term, left_side = value + shared_symbol(slack), f"-{slack}"
-        element += shared_symbol(nu) * term
-        equations.append((f"{left_side} ({condition.name})", value))
+        told = ("nu", f"at {transition.where}", "")
+        unknowns, term, equation = imposed(condition, transition.at(condition.expression), told, names, S.Zero)
+        shared += unknowns
+        element += term
+        equations.append(equation)
     return replace(
         motion,
         element=element,

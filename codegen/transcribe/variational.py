@@ -13,11 +13,11 @@ from sympy import Expr, S
 from codegen.discretise import VariationalInterval, variational_interval
 from codegen.errors import SchemeError
 from codegen.model import Model
+from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import Scheme
 from codegen.transcribe import path_conditions
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
-from codegen.transcribe.ends import End
 from codegen.transcribe.forms import in_velocities
 from codegen.transcribe.guesses import coordinate_guess
 from codegen.transcribe.holonomic import Constraints
@@ -43,9 +43,7 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
     model, boundary_values = with_symbolic_boundaries(in_velocities(original))
     names = Names(model)
     constraints = Constraints(model, names)
-    equalities = path_conditions.nodal_equalities(
-        model, path_conditions.nodal_conditions(model, equality=True), "y", names
-    )
+    equalities = path_conditions.nodal_equalities(model, nodal_conditions(model, equality=True), "y", names)
     periodic = _periodic(original, model, names)
     shared = shared_unknowns(model, periodic, coordinate_guess(model), names)
     ends = _end_conditions(model, periodic)
@@ -58,9 +56,9 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
         model,
         _motion(model, scheme, controls, constraints),
         boundary_values,
-        (constraints.nodal_terms((start_places, end_places), by_momentum), equalities),
-        start + End(aliases=periodic.start_aliases),
-        end + End(aliases=(*periodic.end_aliases, *shared.end_aliases)),
+        constraints.nodal_terms((start_places, end_places), by_momentum) + equalities,
+        start,
+        end,
         shared,
         names,
     )
@@ -117,11 +115,8 @@ def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraint
             ),
         ),
         interval_symbols=(*interval.inner, *inner),
-        controls=interval.q,
+        discrete=interval,
         element=interval.cost + interval.virtual_work(displacements, impulses),
-        cost=interval.cost,
-        path=interval.path,
-        integrals=interval.integrals,
         equations=_equations(names, interval),
         node_guess=guess,
         stage_guess=guess * (len(interval.inner) // len(names)),

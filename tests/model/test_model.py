@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from codegen import (
 from codegen.author.symbols import recorded_declarations
 from codegen.errors import CodegenError
 from codegen.model import Boundary, Bounds, Condition, EndValue, FreeParameter, normalise
+from codegen.model.conditions.table import CONDITIONS
 
 
 def plain(names: str) -> Any:
@@ -73,6 +74,14 @@ def runners(bodies: int = 2, **changes: Any) -> Control:
 
 def names(conditions: tuple[Condition, ...]) -> list[str]:
     return [condition.name for condition in conditions]
+
+
+def test_every_kind_of_condition_reads_an_argument_and_has_a_field() -> None:
+    model = normalise(oscillator())
+    for kind in CONDITIONS:
+        assert kind.argument in {part.name for part in fields(Control)} & set(kind.scope)
+        assert kind.of_model(model) == ()
+    assert len({kind.argument for kind in CONDITIONS}) == len(CONDITIONS)
 
 
 def test_what_is_left_out_is_empty() -> None:

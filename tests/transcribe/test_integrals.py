@@ -177,8 +177,8 @@ def test_a_wrong_quadrature_is_found():
     context = Context(Choices(), model, program, scheme, None)
     (finding,) = CHECKS["integrals"].findings(context)
     assert finding.passed
-    (equation,) = program.integrals
-    wrong = replace(program, integrals=(replace(equation, quadrature=equation.quadrature * 2),))
+    *others, (name, quadrature) = program.equations
+    wrong = replace(program, equations=(*others, (name, 2 * quadrature)))
     (finding,) = CHECKS["integrals"].findings(replace(context, program=wrong))
     assert not finding.passed
     with pytest.raises(ExpressionError):

@@ -32,8 +32,9 @@ def check(context: Context) -> Iterator[Finding]:
     symbols += [free.symbol for free in model.free_parameters]
     symbols += sorted({s for value in place.values() for s in value.free_symbols} - {*symbols, STEP}, key=str)
     symbols = list(dict.fromkeys(symbols))
-    for integral in program.integrals:
-        integrand, quadrature = integral.condition.integrand, in_time(program, integral.quadrature).xreplace(place)
+    written = dict(program.equations)
+    for number, integral in enumerate(model.integrals, start=1):
+        integrand, quadrature = integral.expression, in_time(program, written[f"Gd_{number}"]).xreplace(place)
         share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integrand])
         gap = mpmath.mpf(0)
         with mpmath.workdps(DIGITS):
@@ -44,7 +45,7 @@ def check(context: Context) -> Iterator[Finding]:
         passed = gap < _VANISHED
         verb = "is" if passed else "differs from"
         detail = f"divided by h an interval's share {verb} the integrand, up to {float(gap):.1g} at h = 1e-22"
-        yield Finding("integrals", str(integral.condition), bool(passed), detail)
+        yield Finding("integrals", str(integral), bool(passed), detail)
 
 
 def _smooth_motion(context: Context, program: ControlProgram) -> tuple[dict[Symbol, Expr], list[Symbol]]:

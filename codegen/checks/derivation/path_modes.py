@@ -20,9 +20,10 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.discretise import STEP, PathValue, one_step_interval, variational_interval
 from codegen.model import Condition, Model
+from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import Scheme
 from codegen.transcribe.assembly import scaled_in_time
-from codegen.transcribe.path_conditions import is_convex, nodal_conditions
+from codegen.transcribe.path_conditions import is_convex
 from codegen.transcribe.program import ControlProgram
 
 _NAME = "path between nodes"

@@ -39,7 +39,6 @@ def phase_alone(program: ControlProgram, chain: Model, place: int) -> ControlPro
         element=in_time(phase.regular.element),
         cost=in_time(phase.regular.cost),
         equations=tuple((name, in_time(value)) for name, value in phase.equations),
-        integrals=tuple(replace(i, quadrature=in_time(i.quadrature)) for i in phase.integrals),
         scaled_time=False,
         phases=(),
     )

@@ -22,7 +22,7 @@ from codegen.checks.solution.solutions import free_values
 from codegen.expressions import checks as expressions
 from codegen.expressions.special_functions import NUMPY
 from codegen.model import Model, legendre
-from codegen.model.values import prescribed
+from codegen.model.definitions import prescribed
 from codegen.transcribe.program import ControlProgram
 
 _HELD = 1e-8

@@ -19,7 +19,7 @@ from codegen.checks.base import Context, Finding
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.expressions import checks as expressions
 from codegen.model import Model
-from codegen.model.values import prescribed
+from codegen.model.definitions import prescribed
 from codegen.transcribe.forms import in_velocities
 from codegen.transcribe.program import ControlProgram, EndElement, Unknown
 

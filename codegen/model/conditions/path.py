@@ -1,0 +1,49 @@
+"""Conditions that hold at every time; `codegen.transcribe.path_conditions` imposes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+from codegen.author.symbols import ControlInput, Time
+from codegen.errors import DegenerateError, ExpressionError
+from codegen.model.conditions.base import Kind, Points, Scope, dependent, is_constant
+from codegen.model.definitions import Condition, Model
+from codegen.model.relations import MOVING, STATIC
+
+
+class Path(Kind):
+    """Equations and inequalities between coordinates, rates, controls, time and parameters."""
+
+    argument, field, words = "path", "path", "path conditions"
+    scope: ClassVar[Scope] = {"path": (*MOVING, ControlInput, Time, *STATIC)}
+
+    def at(self, model: Model, end: str) -> Iterator[Condition]:
+        yield from model.path
+
+    def require_regular(self, model: Model, points: Points) -> None:
+        """Refuse conditions on nothing that moves, and equations that follow from each other."""
+        symbols = (*model.coordinates, *model.rates, *model.controls)
+        for condition in model.path:
+            if is_constant(condition, symbols, points):
+                raise ExpressionError(
+                    f"path {condition} depends on no coordinate, rate or control",
+                    "limit free parameters and the duration by bounds, or leave it out",
+                )
+        names = dependent([c for c in model.path if c.equality], symbols, points)
+        if names:
+            raise DegenerateError(f"the path conditions {names} depend on each other", "leave out one of them")
+
+    def sentences(self, model: Model) -> list[str]:
+        nodal = {True: "at the nodes", False: "at the nodes and on the intervals"}
+        return [f"{c.name} {nodal[c.equality] if is_nodal(model, c) else 'on the intervals'}" for c in model.path]
+
+
+def is_nodal(model: Model, condition: Condition) -> bool:
+    """Whether neither rates nor controls occur in a condition."""
+    return not condition.expression.free_symbols & {*model.rates, *model.controls}
+
+
+def nodal_conditions(model: Model, equality: bool) -> tuple[Condition, ...]:
+    """The path equalities, or the path inequalities, in which neither rates nor controls occur."""
+    return tuple(g for g in model.path if is_nodal(model, g) and g.equality == equality)
