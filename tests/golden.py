@@ -23,7 +23,7 @@ FOLDER = ROOT / "generated"
 DIGESTS = FOLDER / "digests.txt"
 
 KEPT = (
-    "bouncing_ball cart_pole hovercraft hypersensitive image_registration lennard_jones_stormer_verlet linear_pendulum"
+    "bouncing_ball cart_pole hovercraft image_registration lennard_jones_stormer_verlet linear_pendulum"
     " orbital_transfer pendulum pendulum_form_lagrangian spherical_pendulum"
 ).split()
 """Modules that are committed.
