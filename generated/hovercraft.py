@@ -1790,6 +1790,8 @@ def left_over(grid, unknowns, diagonal, gradient, step):
     others = [end_entries(grid, unknowns)]
     others.append(coupling_entries(grid, unknowns))
     for rows, columns, values in others:
+        if not rows.size:
+            continue
         beside = rows != columns
         np.add.at(product, rows, values * vector[columns])
         np.add.at(product, columns[beside], (values * vector[rows])[beside])
@@ -1954,10 +1956,10 @@ def shifts_to_try(before):
     return least if at_once else 0.0, least
 
 
-def found(before, shift, singular):
-    """The shift that was enough; `singular` says whether the matrix was, on the way there."""
+def found(before, shift, least, singular):
+    """The shift that was enough; `least` was the least to try, `singular` says whether the matrix was without it."""
     singular = singular or before.singular
-    lowered = before.lowered + 1 if shift == shifts_to_try(before)[1] and not singular else 0
+    lowered = before.lowered + 1 if shift == least and not singular else 0
     return Shift(shift, shift or before.last, lowered, singular)
 
 
@@ -1974,7 +1976,7 @@ def merit(iterate):
 
 def moved(search, iterate, primal, length):
     """The iterate after a step of some length."""
-    return Iterate(evaluate(search.grid, iterate.point.unknowns + length * primal))
+    return Iterate(evaluate(search.grid, iterate.point.unknowns + (primal if length == 1.0 else length * primal)))
 
 
 # Newton's steps: the Hessian's shift that makes them lead downhill, and how far to go along them.
@@ -2001,8 +2003,8 @@ class Watch(NamedTuple):
 class Doubts:
     """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
 
-    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
-    Once one was not, all are measured.
+    Those with a shift, far from a solution, say little. Curvature may be the reason, so that it takes twice as many
+    doubts whenever a step that was measured is found accurate. Once one was not, all are measured.
     """
 
     def __init__(self):
@@ -2012,11 +2014,9 @@ class Doubts:
         """Whether the next step has to be measured."""
         return self.doubts >= self.enough
 
-    def note(self, step, leaves_much):
-        """Take note of how a step was solved for, and of whether it has left much of the equations."""
-        if self.are_enough():
-            self.doubts, self.enough = (1, 1) if step.refined else (0, 2 * self.enough)
-        self.doubts += leaves_much
+    def judge(self, refined):
+        """Take note of whether a step that was measured had to be refined."""
+        self.doubts, self.enough = (1, 1) if refined else (0, 2 * self.enough)
 
 
 def regularised_step(search, iterate, before, damping, careful):
@@ -2035,7 +2035,9 @@ def regularised_step(search, iterate, before, damping, careful):
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            step = step_along(search, iterate, gradient, primal, found(before, shift, singular), refined)
+            same = shift == before.value == 0.0 and not singular
+            given = before if same else found(before, shift, least, singular)
+            step = step_along(search, iterate, gradient, primal, given, refined)
             if abs(step.slope) < np.inf:
                 return step
         elif dual_shift == 0.0 and (excess is None or excess < 0):
@@ -2046,11 +2048,6 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             shift *= 100.0 if before.last == 0.0 else 8.0
     return None
-
-
-def leaves_much(point, step, length, trial):
-    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
-    return length == 1.0 and step.longest == 1.0 and trial.residual > UNSOLVED * point.residual
 
 
 def damped(damping, step, length, shortened):
@@ -2114,8 +2111,6 @@ def corrected(search, iterate, step, refused, small_violation, filtered):
         right[grid.is_multiplier] = residual
         correction = np.empty_like(step.primal)
         solve_kkt(grid, search.system, right, correction)
-        if not np.isfinite(correction).all():
-            return None
         better = step_along(search, iterate, right, correction, step.shift, False)
         length = better.longest
         trial = moved(search, iterate, correction, length)
@@ -2357,18 +2352,23 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
-        trial, step = None, regularised_step(search, iterate, shift, damping, doubts.are_enough())
+        careful = doubts.are_enough()
+        trial, step = None, regularised_step(search, iterate, shift, damping, careful)
         if step is not None:
             shift = step.shift
+            if careful:
+                doubts.judge(step.refined)
             watch = Watch(iterate, step) if shortened == SHORTENED else watch
             if watch is not None:
                 iterate, length, watch = watched(search, iterate, step, watch, small_violation, filtered)
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            doubts.note(step, trial is not None and leaves_much(point, step, length, trial.point))
+            if trial is not None and length == 1.0 and shift.value == 0.0:
+                doubts.doubts += trial.point.residual > UNSOLVED * point.residual
             shortened = shortened + 1 if trial is None or length < step.longest else 0
-            damping = damped(damping, step, length, shortened) if trial is not None else 0.0
+            if shortened or damping > 0.0:
+                damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
             convex = step is None or shift.value == 0.0 or is_minimum(search, iterate, tolerance)
             if step is None:
@@ -3764,7 +3764,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_da1e519253d282be"
+_IDENTITY = "codegen_hovercraft_4b1a18ea47b71b95"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

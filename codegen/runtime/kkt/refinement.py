@@ -57,6 +57,8 @@ def left_over(grid, unknowns, diagonal, gradient, step):
     if COUPLINGS:
         others.append(coupling_entries(grid, unknowns))
     for rows, columns, values in others:
+        if not rows.size:
+            continue
         beside = rows != columns
         np.add.at(product, rows, values * vector[columns])
         np.add.at(product, columns[beside], (values * vector[rows])[beside])

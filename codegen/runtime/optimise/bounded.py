@@ -245,7 +245,7 @@ def shifts_to_try(before):
     return 0.0, max(1e-20, before.last / 3.0) if before.last > 0.0 else 1e-4
 
 
-def found(before, shift, singular):
+def found(before, shift, least, singular):
     """The shift that was enough."""
     return Shift(shift, shift or before.last)
 

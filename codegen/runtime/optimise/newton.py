@@ -32,10 +32,10 @@ from codegen.runtime.optimise.curvature import FLAT
 from codegen.runtime.optimise.exact_bounds import within_bounds
 from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.optimise.newton_steps import (
+    UNSOLVED,
     Doubts,
     Watch,
     damped,
-    leaves_much,
     line_search,
     regularised_step,
     watched,
@@ -195,18 +195,23 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 filtered.empty()
                 iterate, shortened, watch = tightened(search, iterate, mu), 0, None
             low += mu <= LEAST_PART * tolerance
-        trial, step = None, regularised_step(search, iterate, shift, damping, doubts.are_enough())
+        careful = doubts.are_enough()
+        trial, step = None, regularised_step(search, iterate, shift, damping, careful)
         if step is not None:
             shift = step.shift
+            if careful:
+                doubts.judge(step.refined)
             watch = Watch(iterate, step) if shortened == SHORTENED else watch
             if watch is not None:
                 iterate, length, watch = watched(search, iterate, step, watch, small_violation, filtered)
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            doubts.note(step, trial is not None and leaves_much(point, step, length, trial.point))
+            if trial is not None and length == 1.0 and shift.value == 0.0:
+                doubts.doubts += trial.point.residual > UNSOLVED * point.residual
             shortened = shortened + 1 if trial is None or length < step.longest else 0
-            damping = damped(damping, step, length, shortened) if trial is not None else 0.0
+            if shortened or damping > 0.0:
+                damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
             convex = step is None or shift.value == 0.0 or is_minimum(search, iterate, tolerance)
             if INEQUALITIES and low and convex and is_acceptable(grid, iterate, tolerance):

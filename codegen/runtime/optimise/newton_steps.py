@@ -32,8 +32,8 @@ class Watch(NamedTuple):
 class Doubts:
     """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
 
-    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
-    Once one was not, all are measured.
+    Those with a shift, far from a solution, say little. Curvature may be the reason, so that it takes twice as many
+    doubts whenever a step that was measured is found accurate. Once one was not, all are measured.
     """
 
     def __init__(self):
@@ -43,11 +43,9 @@ class Doubts:
         """Whether the next step has to be measured."""
         return self.doubts >= self.enough
 
-    def note(self, step, leaves_much):
-        """Take note of how a step was solved for, and of whether it has left much of the equations."""
-        if self.are_enough():
-            self.doubts, self.enough = (1, 1) if step.refined else (0, 2 * self.enough)
-        self.doubts += leaves_much
+    def judge(self, refined):
+        """Take note of whether a step that was measured had to be refined."""
+        self.doubts, self.enough = (1, 1) if refined else (0, 2 * self.enough)
 
 
 def regularised_step(search, iterate, before, damping, careful):
@@ -66,7 +64,9 @@ def regularised_step(search, iterate, before, damping, careful):
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            step = step_along(search, iterate, gradient, primal, found(before, shift, singular), refined)
+            same = shift == before.value == 0.0 and not singular
+            given = before if same else found(before, shift, least, singular)
+            step = step_along(search, iterate, gradient, primal, given, refined)
             if abs(step.slope) < np.inf:
                 return step
         elif dual_shift == 0.0 and (excess is None or excess < 0):
@@ -79,11 +79,6 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             shift *= 100.0 if before.last == 0.0 else 8.0
     return None
-
-
-def leaves_much(point, step, length, trial):
-    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
-    return length == 1.0 and step.longest == 1.0 and trial.residual > UNSOLVED * point.residual
 
 
 def damped(damping, step, length, shortened):
@@ -151,8 +146,6 @@ def corrected(search, iterate, step, refused, small_violation, filtered):
         right[grid.is_multiplier] = residual
         correction = np.empty_like(step.primal)
         solve_kkt(grid, search.system, right, correction)
-        if not np.isfinite(correction).all():
-            return None
         better = step_along(search, iterate, right, correction, step.shift, False)
         length = better.longest
         trial = moved(search, iterate, correction, length)

@@ -140,10 +140,10 @@ def shifts_to_try(before):
     return least if at_once else 0.0, least
 
 
-def found(before, shift, singular):
-    """The shift that was enough; `singular` says whether the matrix was, on the way there."""
+def found(before, shift, least, singular):
+    """The shift that was enough; `least` was the least to try, `singular` says whether the matrix was without it."""
     singular = singular or before.singular
-    lowered = before.lowered + 1 if shift == shifts_to_try(before)[1] and not singular else 0
+    lowered = before.lowered + 1 if shift == least and not singular else 0
     return Shift(shift, shift or before.last, lowered, singular)
 
 
@@ -160,4 +160,4 @@ def merit(iterate):
 
 def moved(search, iterate, primal, length):
     """The iterate after a step of some length."""
-    return Iterate(evaluate(search.grid, iterate.point.unknowns + length * primal))
+    return Iterate(evaluate(search.grid, iterate.point.unknowns + (primal if length == 1.0 else length * primal)))
