@@ -24,15 +24,18 @@ def control_parts(module: Any) -> Calls:
     ]
     if hasattr(module, "fill_sizes"):
         calls.append(lambda: module.scaled_grid(grid, unknowns))
+    if hasattr(module, "multiply_intervals"):
+        vector = step, np.zeros_like(step)
+        calls.append(lambda: module.multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, *vector))
     if hasattr(module, "finite_bounds"):
-        calls += _interior_point_parts(module, grid, unknowns, zeros)
+        calls += _barrier_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
         calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
     return [*calls, lambda: module.unpack(grid, unknowns), lambda: module.sizes_of_terms(grid, unknowns)]
 
 
-def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
-    """Calls of what only the interior point method calls."""
+def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
+    """Calls of what is called where unknowns have bounds."""
     bounds = module.finite_bounds(*module.variable_bounds(grid))
     distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
     duals, result = np.ones(distance.size), np.empty(distance.size)
@@ -47,7 +50,6 @@ def _interior_point_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> C
         lambda: module.push_inside(*module.variable_bounds(grid), unknowns, 0.1),
         lambda: module.prescribed_beyond(grid, unknowns),
         lambda: module.remaining_gap(unknowns, gradient, *module.variable_bounds(grid)),
-        lambda: module.multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, step, np.zeros_like(step)),
     ]
 
 
