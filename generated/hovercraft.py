@@ -513,6 +513,15 @@ def release_tied(values, first, last, body, root):
         root[root_place(body, END_SHARED[i])] += values[last + END_SHARED_PLACES[i]]
 
 
+@njit(cache=True, error_model="numpy")
+def add_tied(values, steps):
+    """Add `values` (n,) of what equals a shared unknown to its, and leave them there as well."""
+    root = values[values.size - ROOT :]
+    for body in range(BODIES):
+        first = body * (steps * STRIDE + NODE)
+        release_tied(values, first, first + steps * STRIDE, body, root)
+
+
 @njit(error_model="numpy", inline="always")
 def follow_shared(values, first, last, body, root):
     """Give what equals a shared unknown, in `values`, the value of that unknown, in `root` (ROOT,)."""
@@ -582,6 +591,16 @@ def add_coupling_matrix(unknowns, parameters, weight, matrix):
             matrix[place, row] += slopes[a]
             for b in range(count):
                 matrix[place, COUPLING_PLACES[i, b]] += multiplier * curvatures[a * count + b]
+
+
+@njit(error_model="numpy")
+def multiply_couplings(unknowns, parameters, vector, product):
+    """Add to `product` what the second derivatives of the conditions make of `vector`, both (n,)."""
+    matrix, first = zero_matrix(ROOT, ROOT), unknowns.size - ROOT
+    add_coupling_matrix(unknowns, parameters, 1.0, matrix)
+    for i in range(ROOT):
+        for j in range(ROOT):
+            product[first + i] += matrix[i, j] * vector[first + j]
 
 
 def coupling_entries(grid, unknowns):
@@ -837,6 +856,10 @@ def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, el
 @njit(error_model="numpy")
 def note_ends(unknowns, body, steps, h, parameters, tables):
     """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
+
+@njit(error_model="numpy", inline="always")
+def multiply_ends(unknowns, body, steps, h, parameters, vector, product):
+    """Add to a product what the ends' own second derivatives make of a vector: there are none."""
 
 
 @njit(error_model="numpy", inline="always")
@@ -1763,8 +1786,8 @@ SOLVED_AGAIN = 10  # times at most, as in IPOPT
 
 
 @njit(cache=True, error_model="numpy")
-def multiply_intervals(unknowns, steps, h, parameters, vector, product):
-    """Add to `product` (n,) what the second derivatives of all intervals, at `unknowns` (n,), make of `vector` (n,)."""
+def multiply_kkt(unknowns, steps, h, parameters, vector, product):
+    """Add to `product` what the second derivatives of the Lagrangian, at `unknowns`, make of `vector`, all (n,)."""
     hessian = zero_vector(HESSIAN_ROWS.size)
     for body in range(BODIES):
         read_shared(unknowns, body, parameters)
@@ -1778,6 +1801,8 @@ def multiply_intervals(unknowns, steps, h, parameters, vector, product):
                 product[row] += hessian[j] * vector[column]
                 if row != column:
                     product[column] += hessian[j] * vector[row]
+        multiply_ends(unknowns, body, steps, h, parameters[body], vector, product)
+    multiply_couplings(unknowns, parameters[0], vector, product)
 
 
 def left_over(grid, unknowns, diagonal, gradient, step):
@@ -1786,21 +1811,11 @@ def left_over(grid, unknowns, diagonal, gradient, step):
     if grid.sizes.size:
         roots = np.sqrt(grid.sizes * grid.forces)
         unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
-    others = [end_entries(grid, unknowns)]
-    others.append(coupling_entries(grid, unknowns))
-    for rows, columns, values in others:
-        if not rows.size:
-            continue
-        beside = rows != columns
-        np.add.at(product, rows, values * vector[columns])
-        np.add.at(product, columns[beside], (values * vector[rows])[beside])
+    multiply_kkt(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
     if grid.sizes.size:
         product *= roots
     product += diagonal * step + gradient
-    places = shared_representatives(grid, step.size)
-    (tied,) = (places != np.arange(step.size)).nonzero()
-    np.add.at(product, places[tied], product[tied])
+    add_tied(product, grid.steps)
     return np.where(free_unknowns(grid), product, 0.0)
 
 
@@ -1844,7 +1859,7 @@ class Attempt(NamedTuple):
     bend: float = 0.0
 
 
-FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(0.03, 1e-12, 1e4)
+FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
 WARM = FROM_GUESS  # Newton's method needs no telling
 OTHERS = (
     Attempt(0.1, 1e-3, 2.0),
@@ -2003,8 +2018,8 @@ class Watch(NamedTuple):
 class Doubts:
     """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
 
-    Those with a shift, far from a solution, say little. Curvature may be the reason, so that it takes twice as many
-    doubts whenever a step that was measured is found accurate. Once one was not, all are measured.
+    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
+    Once one was not, all are measured.
     """
 
     def __init__(self):
@@ -2048,6 +2063,13 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             shift *= 100.0 if before.last == 0.0 else 8.0
     return None
+
+
+def leaves_much(point, step, trial):
+    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
+    if step.shift.value > 0.0:
+        return False  # it is far from a solution, where curvature is the reason
+    return trial.residual > UNSOLVED * point.residual
 
 
 def damped(damping, step, length, shortened):
@@ -2198,7 +2220,7 @@ def damped_step(search, current, pull, damping):
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
+        if factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right) is not None:
             solve_kkt(grid, search.system, right, step, carried=True)
             step[grid.is_multiplier] = 0.0
             taken = step_along(search, current, slopes, step, Shift(), False)
@@ -2364,8 +2386,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and length == 1.0 and shift.value == 0.0:
-                doubts.doubts += trial.point.residual > UNSOLVED * point.residual
+            if trial is not None and length == 1.0:
+                doubts.doubts += leaves_much(point, step, trial.point)
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0
@@ -3764,7 +3786,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_4b1a18ea47b71b95"
+_IDENTITY = "codegen_hovercraft_8780b416dfa13123"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -595,6 +595,10 @@ def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, el
 def note_ends(unknowns, body, steps, h, parameters, tables):
     """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
 
+@njit(error_model="numpy", inline="always")
+def multiply_ends(unknowns, body, steps, h, parameters, vector, product):
+    """Add to a product what the ends' own second derivatives make of a vector: there are none."""
+
 
 @njit(error_model="numpy", inline="always")
 def add_end_terms(unknowns, body, steps, h, parameters, sums):
@@ -1431,8 +1435,8 @@ SOLVED_AGAIN = 10  # times at most, as in IPOPT
 
 
 @njit(cache=True, error_model="numpy")
-def multiply_intervals(unknowns, steps, h, parameters, vector, product):
-    """Add to `product` (n,) what the second derivatives of all intervals, at `unknowns` (n,), make of `vector` (n,)."""
+def multiply_kkt(unknowns, steps, h, parameters, vector, product):
+    """Add to `product` what the second derivatives of the Lagrangian, at `unknowns`, make of `vector`, all (n,)."""
     hessian = zero_vector(HESSIAN_ROWS.size)
     for body in range(BODIES):
         for k in range(steps):
@@ -1443,6 +1447,7 @@ def multiply_intervals(unknowns, steps, h, parameters, vector, product):
                 product[row] += hessian[j] * vector[column]
                 if row != column:
                     product[column] += hessian[j] * vector[row]
+        multiply_ends(unknowns, body, steps, h, parameters[body], vector, product)
 
 
 def left_over(grid, unknowns, diagonal, gradient, step):
@@ -1451,14 +1456,7 @@ def left_over(grid, unknowns, diagonal, gradient, step):
     if grid.sizes.size:
         roots = np.sqrt(grid.sizes * grid.forces)
         unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
-    others = [end_entries(grid, unknowns)]
-    for rows, columns, values in others:
-        if not rows.size:
-            continue
-        beside = rows != columns
-        np.add.at(product, rows, values * vector[columns])
-        np.add.at(product, columns[beside], (values * vector[rows])[beside])
+    multiply_kkt(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
     if grid.sizes.size:
         product *= roots
     product += diagonal * step + gradient
@@ -1505,7 +1503,7 @@ class Attempt(NamedTuple):
     bend: float = 0.0
 
 
-FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(0.03, 1e-12, 1e4)
+FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
 WARM = FROM_GUESS  # Newton's method needs no telling
 OTHERS = (
     Attempt(0.1, 1e-3, 2.0),
@@ -1664,8 +1662,8 @@ class Watch(NamedTuple):
 class Doubts:
     """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
 
-    Those with a shift, far from a solution, say little. Curvature may be the reason, so that it takes twice as many
-    doubts whenever a step that was measured is found accurate. Once one was not, all are measured.
+    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
+    Once one was not, all are measured.
     """
 
     def __init__(self):
@@ -1709,6 +1707,13 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             shift *= 100.0 if before.last == 0.0 else 8.0
     return None
+
+
+def leaves_much(point, step, trial):
+    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
+    if step.shift.value > 0.0:
+        return False  # it is far from a solution, where curvature is the reason
+    return trial.residual > UNSOLVED * point.residual
 
 
 def damped(damping, step, length, shortened):
@@ -1859,7 +1864,7 @@ def damped_step(search, current, pull, damping):
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
+        if factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right) is not None:
             solve_kkt(grid, search.system, right, step, carried=True)
             step[grid.is_multiplier] = 0.0
             taken = step_along(search, current, slopes, step, Shift(), False)
@@ -2025,8 +2030,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and length == 1.0 and shift.value == 0.0:
-                doubts.doubts += trial.point.residual > UNSOLVED * point.residual
+            if trial is not None and length == 1.0:
+                doubts.doubts += leaves_much(point, step, trial.point)
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0
@@ -3336,7 +3341,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_61e4799a9ceafc27"
+_IDENTITY = "codegen_spherical_pendulum_94ca1d2df2001783"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

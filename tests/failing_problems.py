@@ -240,7 +240,7 @@ NON_FINITE = [
     ),
     Failing(
         "second-derivative",
-        mass(dynamics="{x: v, v: u + v**Rational(3, 2)}", end="{x: 1}", guess="{x: 0}"),
+        mass(dynamics="{x: v, v: u + u**Rational(3, 2)}", end="{x: 1}", guess="{x: 0}"),
         "non-finite",
         ("a second derivative by", "is not finite (kernel interval_hessian)", "change the guess"),
     ),

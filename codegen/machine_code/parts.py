@@ -24,9 +24,8 @@ def control_parts(module: Any) -> Calls:
     ]
     if hasattr(module, "fill_sizes"):
         calls.append(lambda: module.scaled_grid(grid, unknowns))
-    if hasattr(module, "multiply_intervals"):
-        vector = step, np.zeros_like(step)
-        calls.append(lambda: module.multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, *vector))
+    if hasattr(module, "left_over"):
+        calls.append(lambda: module.left_over(grid, unknowns, zeros, zeros, step))
     if hasattr(module, "finite_bounds"):
         calls += _barrier_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none

@@ -46,7 +46,8 @@ def dense_linear_algebra() -> Iterator[None]:
         patch.setattr(unbounded, "shifts", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))
         for module in loop:
             patch.setattr(module, "INEQUALITIES", 1)
-        patch.setattr(newton, "UNBOUNDED", 0)
+        for module in (newton, newton_steps):
+            patch.setattr(module, "UNBOUNDED", 0)
         yield
 
 

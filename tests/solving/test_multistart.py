@@ -33,13 +33,13 @@ def hoop():
 
 def test_best_of_several_guesses(hoop):
     alone = solving.solve(hoop)
-    assert not alone.solved
     result = solving.solve(hoop, guesses=6)
     assert result.solved
+    assert not alone.solved or result.cost <= alone.cost * (1 + 1e-9)
     assert len(result.attempts) == result.summary["guesses"] == 6
     solved = [line for line in result.attempts if ": solved" in line]
     costs = [float(line.rsplit("cost ", 1)[1]) for line in solved]
-    assert result.summary["guesses_solved"] == len(solved) < 6
+    assert result.summary["guesses_solved"] == len(solved) > 0
     assert result.cost == pytest.approx(min(costs), rel=1e-8)
     assert result.summary["guesses_with_this_cost"] == sum(cost < result.cost * (1 + 1e-6) for cost in costs)
 

@@ -100,6 +100,33 @@ def add_terms(unknowns, body, first, entries, rows, columns, sums):
             sums[column] += abs(entries[j] * unknowns[row])
 
 
+if SCALED:
+
+    @njit(error_model="numpy")
+    def multiply_ends(unknowns, body, steps, h, parameters, vector, product):
+        """Add to `product` what the ends' own second derivatives make of `vector`, both (n,) like `unknowns`."""
+        first = body * (steps * STRIDE + NODE)
+        last = first + steps * STRIDE
+        entries = zero_vector(START_HESSIAN_ROWS.size)
+        start_hessian(unknowns[first : first + NODE], 0.0, parameters, entries)
+        multiply_entries(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, first, body, vector, product)
+        entries = zero_vector(END_HESSIAN_ROWS.size)
+        end_hessian(unknowns[last : last + NODE], steps * h, parameters, entries)
+        multiply_entries(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, last, body, vector, product)
+
+    @njit(error_model="numpy")
+    def multiply_entries(entries, rows, columns, first, body, vector, product):
+        """The same for the entries of one end, whose node begins at the unknown `first`."""
+        for j in range(entries.size):
+            row, column = first + rows[j], first + columns[j]
+            if SHARED:
+                row = global_place(rows[j], NODE, first, body, vector.size)
+                column = global_place(columns[j], NODE, first, body, vector.size)
+            product[row] += entries[j] * vector[column]
+            if row != column:
+                product[column] += entries[j] * vector[row]
+
+
 def end_entries(grid, unknowns):
     """Entries (rows, columns, values), 1-D, that the ends add to the lower triangle of the KKT matrix."""
     chain = grid.steps * STRIDE + NODE

@@ -19,6 +19,10 @@ if SCALED:
     def note_ends(unknowns, body, steps, h, parameters, tables):
         """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
 
+    @njit(error_model="numpy", inline="always")
+    def multiply_ends(unknowns, body, steps, h, parameters, vector, product):
+        """Add to a product what the ends' own second derivatives make of a vector: there are none."""
+
 
 @njit(error_model="numpy", inline="always")
 def add_end_terms(unknowns, body, steps, h, parameters, sums):

@@ -11,13 +11,13 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
-from codegen.runtime.unknowns.coupling import coupling_entries
-from codegen.runtime.kkt.ends_flat import end_entries
+from codegen.runtime.unknowns.coupling import multiply_couplings
+from codegen.runtime.kkt.ends_flat import multiply_ends
 from codegen.runtime.kkt.system import solve_kkt
 from codegen.runtime.stand_ins.example import (
     BODIES, COUPLINGS, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, SCALED, SHARED, STRIDE, TIED, interval_hessian,
 )  # fmt: skip
-from codegen.runtime.unknowns.equal_ends import shared_representatives
+from codegen.runtime.unknowns.equal_ends import add_tied
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.shared import global_place, read_shared
 
@@ -27,8 +27,8 @@ SOLVED_AGAIN = 10  # times at most, as in IPOPT
 
 
 @njit(cache=True, error_model="numpy")
-def multiply_intervals(unknowns, steps, h, parameters, vector, product):
-    """Add to `product` (n,) what the second derivatives of all intervals, at `unknowns` (n,), make of `vector` (n,)."""
+def multiply_kkt(unknowns, steps, h, parameters, vector, product):
+    """Add to `product` what the second derivatives of the Lagrangian, at `unknowns`, make of `vector`, all (n,)."""
     hessian = zero_vector(HESSIAN_ROWS.size)
     for body in range(BODIES):
         if SHARED:
@@ -44,6 +44,9 @@ def multiply_intervals(unknowns, steps, h, parameters, vector, product):
                 product[row] += hessian[j] * vector[column]
                 if row != column:
                     product[column] += hessian[j] * vector[row]
+        multiply_ends(unknowns, body, steps, h, parameters[body], vector, product)
+    if COUPLINGS:
+        multiply_couplings(unknowns, parameters[0], vector, product)
 
 
 def left_over(grid, unknowns, diagonal, gradient, step):
@@ -52,23 +55,12 @@ def left_over(grid, unknowns, diagonal, gradient, step):
     if SCALED and grid.sizes.size:
         roots = np.sqrt(grid.sizes * grid.forces)
         unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_intervals(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
-    others = [end_entries(grid, unknowns)]
-    if COUPLINGS:
-        others.append(coupling_entries(grid, unknowns))
-    for rows, columns, values in others:
-        if not rows.size:
-            continue
-        beside = rows != columns
-        np.add.at(product, rows, values * vector[columns])
-        np.add.at(product, columns[beside], (values * vector[rows])[beside])
+    multiply_kkt(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
     if SCALED and grid.sizes.size:
         product *= roots
     product += diagonal * step + gradient
     if TIED:
-        places = shared_representatives(grid, step.size)
-        (tied,) = (places != np.arange(step.size)).nonzero()
-        np.add.at(product, places[tied], product[tied])
+        add_tied(product, grid.steps)
     return np.where(free_unknowns(grid), product, 0.0)
 
 

@@ -32,10 +32,10 @@ from codegen.runtime.optimise.curvature import FLAT
 from codegen.runtime.optimise.exact_bounds import within_bounds
 from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.optimise.newton_steps import (
-    UNSOLVED,
     Doubts,
     Watch,
     damped,
+    leaves_much,
     line_search,
     regularised_step,
     watched,
@@ -207,8 +207,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and length == 1.0 and shift.value == 0.0:
-                doubts.doubts += trial.point.residual > UNSOLVED * point.residual
+            if trial is not None and length == 1.0:
+                doubts.doubts += leaves_much(point, step, trial.point)
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from codegen.runtime.kkt.refinement import refine
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
 from codegen.runtime.optimise.bounded import found, merit, moved, newton_system, shifts_to_try, step_along, with_duals
-from codegen.runtime.stand_ins.example import INEQUALITIES
+from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
 SHORT = 0.25  # part of a step that is left when it counts as much too long
@@ -32,8 +32,8 @@ class Watch(NamedTuple):
 class Doubts:
     """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
 
-    Those with a shift, far from a solution, say little. Curvature may be the reason, so that it takes twice as many
-    doubts whenever a step that was measured is found accurate. Once one was not, all are measured.
+    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
+    Once one was not, all are measured.
     """
 
     def __init__(self):
@@ -79,6 +79,13 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             shift *= 100.0 if before.last == 0.0 else 8.0
     return None
+
+
+def leaves_much(point, step, trial):
+    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
+    if UNBOUNDED and step.shift.value > 0.0:
+        return False  # it is far from a solution, where curvature is the reason
+    return trial.residual > UNSOLVED * point.residual
 
 
 def damped(damping, step, length, shortened):

@@ -28,7 +28,7 @@ class Attempt(NamedTuple):
     bend: float = 0.0
 
 
-FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(0.03, 1e-12, 1e4)
+FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
 WARM = FROM_GUESS  # Newton's method needs no telling
 OTHERS = (
     Attempt(0.1, 1e-3, 2.0),

@@ -7,9 +7,9 @@ COUPLING_PLACES[i]. The conditions' share of the Lagrangian is the sum over rows
 import numpy as np
 from numba import njit
 
-from codegen.runtime.arrays import zero_vector
+from codegen.runtime.arrays import zero_matrix, zero_vector
 from codegen.runtime.stand_ins.example import (
-    COUPLING_COUNTS, COUPLING_KINDS, COUPLING_PLACES, COUPLING_ROWS, COUPLINGS, ROOT, coupling_term,
+    COUPLING_COUNTS, COUPLING_KINDS, COUPLING_PLACES, COUPLING_ROWS, COUPLINGS, ROOT, SCALED, coupling_term,
 )  # fmt: skip
 
 
@@ -46,6 +46,18 @@ def add_coupling_matrix(unknowns, parameters, weight, matrix):
             matrix[place, row] += slopes[a]
             for b in range(count):
                 matrix[place, COUPLING_PLACES[i, b]] += multiplier * curvatures[a * count + b]
+
+
+if SCALED:
+
+    @njit(error_model="numpy")
+    def multiply_couplings(unknowns, parameters, vector, product):
+        """Add to `product` what the second derivatives of the conditions make of `vector`, both (n,)."""
+        matrix, first = zero_matrix(ROOT, ROOT), unknowns.size - ROOT
+        add_coupling_matrix(unknowns, parameters, 1.0, matrix)
+        for i in range(ROOT):
+            for j in range(ROOT):
+                product[first + i] += matrix[i, j] * vector[first + j]
 
 
 def coupling_entries(grid, unknowns):

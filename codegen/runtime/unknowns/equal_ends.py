@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    BODIES, END_SHARED, END_SHARED_PLACES, NODE, ROOT, SHARED, START_SHARED, START_SHARED_PLACES, STRIDE,
+    BODIES, END_SHARED, END_SHARED_PLACES, NODE, ROOT, SCALED, SHARED, START_SHARED, START_SHARED_PLACES, STRIDE,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import root_place
 
@@ -16,6 +16,17 @@ def release_tied(values, first, last, body, root):
         root[root_place(body, START_SHARED[i])] += values[first + START_SHARED_PLACES[i]]
     for i in range(END_SHARED.size):
         root[root_place(body, END_SHARED[i])] += values[last + END_SHARED_PLACES[i]]
+
+
+if SCALED:
+
+    @njit(cache=True, error_model="numpy")
+    def add_tied(values, steps):
+        """Add `values` (n,) of what equals a shared unknown to its, and leave them there as well."""
+        root = values[values.size - ROOT :]
+        for body in range(BODIES):
+            first = body * (steps * STRIDE + NODE)
+            release_tied(values, first, first + steps * STRIDE, body, root)
 
 
 @njit(error_model="numpy", inline="always")
