@@ -3000,15 +3000,17 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         grid = scaled_grid(grid, unknowns)
     start = in_parts(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
-    if grid.sizes.size and status in FAILED and iterations < max_iterations:
-        # Sizes come from the guess, and may be far from those of the solution.
-        grid, start = plain_grid(grid), unknowns
-        status, point, further = minimise(grid, start, tolerance, max_iterations - iterations, warm, log)
-        iterations += further
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status, own = final_status(grid, in_parts(grid, unknowns), point, status), in_units(grid, point)
+    status = final_status(grid, in_parts(grid, unknowns), point, status)
+    if grid.sizes.size and status in FAILED and iterations < max_iterations:
+        # Sizes come from the guess, and may be far from those of the solution.
+        grid = plain_grid(grid)
+        status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
+        iterations += further
+        status = final_status(grid, unknowns, point, status)
+    own = in_units(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations
@@ -3369,7 +3371,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_5ae0856f25d96b77"
+_IDENTITY = "codegen_orbital_transfer_6daabe4d33931150"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
