@@ -31,7 +31,7 @@ FAST = frozenset(
     " pairs_and_frame first_order_programs inequalities output dense_assembly zeros bodies least_action packing"
     " drawing large_constants general ends_and_bodies holonomic_constraints copies pairwise orders legendre specialise"
     " set_values relations model problem_file phase_checks kinks path_modes damage damage_beyond_kernels"
-    " phase_solutions newton import_graph batch solver refinement limits tasks".split()
+    " phase_solutions newton filter import_graph batch solver refinement limits tasks".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 
