@@ -13,7 +13,7 @@ from codegen.lower import control_guesses, phases
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
 from codegen.lower.coupling import lower_couplings
-from codegen.lower.kernels import INNER, PLAIN, Kernel, Line, Output, kernel
+from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.lower.module import ControlModule, arguments_of
 from codegen.lower.printer import array_code, scalar_code
 from codegen.lower.statement import description
@@ -173,7 +173,7 @@ def _interval_kernels(
 
 
 def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
-    """The controls' block of the Hessian, where it is the same on every interval."""
+    """The controls' block of the Hessian, where it is the same on all of length h."""
     if not derivatives.condensed or program.has_inequalities or program.phases:
         return ()
     controls = {program.control_symbols.index(s): s for s in program.control_symbols}
@@ -188,8 +188,8 @@ def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -
         if row - first in controls and column - first in controls
     ]
     places = _places(program, derivatives.element.unknowns)
-    summary = "Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on every interval."
-    return (kernel("control_hessian", summary, ("h", "parameters", "block"), places, block, decorators=PLAIN),)
+    summary = "Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on all of length h."
+    return (kernel("control_hessian", summary, ("h", "parameters", "block"), places, block, decorators=INNER),)
 
 
 def _end_kernels(
@@ -235,7 +235,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         solver = ("standstill", "descent", "filter", "refinement", *kind, "newton_steps", "restoration")
         solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "newton")
     return (
-        "arrays",
+        "arrays", "times",
         *(("shared",) if program.shared else ()),
         *(("equal_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),

@@ -20,8 +20,8 @@ def guesses(program: ControlProgram) -> dict[str, Any]:
     """Guesses as code over arrays of time, and what they read."""
     at_nodes = [replace(line, target=f"nodes[:, :, {line.target}]") for line in _node_guess(program)]
     inside = [replace(line, target=f"intervals[:, :, {line.target}]") for line in _interval_guess(program)]
-    nodes = (Line("t", "duration * np.arange(grid.steps + 1) / grid.steps"),)
-    middles = (Line("t", "duration * (0.5 + np.arange(grid.steps)) / grid.steps"),)
+    nodes = (Line("t", "duration * grid.nodes / grid.steps"),)
+    middles = (Line("t", "duration * (0.5 * (grid.nodes[:-1] + grid.nodes[1:])) / grid.steps"),)
     lines = [*(nodes if _read("t", at_nodes) else ()), *at_nodes, *(middles if _read("t", inside) else ()), *inside]
     duration = (Line("duration", "duration_of(grid, unknowns)"),)
     return {

@@ -126,9 +126,10 @@ def duration(program: ControlProgram) -> dict[str, Any]:
         "duration_inputs": duration_inputs(program, [program.model.duration]) if free else (),
         "duration": code if free else "grid.steps * grid.h",
         "phase_durations": (),
-        "node_times": "duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps",
+        "node_times": "duration_of(grid, unknowns) * grid.nodes / grid.steps",
         "choices": (),
         "of_each_phase": "",
+        "fractions": "fractions (N,) of the duration",
     }
 
 

@@ -14,8 +14,6 @@ CACHED = ('@njit(cache=True, error_model="numpy")',)
 """Decorator of functions that Python calls; division by zero gives infinity, as it does in numpy."""
 INNER = ('@njit(error_model="numpy")',)
 """Decorator of functions that only compiled functions call: their machine code is kept as part of the caller's."""
-PLAIN: tuple[str, ...] = ()
-"""No decorator: for functions that run too seldom to be worth compiling."""
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,9 @@ class ControlModule(Module):
     at nodes. The duration is the argument `duration_arguments` with its default, or code of the unknowns where it is
     free; `grid_duration` is what the grid divides into steps. `bound_lines` has one group where there are inequalities,
     and `coupling_kinds` one, of kernels, where bodies are coupled. Where there are several phases, `phase_durations`
-    has one group (inputs, code for each phase), `choices` select kernels, and `of_each_phase` says whose steps are
-    given. `positions`, `momenta`, `controls` and `multipliers` are code that reads the solution.
+    has one group (inputs, code for each phase), `choices` select kernels, `of_each_phase` says whose steps are
+    given, and `fractions` of what intervals last. `positions`, `momenta`, `controls` and `multipliers` are code that
+    reads the solution.
     """
 
     boundary_values: tuple[Line, ...]
@@ -105,6 +106,7 @@ class ControlModule(Module):
     phase_durations: tuple[tuple[tuple[Line, ...], tuple[str, ...]], ...]
     choices: tuple[Choice, ...]
     of_each_phase: str
+    fractions: str
     positions: str
     momenta: str
     controls: str

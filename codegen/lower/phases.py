@@ -43,9 +43,9 @@ def choices(program: ControlProgram) -> tuple[Choice, ...]:
 
 
 def _end(stem: str) -> str:
-    """The condition that an interval lies before the end of those with a kernel, with half a step for rounding."""
+    """The condition that an interval lies before the end of those with a kernel, with something for rounding."""
     kind, number = stem.split("_")
-    return f"t < {number} + 0.5 * h" if kind == "switch" else f"t < {number} - 0.5 * h"
+    return f"t < {number} + 1e-12" if kind == "switch" else f"t < {number} - 1e-12"
 
 
 def constants(program: ControlProgram) -> list[Line]:
@@ -76,6 +76,7 @@ def duration(program: ControlProgram) -> dict[str, Any]:
         "node_times": "node_times(grid, unknowns)",
         "choices": choices(program),
         "of_each_phase": " of each phase",
+        "fractions": "fractions (N,) of every phase, or (PHASES, N) of each,",
     }
 
 

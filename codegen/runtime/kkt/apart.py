@@ -18,13 +18,13 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
-    inverses, couplings,
+    unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
+    order, inverses, couplings,
 ):  # fmt: skip
     """Eliminate all bodies; whether that was possible, and the excess of negative pivots.
 
-    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P); the factors are those of
-    `allocate_factors`.
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `nodes` (N + 1,), `parameters` (BODIES, P); the
+    factors are those of `allocate_factors`.
     """
     parts = zero_vector(ELEMENT)
     fill_parts(sizes, forces, parts)
@@ -32,8 +32,9 @@ def factor(
     for body in range(BODIES):
         first, behind = body * chain, (body + 1) * chain
         regular, found, excess = eliminate_body(
-            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
+            parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body], couplings[body],
+            last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess

@@ -33,13 +33,13 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
-    inverses, couplings, root_upper, root_inverse, root_order, root_right,
+    unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
+    order, inverses, couplings, root_upper, root_inverse, root_order, root_right,
 ):  # fmt: skip
     """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots.
 
-    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P + SHARED); the factors are those
-    of `allocate_system`.
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `nodes` (N + 1,), `parameters` (BODIES, P + SHARED); the
+    factors are those of `allocate_system`.
     """
     negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST + SHARED, LAST_WIDTH)
     root, left = zero_matrix(ROOT, ROOT_WIDTH), zero_matrix(SHARED, SHARED_WIDTH)
@@ -51,8 +51,9 @@ def factor(
         first, behind = body * chain, (body + 1) * chain
         read_shared(unknowns, body, parameters)
         regular, found, excess = eliminate_body(
-            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
+            parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body], couplings[body],
+            last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess

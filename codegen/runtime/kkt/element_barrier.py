@@ -24,7 +24,7 @@ def allocate_condensed(grid):
 
 
 @njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, parts, diagonal, inverses):
+def prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
     """True: blocks are inverted interval by interval."""
     return True
 

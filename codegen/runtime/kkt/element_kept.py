@@ -17,7 +17,7 @@ def allocate_condensed(grid):
 
 
 @njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, parts, diagonal, inverses):
+def prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
     """True: there is no block that could be indefinite."""
     return True
 

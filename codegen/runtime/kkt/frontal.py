@@ -29,6 +29,7 @@ from codegen.runtime.stand_ins.example import (
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import root_place
 from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
+from codegen.runtime.unknowns.times import span
 
 REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
 REST_WIDTH = padded(REST)
@@ -56,17 +57,17 @@ def allocate_factors(grid):
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate_body(
-    unknowns, gradient, diagonal, steps, h, parameters, weight, parts, upper, inverse, order, inverses, couplings,
-    last,
+    unknowns, gradient, diagonal, steps, h, nodes, parameters, weight, parts, upper, inverse, order, inverses,
+    couplings, last,
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
     the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
-    `allocate_factors`; `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the number of negative
-    pivots, and by how many they are too many: when there are, the elimination has stopped.
+    `allocate_factors`; `nodes` (N + 1,), `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the
+    number of negative pivots, and by how many they are too many: when there are, the elimination has stopped.
     """
-    if not prepare_condensed(weight, parts, diagonal, inverses):
+    if not prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
@@ -74,7 +75,8 @@ def eliminate_body(
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         copy_part(unknowns, k * STRIDE, local)
-        interval_hessian(local, k * h, h, parameters, hessian)
+        t, length = span(nodes, k, h)
+        interval_hessian(local, t, length, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]

@@ -20,6 +20,7 @@ from codegen.runtime.stand_ins.example import (
 from codegen.runtime.unknowns.equal_ends import add_tied
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.shared import global_place, read_shared
+from codegen.runtime.unknowns.times import span
 
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
 LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
@@ -27,7 +28,7 @@ SOLVED_AGAIN = 10  # times at most, as in IPOPT
 
 
 @njit(cache=True, error_model="numpy")
-def multiply_kkt(unknowns, steps, h, parameters, vector, product):
+def multiply_kkt(unknowns, steps, h, nodes, parameters, vector, product):
     """Add to `product` what the second derivatives of the Lagrangian, at `unknowns`, make of `vector`, all (n,)."""
     hessian = zero_vector(HESSIAN_ROWS.size)
     for body in range(BODIES):
@@ -35,7 +36,8 @@ def multiply_kkt(unknowns, steps, h, parameters, vector, product):
             read_shared(unknowns, body, parameters)
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 if SHARED:
@@ -55,7 +57,7 @@ def left_over(grid, unknowns, diagonal, gradient, step):
     if SCALED and grid.sizes.size:
         roots = np.sqrt(grid.sizes * grid.forces)
         unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_kkt(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
+    multiply_kkt(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, vector, product)
     if SCALED and grid.sizes.size:
         product *= roots
     product += diagonal * step + gradient

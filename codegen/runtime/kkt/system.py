@@ -19,8 +19,8 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     if SCALED and grid.sizes.size:
         unknowns = unknowns * grid.sizes
     regular, excess = factor(
-        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.parameters, weight, diagonal, equations,
-        *factors,
+        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.nodes, grid.parameters, weight,
+        diagonal, equations, *factors,
     )  # fmt: skip
     return excess if regular else None
 

@@ -26,6 +26,7 @@ from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.shared import read_shared, root_place
 from codegen.runtime.unknowns.equal_ends import shared_representatives
+from codegen.runtime.unknowns.times import span
 
 
 def cost(grid, unknowns):
@@ -62,7 +63,7 @@ def hessian(grid, unknowns):
 def submatrix(grid, unknowns, rows, columns, is_curvature):
     """Entries of the KKT matrix in the given rows and columns, renumbered; duplicates are to be added."""
     values = np.empty((BODIES * grid.steps, HESSIAN_ROWS.size))
-    interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
+    interval_hessians(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, values)
     chain = grid.steps * STRIDE + NODE
     offsets = (chain * np.arange(BODIES)[:, None] + STRIDE * np.arange(grid.steps)).reshape(-1, 1)
     row, column, value = offsets + HESSIAN_ROWS, offsets + HESSIAN_COLUMNS, values
@@ -90,7 +91,7 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
 
 
 @njit(cache=True, error_model="numpy")
-def interval_hessians(unknowns, steps, h, parameters, values):
+def interval_hessians(unknowns, steps, h, nodes, parameters, values):
     """Fill a row of `values` with the entries of the Hessian of each interval of each body."""
     for body in range(BODIES):
         if SHARED:
@@ -98,4 +99,5 @@ def interval_hessians(unknowns, steps, h, parameters, values):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
+            t, length = span(nodes, k, h)
+            interval_hessian(here, t, length, parameters[body], values[body * steps + k])

@@ -26,6 +26,7 @@ from codegen.runtime.optimise.limits import at_limits, prescribed_beyond
 from codegen.runtime.unknowns.phases import node_times
 from codegen.runtime.unknowns.shared import least_duration, read_shared
 from codegen.runtime.optimise.verdict import GROWTH, HOLDS
+from codegen.runtime.unknowns.times import span
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
@@ -173,7 +174,7 @@ def not_finite(grid, point):
 def cost_not_finite(grid, point):
     """Where the discrete cost is infinite or NaN."""
     costs = np.empty((BODIES, grid.steps))
-    interval_costs(point.unknowns, grid.steps, grid.h, grid.parameters, costs)
+    interval_costs(point.unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, costs)
     bad = np.argwhere(~np.isfinite(costs))
     if bad.size:
         body, k = bad[0]
@@ -182,7 +183,7 @@ def cost_not_finite(grid, point):
 
 
 @njit(cache=True, error_model="numpy")
-def interval_costs(unknowns, steps, h, parameters, costs):
+def interval_costs(unknowns, steps, h, nodes, parameters, costs):
     """Fill in the discrete cost of each interval of each body."""
     part = np.empty(ELEMENT + SHARED)
     for body in range(BODIES):
@@ -190,7 +191,8 @@ def interval_costs(unknowns, steps, h, parameters, costs):
             read_shared(unknowns, body, parameters)
         for k in range(steps):
             here = body * (steps * STRIDE + NODE) + k * STRIDE
-            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            t, length = span(nodes, k, h)
+            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], t, length, parameters[body], part)
 
 
 def kernel_name(grid, place):
@@ -255,7 +257,7 @@ def whereabouts(grid, unknowns, place):
         return ""
     body, (k, local) = place // chain, divmod(place % chain, STRIDE)
     kind = "at node" if local < NODE else "on interval"
-    t = duration_of(grid, unknowns) * k / grid.steps
+    t = duration_of(grid, unknowns) * grid.nodes[k] / grid.steps
     if PHASES:
         t = node_times(grid, unknowns)[k]
     return f" {kind} {k} (t = {t:.3g}){of_body(body)}"

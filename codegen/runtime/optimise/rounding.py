@@ -16,13 +16,14 @@ from codegen.runtime.stand_ins.example import (
     interval_hessian,
 )
 from codegen.runtime.unknowns.shared import global_place, read_shared
+from codegen.runtime.unknowns.times import span
 
 UNIT_ROUNDOFF = 2.2e-16
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
@@ -38,7 +39,8 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(here, t, length, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 if SHARED:
@@ -62,7 +64,9 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
 
 def sizes_of_terms(grid, unknowns):
     """The same of a grid, in parts of sizes where it has them."""
-    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return term_sizes(
+        unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.nodes, grid.parameters, grid.is_multiplier
+    )
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):

@@ -115,7 +115,9 @@ def scaled_grid(grid, unknowns):
         bounds = variable_bounds(grid)
     primal = np.where(grid.is_multiplier, 0.0, unknowns)
     slopes = evaluate(grid, primal).gradient
-    weight, is_scaled = fill_sizes(primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    weight, is_scaled = fill_sizes(
+        primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
+    )
     if not is_scaled:
         return grid._replace(bounds=bounds)
     if INEQUALITIES:

@@ -51,7 +51,7 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes):
+def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
     """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
 
     `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
@@ -63,7 +63,7 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes)
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
-    measure_intervals(primal, steps, h, parameters, tables)
+    measure_intervals(primal, steps, h, nodes, parameters, tables)
     if COUPLINGS:
         matrix = zero_matrix(ROOT, ROOT)
         add_coupling_matrix(primal, parameters[0], 1.0, matrix)

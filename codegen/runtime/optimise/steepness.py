@@ -22,6 +22,7 @@ from codegen.runtime.stand_ins.example import (
     interval_hessian,
 )
 from codegen.runtime.unknowns.shared import read_shared
+from codegen.runtime.unknowns.times import span
 
 SAMPLES = 4  # intervals on which derivatives are looked at
 CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
@@ -51,7 +52,7 @@ def add_entry(row, column, value, tables):
 
 
 @njit(error_model="numpy")
-def measure_intervals(unknowns, steps, h, parameters, tables):
+def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
     """Fill three tables by kinds from some intervals.
 
     The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
@@ -69,7 +70,9 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
             if k % intervals % stride > 0:
                 continue
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
+            part = nodes[k + 1] - nodes[k]  # of a mean length
             moments[:] = 0.0
             for j in range(HESSIAN_ROWS.size):
                 row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
@@ -79,18 +82,18 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
                     continue
                 if not LOCAL_IS_MULTIPLIER[row]:
                     if not IS_AT_ENDS[KIND[row]]:
-                        add_entry(KIND[row], KIND[column], stride * abs(hessian[j]), tables)
+                        add_entry(KIND[row], KIND[column], stride * abs(hessian[j]) / part, tables)
                 elif not LOCAL_IS_MULTIPLIER[column]:
                     ahead = PLACE[column] - PLACE[row]
                     moments[row, KIND[column], 0] += hessian[j]
                     moments[row, KIND[column], 1] += hessian[j] * ahead
                     moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
                     moments[row, KIND[column], 3] += abs(hessian[j])
-            fold(moments, intervals, tables)
+            fold(moments, intervals, part, tables)
 
 
 @njit(error_model="numpy")
-def fold(moments, intervals, tables):
+def fold(moments, intervals, part, tables):
     """Put the moments of one interval's equations into the tables.
 
     An equation of a node is a sum of two intervals' shares, each as large as what is equated: as a momentum, say.
@@ -107,18 +110,19 @@ def fold(moments, intervals, tables):
                 for i in range(4):
                     total[i] += moments[STRIDE + row, column, i]
                 largest = max(
-                    change(moments[row, column], intervals, 1), change(moments[STRIDE + row, column], intervals, 1)
+                    change(moments[row, column], intervals, part, 1),
+                    change(moments[STRIDE + row, column], intervals, part, 1),
                 )
             tables[0, KIND[row], column] = max(tables[0, KIND[row], column], largest)
-            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, 2))
+            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, part, 2))
 
 
 @njit(error_model="numpy")
-def change(moments, intervals, powers):
-    """What an equation with these moments makes of motions of size one."""
+def change(moments, intervals, part, powers):
+    """What an equation with these moments makes of motions of size one, on an interval that is `part` of a mean one."""
     largest = abs(moments[0]) if abs(moments[0]) > CANCELLED * moments[3] else 0.0
-    largest = max(largest, abs(moments[1]) / intervals)
-    return max(largest, abs(moments[2]) / intervals**2) if powers == 2 else largest
+    largest = max(largest, abs(moments[1]) * part / intervals)
+    return max(largest, abs(moments[2]) * part**2 / intervals**2) if powers == 2 else largest
 
 
 if PHASES:

@@ -11,11 +11,14 @@ from codegen.runtime.unknowns.point import Grid
 
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
+SHORTEST = 1e-10  # part of the duration, or of a phase, that an interval has at least
+EQUAL = 1e-12  # parts of their length by which equal intervals may differ
 
 
-def checked_grid(steps, duration, parameters):
+def checked_grid(steps, duration, parameters, fractions):
     """A Grid; `parameters` are numbers, or arrays (BODIES,). ValueError for what is not finite or not positive."""
     steps, duration = checked_times(steps, duration)
+    steps, nodes, is_uniform = checked_nodes(steps, fractions)
     table = np.zeros((BODIES, len(parameters) + SHARED))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
@@ -28,7 +31,35 @@ def checked_grid(steps, duration, parameters):
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
     if PHASES:
         steps, duration = PHASES * steps, PHASES  # the time of a chain runs from each phase's number to the next
-    return Grid(steps, duration / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+    return Grid(
+        steps, duration / steps, nodes, is_uniform, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ()
+    )
+
+
+def checked_nodes(steps, fractions):
+    """The number of intervals, the places of all nodes in mean lengths, and whether all intervals are equally long.
+
+    `fractions`, if given, are parts of the duration, (N,), or of every phase, also (PHASES, N). ValueError for others.
+    """
+    chains = 1
+    if PHASES:
+        chains = PHASES
+    if fractions is None:
+        return steps, np.arange(chains * steps + 1.0), True
+    lengths = np.array(fractions, dtype=float)
+    if lengths.ndim == 1:
+        lengths = np.tile(lengths, (chains, 1))
+    if lengths.ndim != 2 or lengths.shape[0] != chains or not lengths.size:
+        shape = "(N,)" if chains == 1 else f"(N,) or ({chains}, N)"
+        raise ValueError(f"grid has shape {np.shape(fractions)}, expected {shape}")
+    if not (lengths > SHORTEST).all() or not np.allclose(lengths.sum(axis=1), 1.0, rtol=0.0, atol=1e-6):
+        raise ValueError(f"grid must hold fractions above {SHORTEST:g} whose sum is one, got {fractions!r}")
+    steps = lengths.shape[1]
+    if np.ptp(lengths) <= EQUAL / steps:
+        return steps, np.arange(chains * steps + 1.0), True
+    ends = np.cumsum(lengths, axis=1)
+    places = steps * (ends / ends[:, -1:] + np.arange(chains)[:, None])
+    return steps, np.concatenate([[0.0], places.ravel()]), False
 
 
 def plain_grid(grid):

@@ -16,10 +16,11 @@ from codegen.runtime.stand_ins.example import (
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import add_shared, read_shared
 from codegen.runtime.unknowns.equal_ends import release_tied
+from codegen.runtime.unknowns.times import span
 
 
 @njit(error_model="numpy")
-def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
+def lagrangian_gradient(unknowns, steps, h, nodes, parameters, gradient):
     """Fill the `gradient` (n,) by `unknowns` (n,), zero where they are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
@@ -42,7 +43,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
         for k in range(steps):
             here = first + k * STRIDE
             copy_part(unknowns, here, local)
-            cost += interval_gradient(local, k * h, h, own, part)
+            t, length = span(nodes, k, h)
+            cost += interval_gradient(local, t, length, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         if TIED:
             release_tied(gradient, first, last, body, gradient[gradient.size - ROOT :])

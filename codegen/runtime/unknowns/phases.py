@@ -17,9 +17,9 @@ def lacking_unknowns(intervals):
 
 
 def node_times(grid, unknowns):
-    """Times (N + 1,) of all nodes, equidistant in every phase."""
+    """Times (N + 1,) of all nodes; phases follow each other."""
     switches = np.concatenate([[0.0], np.cumsum(phase_durations(grid, unknowns))])
-    return np.interp(np.arange(grid.steps + 1) / (grid.steps // PHASES), np.arange(PHASES + 1), switches)
+    return np.interp(grid.nodes / (grid.steps // PHASES), np.arange(PHASES + 1), switches)
 
 
 def interval_times(grid, unknowns):

@@ -11,7 +11,10 @@ from codegen.runtime.norms import measure
 
 
 class Grid(NamedTuple):
-    """N = `steps` intervals of length h, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
+    """N = `steps` intervals, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
+
+    Intervals have the mean length h, and `nodes` (N + 1,) are the places of all nodes in time, in mean lengths.
+    `is_uniform` says that all intervals have that length.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
     Where there are `sizes` (n,), all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces`
@@ -21,6 +24,8 @@ class Grid(NamedTuple):
 
     steps: int
     h: float
+    nodes: np.ndarray
+    is_uniform: bool
     parameters: np.ndarray
     is_multiplier: np.ndarray
     sizes: np.ndarray
@@ -52,7 +57,15 @@ def evaluate(grid, unknowns):
         unknowns,
         gradient,
         *measured_gradient(
-            unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient
+            unknowns,
+            grid.sizes,
+            grid.weight,
+            grid.steps,
+            grid.h,
+            grid.nodes,
+            grid.parameters,
+            grid.is_multiplier,
+            gradient,
         ),
     )
 
@@ -66,14 +79,14 @@ def lagrangian(grid, point):
 
 
 @njit(cache=True, error_model="numpy")
-def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
+def measured_gradient(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient):
     """Fill the `gradient` (n,) of the Lagrangian; return what a Point holds beside it."""
     if SCALED and sizes.size:
-        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
+        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, nodes, parameters, gradient)
         for i in range(gradient.size):
             gradient[i] *= weight * sizes[i]
     else:
-        cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+        cost = lagrangian_gradient(unknowns, steps, h, nodes, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
     error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
     return cost, residual, violation, stationarity, error
