@@ -31,10 +31,14 @@ Entries: TypeAlias = tuple[Indices, Indices, Vector]
 
 
 class Grid(Protocol):
-    """N intervals of length h, the parameters of each body, and which unknowns are multipliers of equations."""
+    """N intervals of mean length h, the parameters of each body, and which unknowns are multipliers of equations.
+
+    `nodes` (N + 1,) are the places of all nodes in time, in mean lengths.
+    """
 
     steps: int
     h: float
+    nodes: Vector
     parameters: Matrix
     is_multiplier: NDArray[np.bool_]
     sizes: Vector
@@ -203,6 +207,14 @@ def load(path: Path | str) -> GeneratedModule:
     path = Path(path)
     text = _text(path)
     return cast(GeneratedModule, importlib.import_module(_name(path.resolve(), text)))
+
+
+def time_grid(module: ControlModule, steps: int, fractions: Vector | None = None) -> Grid:
+    """The grid of N equal intervals, N = `steps`, or of those that last `fractions` of the duration, or of each phase.
+
+    Raises ValueError when fractions are not positive, or their sum is not one.
+    """
+    return module.make_grid(steps) if fractions is None else module.make_grid(steps, grid=fractions)
 
 
 def is_control(module: GeneratedModule) -> TypeGuard[ControlModule]:

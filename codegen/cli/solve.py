@@ -62,6 +62,10 @@ def solve(
     doublings: Annotated[
         int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
     ] = 0,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
+    ] = None,
     guesses: Annotated[
         int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
     ] = 1,
@@ -80,7 +84,7 @@ def solve(
     request = Request(
         problem, driver, arguments=parse_arguments(set_, problem), scheme=scheme, method=method,
         controls=controls.value, out=out, steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings,
-        guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
+        accuracy=accuracy, guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
         log=log,
     )  # fmt: skip
     if save is not None:

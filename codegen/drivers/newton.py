@@ -38,4 +38,5 @@ def _stops(run: Run) -> dict[str, Any]:
     """The arguments of a module's `solve` whose own defaults are not to hold."""
     given: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
     given |= {"watch": run.watch, "scaling": run.scaling}
-    return {name: value for name, value in given.items() if value not in (None, math.inf, "auto")}
+    given = {name: value for name, value in given.items() if value not in (None, math.inf, "auto")}
+    return given if run.grid is None else given | {"grid": run.grid}

@@ -23,7 +23,7 @@ from scipy.optimize import Bounds, lsq_linear
 from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
-from codegen.loading import ControlModule, Entries, Grid, Indices, Vector
+from codegen.loading import ControlModule, Entries, Grid, Indices, Vector, time_grid
 from codegen.solutions.result import ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
@@ -104,7 +104,7 @@ class ScaledProblem:
     @classmethod
     def on_grid(cls, module: ControlModule, run: Run, is_scaled: bool = True) -> ScaledProblem:
         """The problem on N intervals, from the guess that is asked for, else the problem's own."""
-        grid = module.make_grid(run.steps)
+        grid = time_grid(module, run.steps, run.grid)
         base = module.initial_guess(grid) if run.guess is None else module.with_pinned_values(grid, run.guess)
         return cls(module, grid, base, module.primal_unknowns(grid), module.multiplier_unknowns(grid), is_scaled)
 

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from codegen.loading import ControlModule, Matrix, Vector
+from codegen.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solutions.result import Result
 
 CLOSE, LEAST = 2e-4, 1e-6
@@ -76,7 +76,7 @@ class Inequality:
 
 def first_guess(module: ControlModule, result: Result) -> Result:
     """The result as it would be if the solver had not moved from the problem's first guess."""
-    grid = module.make_grid(result.steps)
+    grid = time_grid(module, result.steps, result.grid)
     t, q, p, u, multipliers = module.unpack(grid, module.initial_guess(grid))
     return replace(result, t=t, q=q, p=p, u=u, multipliers=multipliers, log=None)
 
@@ -129,7 +129,7 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
     generated: Any = module  # it has names that only some modules have
     if result.unknowns is None or not hasattr(generated, "SLACKS"):
         return []
-    grid = module.make_grid(result.steps)
+    grid = time_grid(module, result.steps, result.grid)
     _, intervals = generated.views(grid, result.unknowns)
     _, residuals = generated.views(grid, generated.evaluate(grid, result.unknowns).gradient)
     columns: dict[str, list[tuple[Vector, Matrix]]] = {}
@@ -178,7 +178,7 @@ def _bounds(module: ControlModule, like: Result) -> tuple[list[Matrix], list[Mat
     if not module.metadata["inequalities"]:
         tables = [np.full_like(table, np.inf) for table in (like.q, like.p, like.u)]
         return [-table for table in tables], tables
-    grid = module.make_grid(like.steps)
+    grid = time_grid(module, like.steps, like.grid)
     with np.errstate(all="ignore"):  # durations and momenta of infinite unknowns mean nothing
         lower, upper = (module.unpack(grid, bounds) for bounds in module.variable_bounds(grid))
     return [lower[1], lower[2], lower[3]], [upper[1], upper[2], upper[3]]

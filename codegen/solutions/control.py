@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import ControlModule, Entries, Grid, Vector
+from codegen.loading import ControlModule, Entries, Grid, Vector, time_grid
 from codegen.solutions.result import (
     ControlAttempt,
     Result,
@@ -28,7 +28,7 @@ def control_result(
     module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, seconds: float = math.nan
 ) -> Result:
     """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
-    metadata, unknowns, grid = module.metadata, attempt.unknowns, module.make_grid(run.steps)
+    metadata, unknowns, grid = module.metadata, attempt.unknowns, time_grid(module, run.steps, run.grid)
     scaled = _scaled_grid(module, grid, run)
     residual, stationarity = _errors(module, scaled, unknowns, np.ones(unknowns.size), 1.0)
     status, message = attempt.status, attempt.message
@@ -56,6 +56,7 @@ def control_result(
         **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
         stationarity=stationarity, t=t, q=q, p=p, u=u, multipliers=multipliers, log=attempt.log, unknowns=unknowns,
         names=component_names(metadata), stage_places=metadata.get("stage_places", ()), summary=summary,
+        grid=run.grid,
     )  # fmt: skip
 
 

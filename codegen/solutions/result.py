@@ -25,6 +25,7 @@ STATUSES = {
     "singular": "the equations of one step have no unique solution",
     "newton failed": "Newton's method did not converge within one step",
     "not connected": "no attempt found a motion from the given points to their targets",
+    "accuracy not reached": "the equations hold, but no grid was found on which their solution is as accurate as asked",
     "inaccurate": "the driver claimed success, but the residuals evaluated afterwards are too large",
 }
 """Every status word and its meaning; all but the first are failures."""
@@ -42,7 +43,8 @@ class Run:
     unknowns to start from, and whether that is `near` the solution; for a connect problem the points. None as a
     tolerance, or as the most iterations of an optimiser, stands for the driver's own; `time_limit` is in seconds, and
     `watch` is called with the number and the row of the log of every iterate.
-    With the `scaling` "none" an optimiser works in the problem's own units.
+    With the `scaling` "none" an optimiser works in the problem's own units. Intervals are equal, or last the fractions
+    `grid` of the duration: (N,), or (phases, N) of the phases.
     """
 
     steps: int
@@ -55,6 +57,7 @@ class Run:
     time_limit: float = math.inf
     watch: Watch | None = None
     scaling: str = "auto"
+    grid: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,32 @@ class SimulateAttempt:
     tolerance: float
 
 
+@dataclass(frozen=True)
+class GridLevel:
+    """How the solution on one grid ended: intervals of each phase, status, estimated relative error, iterations, seconds."""
+
+    intervals: int
+    status: str
+    error: float
+    iterations: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What came of a request for accuracy: the estimated relative error, of which quantity it is largest, and when.
+
+    `reason` says why the request was not met, and is empty where it was; `levels` are the grids in their order.
+    """
+
+    request: float
+    estimate: float
+    quantity: str
+    time: float
+    reason: str
+    levels: tuple[GridLevel, ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Result:
     """A solution with its residuals; arrays run over the nodes, `u` over intervals, nodes or stages.
@@ -105,7 +134,8 @@ class Result:
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
     evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
     first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made. `levels`
-    tells how the grids of a refinement ended.
+    tells how the grids of a refinement ended. `grid` holds the fractions of the duration, or of every phase, that
+    intervals last where they are not equal, and `accuracy` what came of a request for it.
     """
 
     problem: str
@@ -137,6 +167,8 @@ class Result:
     attempts: tuple[str, ...] = ()
     levels: tuple[Result, ...] = ()
     stage_places: tuple[float, ...] = ()
+    grid: Vector | None = field(default=None, repr=False)
+    accuracy: Accuracy | None = None
 
     @property
     def solved(self) -> bool:

@@ -18,6 +18,7 @@ from codegen.loading import GeneratedModule, Vector
 from codegen.machine_code import ahead
 from codegen.solutions import output
 from codegen.solutions.result import Result, Run, Watch
+from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
@@ -107,22 +108,24 @@ def _solved(
     """The result of all runs, which share the time: of several guesses, and on grids of which each is twice as fine."""
     left = math.inf if request.time_limit is None else request.time_limit
 
-    def solve_from(steps: int, start: Vector | None, near: bool) -> Result:
+    def solve_from(steps: int, start: Vector | None, near: bool, grid: Vector | None = None) -> Result:
         nonlocal left
         run = Run(
             steps, request.every, start, points, request.tolerance, near, request.max_iterations, max(left, LEAST_TIME),
-            watch, request.scaling,
+            watch, request.scaling, grid,
         )  # fmt: skip
         result = assessed(module, driver, run, request.repeat)
         left -= result.seconds_solve
         return result
 
-    def solve_on(steps: int, start: Vector | None) -> Result:
+    def solve_on(steps: int, start: Vector | None, grid: Vector | None = None) -> Result:
         if start is None and request.guesses > 1:
-            return best_of(lambda guess: solve_from(steps, guess, False), module, steps, request.guesses)
-        return solve_from(steps, start, True)
+            return best_of(lambda guess: solve_from(steps, guess, False, grid), module, steps, request.guesses)
+        return solve_from(steps, start, True, grid)
 
     steps = request.steps or module.metadata["steps"]
+    if request.accuracy is not None:
+        return to_accuracy(solve_on, module, steps, request.accuracy, warm)
     if request.doublings:
         return refine(solve_on, module, steps, request.doublings, warm)
     return solve_on(steps, None if warm is None else transferred(module, warm, steps))

@@ -12,31 +12,34 @@ from dataclasses import replace
 import numpy as np
 
 from codegen.errors import NumericsError
-from codegen.loading import ControlModule, Matrix, Vector
+from codegen.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solutions.result import Result
 
 
-def transferred(module: ControlModule, unknowns: Vector, steps: int) -> Vector:
+def transferred(
+    module: ControlModule, unknowns: Vector, steps: int, source: Vector | None = None, target: Vector | None = None
+) -> Vector:
     """A solution's unknowns on a grid of N intervals, N = `steps`: interpolated in time, without overshoot.
 
-    Nodes are interpolated between nodes, intervals between their midpoints, in every phase by itself. Raises
-    NumericsError when the vector belongs to another problem.
+    Nodes are interpolated between nodes, intervals between their midpoints, in every phase by itself. Intervals are
+    equal, or last the fractions `source` of the solution and `target` of the new grid. Raises NumericsError when the
+    vector belongs to another problem.
     """
     old_steps = source_steps(module, unknowns)
-    target, source = module.make_grid(steps), module.make_grid(old_steps)
-    result = np.zeros(target.is_multiplier.size)
-    old_nodes, old_intervals = module.views(source, unknowns)
-    new_nodes, new_intervals = module.views(target, result)
+    old_grid, new_grid = time_grid(module, old_steps, source), time_grid(module, steps, target)
+    result = np.zeros(new_grid.is_multiplier.size)
+    old_nodes, old_intervals = module.views(old_grid, unknowns)
+    new_nodes, new_intervals = module.views(new_grid, result)
+    old_times, new_times = old_grid.nodes / old_steps, new_grid.nodes / steps
     for phase in range(module.metadata.get("phases", 1)):
         first = min(phase, 1)  # the node at a switch belongs to the phase before, since it has the values before a jump
         old, new = (slice(phase * n + first, (phase + 1) * n + 1) for n in (old_steps, steps))
-        times, at = _times(old_steps, 0.0)[first:], _times(steps, 0.0)[first:]
-        new_nodes[:, new] = _interpolated(times, old_nodes[:, old], at)
+        new_nodes[:, new] = _interpolated(old_times[old], old_nodes[:, old], new_times[new])
         old, new = (slice(phase * n, (phase + 1) * n) for n in (old_steps, steps))
-        new_intervals[:, new] = _interpolated(_times(old_steps, 0.5), old_intervals[:, old], _times(steps, 0.5))
+        new_intervals[:, new] = _interpolated(_middles(old_times)[old], old_intervals[:, old], _middles(new_times)[new])
     rest = module.ROOT
     result[result.size - rest :] = unknowns[unknowns.size - rest :]
-    return module.with_pinned_values(target, result)
+    return module.with_pinned_values(new_grid, result)
 
 
 def source_steps(module: ControlModule, unknowns: Vector) -> int:
@@ -53,9 +56,8 @@ def source_steps(module: ControlModule, unknowns: Vector) -> int:
     return steps
 
 
-def _times(steps: int, place: float) -> Vector:
-    """Times as fractions of the duration: of nodes (place 0), or at a place inside every interval."""
-    return (np.arange(steps + (place == 0.0)) + place) / steps
+def _middles(times: Vector) -> Vector:
+    return 0.5 * (times[:-1] + times[1:])
 
 
 def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:

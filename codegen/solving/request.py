@@ -45,6 +45,7 @@ class Request:
     repeat: int = 1
     warm: Vector | Path | str | None = None
     doublings: int = 0
+    accuracy: float | None = None
     guesses: int = 1
     points: PointSet | Path | str | None = None
     tolerance: float | None = None
@@ -66,6 +67,10 @@ class Request:
                 raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
         if self.tolerance is not None and not 0.0 < _number(self.tolerance) < 1.0:
             raise ArgumentError(f"--tolerance {self.tolerance}", "give a number between 0 and 1")
+        if self.accuracy is not None and not 0.0 < _number(self.accuracy) < 1.0:
+            raise ArgumentError(f"--accuracy {self.accuracy}", "give a relative error between 0 and 1")
+        if self.accuracy is not None and self.doublings:
+            raise ArgumentError("--accuracy beside --doublings", "leave one of them out")
         if self.time_limit is not None and not _number(self.time_limit) > 0.0:
             raise ArgumentError(f"--time-limit {self.time_limit}", "give a positive number of seconds")
         if self.scaling not in SCALINGS:

@@ -1,4 +1,4 @@
-"""The whole of an optimality system on a few intervals: gradient, KKT matrix and Newton step, put together again.
+"""The whole of an optimality system on a few intervals of different lengths, put together again.
 
 The Lagrangian of the optimisation problem is the sum of the derived shares of all intervals and ends of all bodies,
 and of the conditions between bodies. Its differences, in 120-digit arithmetic, tell whether the module's loops, index
@@ -26,6 +26,8 @@ from codegen.transcribe.program import ControlProgram
 from codegen.verify.couplings import shared_symbols
 
 _STEPS = 2
+_GRID = (0.375, 0.625)
+"""What the intervals last, in parts of the duration or of a phase."""
 _AMOUNT = 0.05
 _SOLVED = 1e-8
 _SHIFTS = (1.0, 1e3, 1e6)
@@ -47,7 +49,7 @@ def check(context: Context) -> Iterator[Finding]:
     """Compare gradient, matrix and step at a point beside the initial guess."""
     program = context.control
     module, flat = context.module, FlatVector.on_grid(program, _STEPS)
-    grid = module.make_grid(_STEPS)
+    grid = module.make_grid(_STEPS, grid=_GRID)
     shares = list(_shares(context, program, flat, grid.parameters))
     unknowns, exact = _trial_point(module, grid, flat, shares)
     if exact is None:
@@ -73,10 +75,12 @@ def check(context: Context) -> Iterator[Finding]:
 def _shares(context: Context, program: ControlProgram, flat: FlatVector, parameters: Vector) -> Iterator[_Share]:
     """All shares of the Lagrangian."""
     others = other_symbols(program)
-    grid_step = (1.0 if program.scaled_time else _duration(context)) / flat.phase_steps
+    whole = 1.0 if program.scaled_time else _duration(context)
+    lengths = whole * np.tile(_GRID, flat.steps // flat.phase_steps)
+    times = np.append(0.0, np.cumsum(lengths))
 
-    def given(body: int, instant: float) -> tuple[float, ...]:
-        return (*parameters[body, : len(others) - 2], instant, grid_step)
+    def given(body: int, k: int) -> tuple[float, ...]:
+        return (*parameters[body, : len(others) - 2], times[k], lengths[min(k, flat.steps - 1)])
 
     def function(scalar: Expr, unknowns: tuple[Symbol, ...]) -> Function:
         return function_of([*unknowns, *others], [scalar])
@@ -86,14 +90,14 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, paramet
     end = function(program.end.element, (*program.right_symbols, *program.shared_symbols))
     for body in range(program.bodies):
         for k in range(flat.steps):
-            yield _Share(elements[flat.share(k).element], flat.element(body, k), given(body, k * grid_step))
-        yield _Share(start, flat.end(body, "start"), given(body, 0.0))
-        yield _Share(end, flat.end(body, "end"), given(body, flat.steps * grid_step))
+            yield _Share(elements[flat.share(k).element], flat.element(body, k), given(body, k))
+        yield _Share(start, flat.end(body, "start"), given(body, 0))
+        yield _Share(end, flat.end(body, "end"), given(body, flat.steps))
     symbols, every = shared_symbols(program), np.arange(flat.first_shared, flat.first_coupling)
     for i, coupling in enumerate(program.couplings):
         multiplier = Symbol(f"_{coupling.multiplier.name}", real=True)
         places = np.append(every, flat.first_coupling + i)
-        yield _Share(function(multiplier * coupling.expression, (*symbols, multiplier)), places, given(0, 0.0))
+        yield _Share(function(multiplier * coupling.expression, (*symbols, multiplier)), places, given(0, 0))
 
 
 def _duration(context: Context) -> float:
