@@ -84,8 +84,8 @@ def solve(
     request = Request(
         problem, driver, arguments=parse_arguments(set_, problem), scheme=scheme, method=method,
         controls=controls.value, out=out, steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings,
-        accuracy=accuracy, guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
-        log=log,
+        accuracy=accuracy, guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit,
+        scaling=scaling, log=log,
     )  # fmt: skip
     if save is not None:
         output.require_writable(save, output.ARCHIVES, "--save")

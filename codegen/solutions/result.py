@@ -103,7 +103,7 @@ class SimulateAttempt:
 
 @dataclass(frozen=True)
 class GridLevel:
-    """How the solution on one grid ended: intervals of each phase, status, estimated relative error, iterations, seconds."""
+    """How the solution on one grid ended: intervals of each phase, status, estimated error, iterations, seconds."""
 
     intervals: int
     status: str

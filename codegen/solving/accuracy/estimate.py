@@ -29,10 +29,9 @@ class Estimate:
 def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[str, ...]]:
     """Coordinates, momenta and the cost so far at all nodes, (nodes, quantities), in parts of sizes; their names."""
     table = np.column_stack([result.q, result.p, _cost_so_far(module, result)])
-    names = (*result.names["q"], *result.names["p"], "the cost")
-    table = table[:, : len(names) - 1 + 1] if table.shape[1] == len(names) else table
-    kept = np.isfinite(table).all(axis=0)
-    return table[:, kept], tuple(name for name, keep in zip(names, kept, strict=True) if keep)
+    names = [*result.names["q"], *result.names["p"], "the cost"]
+    kept = [i for i in range(table.shape[1]) if np.isfinite(table[:, i]).all()]
+    return table[:, kept], tuple(names[i] for i in kept)
 
 
 def _cost_so_far(module: ControlModule, result: Result) -> Vector:
@@ -51,7 +50,7 @@ def sizes_of(table: Matrix) -> Vector:
 
 
 def compared(module: ControlModule, coarse: Result, fine: Result) -> Estimate:
-    """The largest relative difference of two results at the nodes of the coarser grid, of their costs and parameters."""
+    """The largest relative difference of two results at nodes of the coarser grid, and of costs and parameters."""
     table, names = trajectories(module, fine)
     before, _ = trajectories(module, coarse)
     if before.shape[1] != table.shape[1]:

@@ -46,6 +46,13 @@ def redistributed(grid: Matrix, errors: Matrix, order: int, steps: int) -> Matri
     return np.array([_distributed(own, error, order, steps) for own, error in zip(grid, errors, strict=True)])
 
 
+def needed(errors: Matrix, order: int, ratio: float) -> float:
+    """How many intervals make an error that is `ratio` times smaller, when they all make errors of equal size."""
+    amounts = (np.maximum(errors, 0.0) ** (1.0 / (order + 1))).sum(axis=1)
+    total = float(errors.sum())
+    return float((ratio * (amounts ** (order + 1)).sum() / total) ** (1.0 / order)) if total > 0.0 else 1.0
+
+
 def _distributed(lengths: Vector, errors: Vector, order: int, steps: int) -> Vector:
     """The same of one phase."""
     amount = np.maximum(errors, 0.0) ** (1.0 / (order + 1))

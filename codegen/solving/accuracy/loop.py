@@ -11,7 +11,7 @@ import numpy as np
 from codegen.loading import ControlModule, Matrix, Vector
 from codegen.solutions.result import Accuracy, GridLevel, Result
 from codegen.solving.accuracy.estimate import Estimate, compared, interval_errors
-from codegen.solving.accuracy.grids import bisected, equal, redistributed
+from codegen.solving.accuracy.grids import bisected, equal, needed, redistributed
 from codegen.solving.refinement import order_of_optima, transferred
 
 MOST_GRIDS = 30
@@ -21,6 +21,7 @@ GROWTH = 4.0
 """By how much the number of intervals grows at most from one grid to the next."""
 AIM = 0.5
 """The part of the request that a grid aims at."""
+LEAST_INTERVALS = 10
 STAGNANT = 0.8
 """Part of the last difference above which it counts as no smaller."""
 
@@ -31,8 +32,8 @@ def to_accuracy(solve: Solve, module: ControlModule, steps: int, request: float,
     """Solve on grids that fit the solution ever better, until its estimated relative error is below `request`.
 
     `solve` takes a number of intervals, a start and a grid, (phases, N); the first grid has `steps` equal intervals in
-    every phase. Returned is the solution on the bisected grid of the last pair; where the request is not met, its status
-    is "accuracy not reached", and `accuracy` says what the best estimate is, and why there is none better.
+    every phase. Returned is the solution on the bisected grid of the last pair; where the request is not met, its
+    status is "accuracy not reached", and `accuracy` says what the best estimate is, and why there is none better.
     """
     return _Search(solve, module, request).run(steps, warm)
 
@@ -87,8 +88,8 @@ class _Search:
                 reason = f"finer grids change the solution no less: its residual is {fine.residual:.1e}"
                 break
             last = steps, found.difference
-            factor = (error / (AIM * self.request)) ** (1.0 / order)
-            steps = math.ceil(steps * min(max(factor, 1.0), GROWTH))
+            wanted = needed(local, order, error / (AIM * self.request))
+            steps = math.ceil(min(max(wanted, steps / 2, LEAST_INTERVALS), GROWTH * steps))
             if steps > MOST_INTERVALS:
                 reason = f"it would take more than {MOST_INTERVALS} intervals"
                 break
