@@ -33,7 +33,7 @@ Entries: TypeAlias = tuple[Indices, Indices, Vector]
 class Grid(Protocol):
     """N intervals of mean length h, the parameters of each body, and which unknowns are multipliers of equations.
 
-    `nodes` (N + 1,) are the places of all nodes in time, in mean lengths.
+    `nodes` (N + 1,) are the indices of all nodes in time, in mean lengths.
     """
 
     steps: int

@@ -96,7 +96,7 @@ def refine(
 
 def _solved_to_the_end(results: Sequence[Result]) -> Sequence[Result]:
     """Those behind the last failure."""
-    failed = [place for place, result in enumerate(results) if not result.solved]
+    failed = [index for index, result in enumerate(results) if not result.solved]
     return results[failed[-1] + 1 if failed else 0 :]
 
 

@@ -37,7 +37,7 @@ def checked_grid(steps, duration, parameters, fractions):
 
 
 def checked_nodes(steps, fractions):
-    """The number of intervals, the places of all nodes in mean lengths, and whether all intervals are equally long.
+    """The number of intervals, the indices of all nodes in mean lengths, and whether all intervals are equally long.
 
     `fractions`, if given, are parts of the duration, (N,), or of every phase, also (PHASES, N). ValueError for others.
     """
@@ -58,8 +58,8 @@ def checked_nodes(steps, fractions):
     if np.ptp(lengths) <= EQUAL / steps:
         return steps, np.arange(chains * steps + 1.0), True
     ends = np.cumsum(lengths, axis=1)
-    places = steps * (ends / ends[:, -1:] + np.arange(chains)[:, None])
-    return steps, np.concatenate([[0.0], places.ravel()]), False
+    indices = steps * (ends / ends[:, -1:] + np.arange(chains)[:, None])
+    return steps, np.concatenate([[0.0], indices.ravel()]), False
 
 
 def plain_grid(grid):

@@ -13,7 +13,7 @@ from codegen.runtime.norms import measure
 class Grid(NamedTuple):
     """N = `steps` intervals, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
 
-    Intervals have the mean length h, and `nodes` (N + 1,) are the places of all nodes in time, in mean lengths.
+    Intervals have the mean length h, and `nodes` (N + 1,) are the indices of all nodes in time, in mean lengths.
     `is_uniform` says that all intervals have that length.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.

@@ -105,15 +105,15 @@ def _departures(times: Vector, table: Matrix, order: int) -> Vector:
     intervals = np.arange(between.size)
     for left in range(count - 1):  # how many nodes of the stencil lie left of the interval's left node
         starts = np.clip(intervals - left, 0, nodes.size - count)
-        places = starts[:, None] + np.arange(count)
-        weights = _lagrange(nodes[places], between)
-        guess = np.einsum("ki,kij->kj", weights, values[places])
+        indices = starts[:, None] + np.arange(count)
+        weights = _lagrange(nodes[indices], between)
+        guess = np.einsum("ki,kij->kj", weights, values[indices])
         best = np.minimum(best, np.abs(guess - truth).max(axis=1))
     return best
 
 
 def _lagrange(nodes: Matrix, at: Vector) -> Matrix:
-    """The values (K, m) of the Lagrange polynomials of K sets of nodes (K, m), each at a place of its own."""
+    """The values (K, m) of the Lagrange polynomials of K sets of nodes (K, m), each at an index of its own."""
     weights = np.ones_like(nodes)
     for i in range(nodes.shape[1]):
         for j in range(nodes.shape[1]):

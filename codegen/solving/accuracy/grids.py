@@ -29,12 +29,12 @@ def bisected(grid: Matrix) -> Matrix:
     return np.repeat(grid / 2.0, 2, axis=1)
 
 
-def node_places(grid: Matrix) -> Matrix:
-    """The places of all nodes in their phase, from zero to one: (phases, N + 1)."""
+def node_indices(grid: Matrix) -> Matrix:
+    """The indices of all nodes in their phase, from zero to one: (phases, N + 1)."""
     ends = np.cumsum(grid, axis=1)
-    places = np.concatenate([np.zeros((len(grid), 1)), ends / ends[:, -1:]], axis=1)
-    places[:, -1] = 1.0
-    return places
+    indices = np.concatenate([np.zeros((len(grid), 1)), ends / ends[:, -1:]], axis=1)
+    indices[:, -1] = 1.0
+    return indices
 
 
 def redistributed(grid: Matrix, errors: Matrix, order: int, steps: int) -> Matrix:
@@ -61,8 +61,8 @@ def _distributed(lengths: Vector, errors: Vector, order: int, steps: int) -> Vec
     wanted = lengths * amount.sum() / (np.maximum(amount, 1e-30) * steps)
     density = 1.0 / np.minimum(_graded(wanted, lengths), 1.0 / (LEAST_DENSITY * steps))
     share = np.concatenate([[0.0], np.cumsum(density * lengths)])
-    places = np.concatenate([[0.0], np.cumsum(lengths)])
-    nodes = np.interp(np.linspace(0.0, share[-1], steps + 1), share, places)
+    indices = np.concatenate([[0.0], np.cumsum(lengths)])
+    nodes = np.interp(np.linspace(0.0, share[-1], steps + 1), share, indices)
     new = np.maximum(np.diff(nodes), SHORTEST)
     return np.asarray(new / new.sum(), dtype=float)
 
