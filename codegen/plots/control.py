@@ -126,6 +126,9 @@ def _others(controls: Sequence[Quantity], conditions: Sequence[Inequality], resu
         found.append(Panel("", lambda axes: panels.strip(axes, conditions)))
     else:
         found += [Panel("", lambda axes, one=one: panels.inequality(axes, one)) for one in conditions]  # type: ignore[misc]
+    if result.grid is not None:
+        t = result.t
+        found.append(Panel("", lambda axes: panels.lengths(axes, t)))
     if result.log is not None and len(result.log) > 1:
         log = result.log
         found.append(Panel("", lambda axes: panels.iterations(axes, log), over_time=False))

@@ -198,3 +198,10 @@ def _widen_if_flat(axes: Any, values: Matrix) -> None:
     middle, spread = float(np.mean(finite)), float(np.ptp(finite))
     if spread <= 1e-9 * max(1.0, abs(middle)):
         axes.set_ylim(middle - 0.5 * max(1.0, abs(middle)), middle + 0.5 * max(1.0, abs(middle)))
+
+
+def lengths(axes: Any, t: Vector) -> None:
+    """How long the intervals of a time grid are, where they differ."""
+    axes.step(t, np.append(np.diff(t), t[-1] - t[-2]), where="post", color=DARK, linewidth=1.0)
+    axes.set_yscale("log")
+    axes.set_ylabel("length of intervals")

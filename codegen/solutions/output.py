@@ -58,7 +58,24 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
         "seconds": {"build": _finite(build), "load": _finite(load), "solve": _finite(result.seconds_solve)},
         "summary": {name: _finite(value) for name, value in result.summary.items()},
         **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
+        **({"accuracy": _accuracy(result)} if result.accuracy else {}),
     }
+
+
+def _accuracy(result: Result) -> dict[str, Any]:
+    """What came of a request for accuracy, with the times of all nodes."""
+    found = result.accuracy
+    assert found is not None
+    levels = [
+        {"intervals": level.intervals, "status": level.status, "error": _finite(level.error),
+         "iterations": level.iterations, "seconds": _finite(level.seconds)}
+        for level in found.levels
+    ]  # fmt: skip
+    return {
+        "request": found.request, "reached": not found.reason, "estimate": _finite(found.estimate),
+        "largest": {"quantity": found.quantity, "t": _finite(found.time)}, "reason": found.reason, "history": levels,
+        "t": [_finite(time) for time in result.t],
+    }  # fmt: skip
 
 
 def _level(level: Result) -> dict[str, Any]:
@@ -97,6 +114,12 @@ def as_table(record: Mapping[str, Any], intervals: str) -> Table:
     for level in record.get("levels", ()):
         cost = "" if level["cost"] is None else f", cost {level['cost']:.12g}"
         table.add_row("grid", f"{level['steps']} steps: {level['status']}{cost}, {level['iterations']} iterations")
+    if accuracy := record.get("accuracy"):
+        for level in accuracy["history"]:
+            words = f"{level['intervals']} intervals: {level['status']}, error {_number(level['error'])}"
+            table.add_row("grid", f"{words}, {level['iterations']} iterations, {_duration(level['seconds'])}")
+        largest = f"{_number(accuracy['estimate'])}, largest of {accuracy['largest']['quantity']}"
+        table.add_row("estimated error", f"{largest} at t = {_number(accuracy['largest']['t'])}")
     for name, value in record["summary"].items():
         table.add_row(name.replace("_", " "), _number(value))
     seconds = record["seconds"]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -14,6 +15,7 @@ from codegen import compiler, loading
 from codegen.author.points import PointSet, read_points
 from codegen.author.problem_file import split_points
 from codegen.drivers import Driver
+from codegen.errors import SchemeError
 from codegen.loading import GeneratedModule, Vector
 from codegen.machine_code import ahead
 from codegen.solutions import output
@@ -27,6 +29,13 @@ from codegen.solving.warm_start import start_of
 
 LEAST_TIME = 1e-9
 """Seconds in which a search does not begin."""
+ACCURATE_SCHEME = "gauss-4"
+"""The scheme where accuracy is asked for: of those of a higher order it is there for every method.
+
+With controls that are constant on intervals it has no false optima on singular arcs, where midpoints alternate.
+"""
+LOOSEST_TOLERANCE, NEGLIGIBLE_PART = 1e-10, 1e-2
+"""The tolerance where accuracy is asked for, at most, and what part of it all intervals together may leave."""
 
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
@@ -85,11 +94,28 @@ def _built(request: Request, working: Working) -> tuple[Path | None, bool, float
     if request.is_built:
         return Path(request.problem), False, 0.0
     with working("Deriving"):
-        made = compiler.build(
-            request.problem, request.arguments, scheme=request.scheme, method=request.method, controls=request.controls,
-            out=request.out,
-        )  # fmt: skip
+        made = _made(request)
     return made.path, made.written, made.seconds
+
+
+def _made(request: Request) -> compiler.Build:
+    """The module by the scheme that is asked for; where accuracy is, by one of order four if the problem allows it."""
+    assert isinstance(request.problem, Path | str), "a loaded module is not built"
+    build = partial(
+        compiler.build, request.problem, request.arguments, method=request.method, controls=request.controls,
+        out=request.out,
+    )  # fmt: skip
+    if request.accuracy is not None and request.scheme is None:
+        with suppress(SchemeError):
+            return build(scheme=ACCURATE_SCHEME)
+    return build(scheme=request.scheme)
+
+
+def _tolerance(request: Request, steps: int) -> float | None:
+    """The tolerance of the equations: where accuracy is asked for, what is left on an interval must not matter."""
+    if request.tolerance is not None or request.accuracy is None:
+        return request.tolerance
+    return min(LOOSEST_TOLERANCE, NEGLIGIBLE_PART * request.accuracy / steps)
 
 
 def _points(request: Request, module: GeneratedModule) -> PointSet | None:
@@ -111,8 +137,8 @@ def _solved(
     def solve_from(steps: int, start: Vector | None, near: bool, grid: Vector | None = None) -> Result:
         nonlocal left
         run = Run(
-            steps, request.every, start, points, request.tolerance, near, request.max_iterations, max(left, LEAST_TIME),
-            watch, request.scaling, grid,
+            steps, request.every, start, points, _tolerance(request, steps), near, request.max_iterations,
+            max(left, LEAST_TIME), watch, request.scaling, grid,
         )  # fmt: skip
         result = assessed(module, driver, run, request.repeat)
         left -= result.seconds_solve

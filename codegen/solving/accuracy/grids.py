@@ -7,16 +7,25 @@ section 4.7.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from codegen.loading import Matrix, Vector
+from codegen.solving.accuracy.arcs import Gap
 
 LEAST_DENSITY = 0.1
 """Of the mean density of nodes, where nothing happens."""
 GRADE = 0.5
 """By how much of the distance between them two intervals may differ in length."""
+CUTS = 8
+"""Intervals into which a gap between two arcs is cut."""
+PIECES = 8
+"""Parts of an interval on each of which new intervals have one length."""
 SHORTEST = 1e-9
 """Part of a phase that an interval has at least."""
+MARGIN = 2
+"""Intervals beside a gap whose errors say nothing about arcs."""
 
 
 def equal(phases: int, steps: int) -> Matrix:
@@ -29,50 +38,69 @@ def bisected(grid: Matrix) -> Matrix:
     return np.repeat(grid / 2.0, 2, axis=1)
 
 
-def node_indices(grid: Matrix) -> Matrix:
-    """The indices of all nodes in their phase, from zero to one: (phases, N + 1)."""
-    ends = np.cumsum(grid, axis=1)
-    indices = np.concatenate([np.zeros((len(grid), 1)), ends / ends[:, -1:]], axis=1)
-    indices[:, -1] = 1.0
-    return indices
+def refined(grid: Matrix, errors: Matrix, order: int, ratio: float, most: float, gaps: Sequence[Gap]) -> Matrix:
+    """A grid whose intervals on arcs make equal errors, `ratio` times smaller in all, and whose gaps are cut.
 
-
-def redistributed(grid: Matrix, errors: Matrix, order: int, steps: int) -> Matrix:
-    """A grid of N = `steps` intervals that make errors of equal size; `errors` (phases, N_old) are those of `grid`.
-
-    An error is taken to be of the order p + 1, p = `order`, in the length of its interval. Lengths of neighbours do not
-    differ by much, and no interval is much longer than the mean.
+    `errors` (phases, N) are those of the intervals of `grid`, of the order p + 1, p = `order`, in their length. There
+    are at most `most` intervals on the arcs of a phase. Lengths of neighbours do not differ by much.
     """
-    return np.array([_distributed(own, error, order, steps) for own, error in zip(grid, errors, strict=True)])
+    arcs = errors.copy()
+    for phase, gap in ((gap.phase, gap) for gap in gaps):
+        arcs[phase, _around(grid[phase], gap)] = 0.0
+    amounts = np.maximum(arcs, 0.0) ** (1.0 / (order + 1))
+    total = float(arcs.sum())
+    wished = (ratio * (amounts.sum(axis=1) ** (order + 1)).sum() / total) ** (1.0 / order) if total > 0.0 else LEAST
+    count = float(np.clip(wished, LEAST, most))
+    lengths = [
+        _lengths(own, amount, count, [gap for gap in gaps if gap.phase == phase])
+        for phase, (own, amount) in enumerate(zip(grid, amounts, strict=True))
+    ]
+    steps = max(int(np.ceil((pieces / wanted).sum())) for pieces, wanted in lengths)
+    return np.array([_placed(pieces, wanted, steps) for pieces, wanted in lengths])
 
 
-def needed(errors: Matrix, order: int, ratio: float) -> float:
-    """How many intervals make an error that is `ratio` times smaller, when they all make errors of equal size."""
-    amounts = (np.maximum(errors, 0.0) ** (1.0 / (order + 1))).sum(axis=1)
-    total = float(errors.sum())
-    return float((ratio * (amounts ** (order + 1)).sum() / total) ** (1.0 / order)) if total > 0.0 else 1.0
+LEAST = 10.0
+"""Intervals of a phase at least."""
 
 
-def _distributed(lengths: Vector, errors: Vector, order: int, steps: int) -> Vector:
-    """The same of one phase."""
-    amount = np.maximum(errors, 0.0) ** (1.0 / (order + 1))
-    if not amount.sum() > 0.0:
-        return np.full(steps, 1.0 / steps)
-    wanted = lengths * amount.sum() / (np.maximum(amount, 1e-30) * steps)
-    density = 1.0 / np.minimum(_graded(wanted, lengths), 1.0 / (LEAST_DENSITY * steps))
-    share = np.concatenate([[0.0], np.cumsum(density * lengths)])
-    indices = np.concatenate([[0.0], np.cumsum(lengths)])
-    nodes = np.interp(np.linspace(0.0, share[-1], steps + 1), share, indices)
-    new = np.maximum(np.diff(nodes), SHORTEST)
-    return np.asarray(new / new.sum(), dtype=float)
+def _around(lengths: Vector, gap: Gap) -> slice:
+    """The intervals that a gap touches, and some beside."""
+    ends = np.cumsum(lengths)
+    first, last = np.searchsorted(ends, [gap.begin + 1e-12, gap.end - 1e-12])
+    return slice(max(0, int(first) - MARGIN), int(last) + MARGIN + 1)
 
 
-def _graded(wanted: Vector, lengths: Vector) -> Vector:
+def _lengths(lengths: Vector, amounts: Vector, count: float, gaps: Sequence[Gap]) -> tuple[Vector, Vector]:
+    """The pieces of a phase, and how long intervals on each of them shall be."""
+    mean = amounts.sum() / count
+    longest = 1.0 / (LEAST_DENSITY * count)
+    wanted = np.minimum(lengths * mean / np.maximum(amounts, 1e-3 * mean * lengths + 1e-300), longest)
+    nodes = np.concatenate([[0.0], np.cumsum(np.repeat(lengths / PIECES, PIECES))])
+    cuts = [np.linspace(gap.begin, gap.end, CUTS + 1) for gap in gaps]
+    nodes = np.unique(np.clip(np.concatenate([nodes, *cuts]), 0.0, nodes[-1]))
+    nodes = nodes[np.append(True, np.diff(nodes) > 1e-14)]
+    pieces, middles = np.diff(nodes), 0.5 * (nodes[:-1] + nodes[1:])
+    own = np.searchsorted(np.cumsum(lengths), middles)
+    fine = wanted[np.minimum(own, lengths.size - 1)]
+    for gap in gaps:
+        inside = (middles > gap.begin) & (middles < gap.end)
+        fine[inside] = np.minimum(fine[inside], max((gap.end - gap.begin) / CUTS, SHORTEST))
+    return pieces, _graded(fine, middles)
+
+
+def _graded(wanted: Vector, middles: Vector) -> Vector:
     """Lengths, no longer than those that are wanted, that change no faster than GRADE times the distance."""
-    out, middles = wanted.copy(), np.cumsum(lengths) - lengths / 2.0
-    distance = np.diff(middles)
+    out, distance = wanted.copy(), GRADE * np.diff(middles)
     for k in range(1, out.size):
-        out[k] = min(out[k], out[k - 1] + GRADE * distance[k - 1])
+        out[k] = min(out[k], out[k - 1] + distance[k - 1])
     for k in range(out.size - 2, -1, -1):
-        out[k] = min(out[k], out[k + 1] + GRADE * distance[k])
+        out[k] = min(out[k], out[k + 1] + distance[k])
     return out
+
+
+def _placed(pieces: Vector, wanted: Vector, steps: int) -> Vector:
+    """N = `steps` intervals whose lengths are in proportion to those that are wanted."""
+    share = np.concatenate([[0.0], np.cumsum(pieces / wanted)])
+    nodes = np.interp(np.linspace(0.0, share[-1], steps + 1), share, np.concatenate([[0.0], np.cumsum(pieces)]))
+    new = np.maximum(np.diff(nodes), SHORTEST / 4.0)
+    return np.asarray(new / new.sum(), dtype=float)

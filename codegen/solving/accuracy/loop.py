@@ -10,8 +10,9 @@ import numpy as np
 
 from codegen.loading import ControlModule, Matrix, Vector
 from codegen.solutions.result import Accuracy, GridLevel, Result
+from codegen.solving.accuracy.arcs import gaps
 from codegen.solving.accuracy.estimate import Estimate, compared, interval_errors
-from codegen.solving.accuracy.grids import bisected, equal, needed, redistributed
+from codegen.solving.accuracy.grids import bisected, equal, refined
 from codegen.solving.refinement import order_of_optima, transferred
 
 MOST_GRIDS = 30
@@ -21,7 +22,6 @@ GROWTH = 4.0
 """By how much the number of intervals grows at most from one grid to the next."""
 AIM = 0.5
 """The part of the request that a grid aims at."""
-LEAST_INTERVALS = 10
 STAGNANT = 0.8
 """Part of the last difference above which it counts as no smaller."""
 
@@ -88,12 +88,11 @@ class _Search:
                 reason = f"finer grids change the solution no less: its residual is {fine.residual:.1e}"
                 break
             last = steps, found.difference
-            wanted = needed(local, order, error / (AIM * self.request))
-            steps = math.ceil(min(max(wanted, steps / 2, LEAST_INTERVALS), GROWTH * steps))
+            grid = refined(grid, local, order, error / (AIM * self.request), GROWTH * steps, gaps(self.module, fine))
+            steps = grid.shape[1]
             if steps > MOST_INTERVALS:
                 reason = f"it would take more than {MOST_INTERVALS} intervals"
                 break
-            grid = redistributed(grid, local, order, steps)
             known = self._carried(fine, grid)
         assert best is not None
         return self._ended(best[1], best[0], best[2], reason, levels)

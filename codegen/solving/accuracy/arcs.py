@@ -1,0 +1,135 @@
+"""Arcs of a solution, on which the same bounds and inequalities are active, and the gaps between them.
+
+Between two arcs lies a switching time. On an interval that contains it a control is a mean of two, and everything after
+it is off by as much; so intervals are made short there, until the gap does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.loading import ControlModule, Vector, time_grid
+from codegen.solutions.control import bound_distances
+from codegen.solutions.result import Result
+
+LEAST_ARC = 4
+"""Intervals of an arc; what is shorter is part of a gap."""
+MOST_GAPS = 40
+"""Gaps of a phase: where there are more, controls chatter, and there are no arcs to be told apart."""
+
+Kinds = NDArray[np.int8]
+
+
+@dataclass(frozen=True)
+class Arc:
+    """What is active (`lower`, `upper` or `inside`) of an unknown with bounds, and from when to when, in time."""
+
+    name: str
+    kind: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Where a switching time lies: a phase, and places from zero to one in it."""
+
+    phase: int
+    begin: float
+    end: float
+
+
+def gaps(module: ControlModule, result: Result) -> list[Gap]:
+    """Where the arcs of any unknown with bounds end; none in a phase in which there are too many."""
+    found: list[Gap] = []
+    for phase, places, runs in _all_runs(module, result):
+        own = []
+        for (_, last, one), (first, _, other) in pairwise(runs):
+            if one != other or first - last > 1:
+                own.append(Gap(phase, float(places[last]), float(places[min(first + 1, places.size - 1)])))
+        found += own
+    merged = _merged(found)
+    return [gap for gap in merged if sum(other.phase == gap.phase for other in merged) <= MOST_GAPS]
+
+
+def arcs(module: ControlModule, result: Result) -> list[Arc]:
+    """All arcs of unknowns that have bounds; those of a slack are called by its condition."""
+    kinds = {-1: "lower bound", 0: "inside", 1: "upper bound"}
+    meanings = module.metadata["meanings"]
+    found = []
+    for name, times, runs in _named_runs(module, result):
+        title = meanings.get(name, name).removeprefix("slack of ").partition(" at ")[0]
+        found += [
+            Arc(title, kinds[kind], float(times[a]), float(times[min(b + 1, times.size - 1)])) for a, b, kind in runs
+        ]
+    return found
+
+
+def _merged(found: list[Gap]) -> list[Gap]:
+    """Gaps that overlap as one."""
+    out: list[Gap] = []
+    for gap in sorted(found, key=lambda gap: (gap.phase, gap.begin)):
+        if out and out[-1].phase == gap.phase and gap.begin <= out[-1].end:
+            out[-1] = Gap(gap.phase, out[-1].begin, max(out[-1].end, gap.end))
+        else:
+            out.append(gap)
+    return out
+
+
+def _all_runs(module: ControlModule, result: Result) -> Iterator[tuple[int, Vector, list[tuple[int, int, int]]]]:
+    grid = time_grid(module, result.steps, result.grid)
+    for phase, _, kinds in _kinds(module, result):
+        places = grid.nodes[phase * result.steps : (phase + 1) * result.steps + 1] / result.steps - phase
+        yield phase, places, _runs(kinds)
+
+
+def _named_runs(module: ControlModule, result: Result) -> Iterator[tuple[str, Vector, list[tuple[int, int, int]]]]:
+    for phase, name, kinds in _kinds(module, result):
+        if np.any(kinds):
+            times = result.t[phase * result.steps : (phase + 1) * result.steps + 1]
+            yield name, times, _runs(kinds)
+
+
+def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, str, Kinds]]:
+    """What is active of every unknown with bounds, on all intervals of a phase, of every body."""
+    if not module.metadata["inequalities"] or result.unknowns is None:
+        return
+    generated: Any = module
+    grid = time_grid(module, result.steps, result.grid)
+    primal, bounded = module.primal_unknowns(grid), np.zeros(result.unknowns.size, bool)
+    below, above = bound_distances(module, grid, result.unknowns)
+    slopes = module.stationarity(grid, result.unknowns)
+    lower, upper = module.variable_bounds(grid)
+    width = (upper - lower)[primal]
+    close = np.minimum(below, above)
+    # Between two bounds the distance tells, beside one the slope that it holds.
+    active = np.where(np.isfinite(width), close < CLOSE * width, np.abs(slopes) > close)
+    kind = np.zeros(result.unknowns.size, np.int8)
+    kind[primal] = np.where(active, np.where(below < above, -1, 1), 0)
+    bounded[primal] = np.isfinite(close)
+    (nodes, intervals), (at_nodes, inside) = (generated.views(grid, table.astype(float)) for table in (kind, bounded))
+    names = [*module.metadata["node"], *module.metadata["interval"]]
+    own = np.concatenate([nodes[:, 1:], intervals], axis=2)
+    has = np.concatenate([at_nodes[:, 1:], inside], axis=2).any(axis=1)
+    for phase in range(module.metadata.get("phases", 1)):
+        rows = slice(phase * result.steps, (phase + 1) * result.steps)
+        for body, column in zip(*np.nonzero(has), strict=True):
+            yield phase, names[column], own[body, rows, column].astype(np.int8)
+
+
+CLOSE = 1e-3
+"""Part of the distance between two bounds within which one is active."""
+
+
+def _runs(kinds: Kinds) -> list[tuple[int, int, int]]:
+    """First and last interval, and kind, of all runs that are no gaps."""
+    ends = np.flatnonzero(np.diff(kinds)) + 1
+    runs = [(int(part[0]), int(part[-1]), int(kinds[part[0]])) for part in np.split(np.arange(kinds.size), ends)]
+    long = [run for run in runs if run[1] - run[0] + 1 >= LEAST_ARC]
+    return long or [(0, kinds.size - 1, 0)]
