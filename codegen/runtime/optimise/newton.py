@@ -17,6 +17,7 @@ from codegen.runtime.optimise.bounded import (
     barrier_curvature,
     begin,
     central_duals,
+    falling_relaxation,
     is_acceptable,
     is_closed,
     is_optimal,
@@ -27,6 +28,7 @@ from codegen.runtime.optimise.bounded import (
     search_on,
     tightened,
     with_multipliers,
+    with_relaxed_bounds,
 )
 from codegen.runtime.optimise.curvature import FLAT
 from codegen.runtime.optimise.exact_bounds import within_bounds
@@ -168,7 +170,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
     shift, length, damping, shortened, watch, doubts = Shift(), 0.0, 0.0, 0, None, Doubts()
     if INEQUALITIES:
-        low = 0  # iterations with the last weight
+        low, loose = 0, None  # iterations with the last weight; the iterate before bounds were relaxed less
     for iteration in range(max_iterations + 1):
         if INEQUALITIES:
             iterate = measured_iterate(search, iterate)
@@ -194,6 +196,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             mu = lowered(iterate, LEAST_PART * tolerance)
             if mu < iterate.mu:
                 filtered.empty()
+                if loose is None and falling_relaxation(search, iterate, mu) > 0.0:
+                    loose = iterate
                 iterate, shortened, watch = tightened(search, iterate, mu), 0, None
             low += mu <= LEAST_PART * tolerance
         careful = doubts.are_enough()
@@ -227,6 +231,10 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
             filtered.add(point.violation, merit(iterate))
             status, trial = restored(search, iterate, 0.9, filtered, log)
+            if INEQUALITIES and loose is not None and status in UNLUCKY:
+                search, iterate, loose, shortened, watch = with_relaxed_bounds(search), loose, None, 0, None
+                filtered.empty()
+                continue
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
             trial = with_multipliers(search, trial)
