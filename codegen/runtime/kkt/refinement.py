@@ -12,12 +12,12 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.unknowns.coupling import multiply_couplings
-from codegen.runtime.kkt.ends_flat import multiply_ends
+from codegen.runtime.kkt.ends_linear import multiply_ends
 from codegen.runtime.kkt.system import solve_kkt
 from codegen.runtime.stand_ins.example import (
     BODIES, COUPLINGS, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, SCALED, SHARED, STRIDE, TIED, interval_hessian,
 )  # fmt: skip
-from codegen.runtime.unknowns.equal_ends import add_tied
+from codegen.runtime.unknowns.tied_ends import add_tied
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.shared import global_index, read_shared
 
@@ -49,7 +49,7 @@ def multiply_kkt(unknowns, steps, h, parameters, vector, product):
         multiply_couplings(unknowns, parameters[0], vector, product)
 
 
-def left_over(grid, unknowns, diagonal, gradient, step):
+def linear_residual(grid, unknowns, diagonal, gradient, step):
     """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
     product, vector = np.zeros(step.size), step
     if SCALED and grid.sizes.size:
@@ -70,7 +70,7 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     The system is still factored, and the matrix as `factor_kkt` says.
     """
     correction, right = np.empty_like(step), np.abs(gradient).max(initial=0.0)
-    left = left_over(grid, unknowns, diagonal, gradient, step)
+    left = linear_residual(grid, unknowns, diagonal, gradient, step)
     size = np.abs(left).max(initial=0.0)
     for refinement in range(SOLVED_AGAIN):
         scale = right + min(np.abs(step).max(initial=0.0), LARGE_STEP * right)
@@ -78,7 +78,7 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
             return refinement > 0
         solve_kkt(grid, system, left, correction)
         better = step + correction
-        left, before = left_over(grid, unknowns, diagonal, gradient, better), size
+        left, before = linear_residual(grid, unknowns, diagonal, gradient, better), size
         size = np.abs(left).max(initial=0.0)
         if not size < before:
             break
