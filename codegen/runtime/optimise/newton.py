@@ -17,6 +17,7 @@ from codegen.runtime.optimise.bounded import (
     barrier_curvature,
     begin,
     central_duals,
+    falling_relaxation,
     is_acceptable,
     is_closed,
     is_optimal,
@@ -27,6 +28,7 @@ from codegen.runtime.optimise.bounded import (
     search_on,
     with_barrier_parameter,
     with_least_squares_multipliers,
+    with_relaxed_bounds,
 )
 from codegen.runtime.optimise.negative_curvature import FLAT
 from codegen.runtime.optimise.exact_bounds import within_bounds
@@ -143,7 +145,8 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
             failed = failed or ended not in LEFT
         escapes += 1
     if status == "saddle point" and escapes == ESCAPES and not failed:
-        status = "solved" if is_solved(search.grid, saddle.point, tolerance) else "stalled"
+        is_over = is_solved(search.grid, saddle.point, tolerance) or is_at_rounding_level(search.grid, saddle.point)
+        status = "solved" if is_over else "stalled"
     return status, saddle, total
 
 
@@ -167,7 +170,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
     inertia, length, damping, shortened, watchdog, monitor = InertiaCorrection(), 0.0, 0.0, 0, None, AccuracyMonitor()
     if INEQUALITIES:
-        low = 0  # iterations with the last weight
+        low, loose = 0, None  # iterations with the last weight; the iterate before bounds were relaxed less
     for iteration in range(max_iterations + 1):
         if INEQUALITIES:
             iterate = measured_iterate(search, iterate)
@@ -193,6 +196,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             mu = decreased_mu(iterate, LEAST_PART * tolerance)
             if mu < iterate.mu:
                 filtered.empty()
+                if loose is None and falling_relaxation(search, iterate, mu) > 0.0:
+                    loose = iterate
                 iterate, shortened, watchdog = with_barrier_parameter(search, iterate, mu), 0, None
             low += mu <= LEAST_PART * tolerance
         careful = monitor.is_due()
@@ -207,8 +212,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and length == 1.0:
-                monitor.doubtful += barely_reduces_residual(point, step, trial.point)
+            if trial is not None and barely_reduces_residual(point, step, length, trial.point):
+                monitor.add()
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0
@@ -223,9 +228,13 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             if is_at_rounding_level(grid, point):
                 if INEQUALITIES and not is_closed(search, iterate, tolerance):
                     return "stalled", iterate, iteration
-                return "solved", iterate, iteration  # rounding has the last word
+                return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
             filtered.add(point.violation, barrier_objective(iterate))
             status, trial = restored(search, iterate, 0.9, filtered, log)
+            if INEQUALITIES and loose is not None and status in UNLUCKY:
+                search, iterate, loose, shortened, watchdog = with_relaxed_bounds(search), loose, None, 0, None
+                filtered.empty()
+                continue
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
             trial = with_least_squares_multipliers(search, trial)

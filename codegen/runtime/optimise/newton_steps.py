@@ -38,7 +38,7 @@ class Watchdog(NamedTuple):
 
 
 class AccuracyMonitor:
-    """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
+    """When to measure what steps leave of the linear system: where they leave more of the equations than they should.
 
     Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubtful
     ones. Once one was not, all are measured.
@@ -46,6 +46,10 @@ class AccuracyMonitor:
 
     def __init__(self):
         self.doubtful, self.enough = 0, 1
+
+    def add(self):
+        """Take note of a step that left too much."""
+        self.doubtful += 1
 
     def is_due(self):
         """Whether the next step has to be measured."""
@@ -89,11 +93,14 @@ def regularised_step(search, iterate, before, damping, careful):
     return None
 
 
-def barely_reduces_residual(point, step, trial):
-    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
+def barely_reduces_residual(point, step, length, trial):
+    """Whether a step of some length has left more than its part of the equations: they are curved, or it is inaccurate.
+
+    Were they linear, 1 - `length` of each would be left.
+    """
     if UNBOUNDED and step.inertia.delta_w > 0.0:
         return False  # it is far from a solution, where curvature is the reason
-    return trial.residual > UNSOLVED * point.residual
+    return trial.residual > (1.0 - length + UNSOLVED) * point.residual
 
 
 def damped(damping, step, length, shortened):
