@@ -96,7 +96,7 @@ class Iterate(NamedTuple):
 
 
 class InertiaCorrection(NamedTuple):
-    """The Hessian's shift at an iterate, and the last one that was not zero."""
+    """delta_w, the Hessian's shift at an iterate, and the last one that was not zero."""
 
     delta_w: float = 0.0
     last: float = 0.0
@@ -141,7 +141,7 @@ def central_duals(mu, distance):
 
 
 def with_least_squares_multipliers(search, iterate):
-    """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
+    """An iterate whose multipliers solve stationarity by least squares (36), zero where that is huge or singular.
 
     All multipliers of `iterate` are zero.
     """

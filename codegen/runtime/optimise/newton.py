@@ -66,11 +66,11 @@ if INEQUALITIES:
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    Where the search from the guess fails, it begins anew in other ways; if none succeeds, the end of the first one is
-    reported. With `warm`, the barrier of bounds begins with a small weight and leaves unknowns close to them. A row
-    (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate, and the
-    barrier's weight where there is one. `max_iterations` is for all searches together; steps of the restoration are not
-    counted.
+    Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
+    succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
+    leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
+    `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
+    steps of the restoration are not counted.
     """
     search, first, total = search_on(grid), None, 0
     primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)

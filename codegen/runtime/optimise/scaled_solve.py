@@ -1,7 +1,7 @@
 """Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
 
-What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
-they are that already, it is solved as it is.
+What is solved is the same problem in other units, those in which its numbers are of ordinary size (see
+`scaling_factors`); where they are that already, it is solved as it is.
 """
 
 from functools import lru_cache
