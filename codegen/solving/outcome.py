@@ -16,7 +16,7 @@ from codegen.author.points import PointSet, read_points
 from codegen.author.problem_file import split_points
 from codegen.drivers import Driver
 from codegen.errors import SchemeError
-from codegen.loading import GeneratedModule, Vector
+from codegen.loading import GeneratedModule, Matrix, Vector
 from codegen.machine_code import ahead_of_time
 from codegen.solutions import output
 from codegen.solutions.result import Result, Run, Watch
@@ -34,8 +34,8 @@ ACCURATE_SCHEME = "gauss-4"
 
 With controls that are constant on intervals it has no false optima on singular arcs, where midpoints alternate.
 """
-LOOSEST_TOLERANCE, NEGLIGIBLE_PART = 1e-10, 1e-2
-"""The tolerance where accuracy is asked for, at most, and what part of it all intervals together may leave."""
+LEAST_TOLERANCE, LARGEST_TOLERANCE, NEGLIGIBLE_PART = 1e-15, 1e-10, 1e-4
+"""Tolerances where accuracy is asked for, and what part of it an interval that lasts all the time may leave."""
 
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
@@ -111,11 +111,15 @@ def _made(request: Request) -> compiler.Build:
     return build(scheme=request.scheme)
 
 
-def _tolerance(request: Request, steps: int) -> float | None:
-    """The tolerance of the equations: where accuracy is asked for, what is left on an interval must not matter."""
-    if request.tolerance is not None or request.accuracy is None:
+def _tolerance(request: Request, grid: Matrix | None) -> float | None:
+    """The tolerance of the equations: where accuracy is asked for, what is left on the shortest interval is negligible.
+
+    Slopes by a control are in proportion to the length of its interval, and so is the weight with which a barrier may
+    still move it.
+    """
+    if request.tolerance is not None or request.accuracy is None or grid is None:
         return request.tolerance
-    return min(LOOSEST_TOLERANCE, NEGLIGIBLE_PART * request.accuracy / steps)
+    return max(LEAST_TOLERANCE, min(LARGEST_TOLERANCE, NEGLIGIBLE_PART * request.accuracy * float(grid.min())))
 
 
 def _points(request: Request, module: GeneratedModule) -> PointSet | None:
@@ -137,7 +141,7 @@ def _solved(
     def solve_from(steps: int, start: Vector | None, near: bool, grid: Vector | None = None) -> Result:
         nonlocal left
         run = Run(
-            steps, request.every, start, points, _tolerance(request, steps), near, request.max_iterations,
+            steps, request.every, start, points, _tolerance(request, grid), near, request.max_iterations,
             max(left, LEAST_TIME), watch, request.scaling, grid,
         )  # fmt: skip
         result = assessed(module, driver, run, request.repeat)

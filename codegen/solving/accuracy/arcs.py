@@ -20,6 +20,8 @@ from codegen.solutions.result import Result
 
 LEAST_ARC = 4
 """Intervals of an arc; what is shorter is part of a gap."""
+MARGIN = 3
+"""Nodes beside a gap to which its errors reach."""
 MOST_GAPS = 40
 """Gaps of a phase: where there are more, controls chatter, and there are no arcs to be told apart."""
 
@@ -56,6 +58,12 @@ def gaps(module: ControlModule, result: Result) -> list[Gap]:
         found += own
     merged = _merged(found)
     return [gap for gap in merged if sum(other.phase == gap.phase for other in merged) <= MOST_GAPS]
+
+
+def around(nodes: Vector, gap: Gap) -> slice:
+    """The nodes of a phase, of which the places are given, in a gap and beside it: errors there say little of arcs."""
+    first, last = np.searchsorted(nodes, [gap.begin + 1e-12, gap.end - 1e-12])
+    return slice(max(0, int(first) - MARGIN), int(last) + MARGIN + 1)
 
 
 def arcs(module: ControlModule, result: Result) -> list[Arc]:

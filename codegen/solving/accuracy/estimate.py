@@ -5,6 +5,7 @@ Quantities are coordinates, momenta, and the cost up to each node; each is measu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from codegen.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solutions.result import Result
+from codegen.solving.accuracy.arcs import Gap, around
 
 NEGLIGIBLE = 1e-12
 """A quantity that is no larger counts as zero."""
@@ -49,15 +51,22 @@ def sizes_of(table: Matrix) -> Vector:
     return np.where(sizes > NEGLIGIBLE, sizes, 1.0)
 
 
-def compared(module: ControlModule, coarse: Result, fine: Result) -> Estimate:
-    """The largest relative difference of two results at nodes of the coarser grid, and of costs and parameters."""
+def compared(module: ControlModule, coarse: Result, fine: Result, without: Sequence[Gap] = ()) -> Estimate:
+    """The largest relative difference of two results at nodes of the coarser grid, and of costs and parameters.
+
+    Nodes in the gaps `without`, and beside them, do not count.
+    """
     table, names = trajectories(module, fine)
     before, _ = trajectories(module, coarse)
     if before.shape[1] != table.shape[1]:
         return Estimate(np.inf, "a state", 0.0)
-    gaps = np.abs(table[::2] - before) / sizes_of(table)
-    node, column = np.unravel_index(int(np.argmax(gaps)), gaps.shape)
-    worst = Estimate(float(gaps[node, column]), names[column], float(fine.t[::2][node]))
+    differences = np.abs(table[::2] - before) / sizes_of(table)
+    for gap in without:
+        first = gap.phase * coarse.steps
+        touched = around(time_grid(module, coarse.steps, coarse.grid).nodes[first:] / coarse.steps - gap.phase, gap)
+        differences[first : first + coarse.steps + 1][touched] = 0.0
+    node, column = np.unravel_index(int(np.argmax(differences)), differences.shape)
+    worst = Estimate(float(differences[node, column]), names[column], float(fine.t[::2][node]))
     for name, (old, new) in _numbers(module, coarse, fine).items():
         difference = abs(new - old) / (abs(new) if abs(new) > NEGLIGIBLE else 1.0)
         if difference > worst.difference:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from codegen.loading import Matrix, Vector
-from codegen.solving.accuracy.arcs import Gap
+from codegen.solving.accuracy.arcs import Gap, around
 
 LEAST_DENSITY = 0.1
 """Of the mean density of nodes, where nothing happens."""
@@ -24,8 +24,6 @@ PIECES = 8
 """Parts of an interval on each of which new intervals have one length."""
 SHORTEST = 1e-9
 """Part of a phase that an interval has at least."""
-MARGIN = 2
-"""Intervals beside a gap whose errors say nothing about arcs."""
 
 
 def equal(phases: int, steps: int) -> Matrix:
@@ -46,7 +44,7 @@ def refined(grid: Matrix, errors: Matrix, order: int, ratio: float, most: float,
     """
     arcs = errors.copy()
     for phase, gap in ((gap.phase, gap) for gap in gaps):
-        arcs[phase, _around(grid[phase], gap)] = 0.0
+        arcs[phase, around(np.cumsum(grid[phase]), gap)] = 0.0
     amounts = np.maximum(arcs, 0.0) ** (1.0 / (order + 1))
     total = float(arcs.sum())
     wished = (ratio * (amounts.sum(axis=1) ** (order + 1)).sum() / total) ** (1.0 / order) if total > 0.0 else LEAST
@@ -61,13 +59,6 @@ def refined(grid: Matrix, errors: Matrix, order: int, ratio: float, most: float,
 
 LEAST = 10.0
 """Intervals of a phase at least."""
-
-
-def _around(lengths: Vector, gap: Gap) -> slice:
-    """The intervals that a gap touches, and some beside."""
-    ends = np.cumsum(lengths)
-    first, last = np.searchsorted(ends, [gap.begin + 1e-12, gap.end - 1e-12])
-    return slice(max(0, int(first) - MARGIN), int(last) + MARGIN + 1)
 
 
 def _lengths(lengths: Vector, amounts: Vector, count: float, gaps: Sequence[Gap]) -> tuple[Vector, Vector]:

@@ -88,7 +88,9 @@ class _Search:
                 reason = f"finer grids change the solution no less: its residual is {fine.residual:.1e}"
                 break
             last = steps, found.difference
-            grid = refined(grid, local, order, error / (AIM * self.request), GROWTH * steps, gaps(self.module, fine))
+            between = gaps(self.module, fine)
+            on_arcs = compared(self.module, coarse, fine, without=between).difference / (2.0**observed - 1.0)
+            grid = refined(grid, local, order, on_arcs / (AIM * self.request), GROWTH * steps, between)
             steps = grid.shape[1]
             if steps > MOST_INTERVALS:
                 reason = f"it would take more than {MOST_INTERVALS} intervals"
