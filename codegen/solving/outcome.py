@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -122,6 +122,15 @@ def _tolerance(request: Request, grid: Matrix | None) -> float | None:
     return max(LEAST_TOLERANCE, min(LARGEST_TOLERANCE, NEGLIGIBLE_PART * request.accuracy * float(grid.min())))
 
 
+_TOO_TIGHT = ("inaccurate", "stalled")
+"""How solves end whose tolerance is below what rounding allows."""
+
+
+def _looser(run: Run) -> float:
+    """A larger tolerance, unless it is as large as any."""
+    return min(LARGEST_TOLERANCE, 100.0 * (run.tolerance or LARGEST_TOLERANCE))
+
+
 def _points(request: Request, module: GeneratedModule) -> PointSet | None:
     """The points that are given, or those of the problem file, where there are any."""
     file, own = request.points, module.metadata.get("points")
@@ -146,6 +155,10 @@ def _solved(
         )  # fmt: skip
         result = assessed(module, driver, run, request.repeat)
         left -= result.seconds_solve
+        while request.accuracy is not None and result.status in _TOO_TIGHT and _looser(run) != run.tolerance:
+            run = replace(run, tolerance=_looser(run), guess=result.unknowns)
+            result = assessed(module, driver, run, request.repeat)
+            left -= result.seconds_solve
         return result
 
     def solve_on(steps: int, start: Vector | None, grid: Vector | None = None) -> Result:

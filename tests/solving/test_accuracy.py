@@ -78,7 +78,7 @@ def test_errors_of_equal_size_are_distributed():
     """For errors h^3 c with c = 1 and 64 on two halves lengths go like 1 : 1/4."""
     grid = equal(1, 40)
     errors = np.where(np.arange(40) < 20, 1.0, 64.0)[None] * grid**3
-    found = refined(grid, errors, 2, 1.0, 1e6, [])
+    found = refined(grid, errors, 2, 1.0, (10.0, 1e6), [])
     places = np.cumsum(found[0])
     first = found[0][places < 0.2].mean()
     last = found[0][places > 0.6].mean()
@@ -86,7 +86,7 @@ def test_errors_of_equal_size_are_distributed():
 
 
 def test_gaps_are_cut_and_neighbours_are_graded():
-    found = refined(equal(1, 20), np.full((1, 20), 1e-6), 2, 1.0, 100.0, [Gap(0, 0.5, 0.52)])[0]
+    found = refined(equal(1, 20), np.full((1, 20), 1e-6), 2, 1.0, (10.0, 100.0), [Gap(0, 0.5, 0.52)])[0]
     middles = np.cumsum(found) - found / 2.0
     inside = found[(middles > 0.5) & (middles < 0.52)]
     assert inside.max() <= 0.02 / 6.0

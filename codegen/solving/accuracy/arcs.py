@@ -7,21 +7,25 @@ it is off by as much; so intervals are made short there, until the gap does not 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.loading import ControlModule, Vector, time_grid
+from codegen.loading import ControlModule, Grid, Vector, time_grid
 from codegen.solutions.control import bound_distances
 from codegen.solutions.result import Result
 
 LEAST_ARC = 4
 """Intervals of an arc; what is shorter is part of a gap."""
-MARGIN = 3
-"""Nodes beside a gap to which its errors reach."""
+SECANTS = 8
+"""Iterations for a switching time."""
+LEAST_JUMP = 0.05
+"""Part of the range of a control that it jumps by at least where its switching time is looked for."""
+BESIDE, FAR = 3, 12
+"""Nodes beside a gap to which its errors reach, as far as they matter for lengths, or are seen at all."""
 MOST_GAPS = 40
 """Gaps of a phase: where there are more, controls chatter, and there are no arcs to be told apart."""
 
@@ -40,11 +44,12 @@ class Arc:
 
 @dataclass(frozen=True)
 class Gap:
-    """Where a switching time lies: a phase, and places from zero to one in it."""
+    """Where a switching time lies: a phase, places from zero to one in it, and the time itself if it could be told."""
 
     phase: int
     begin: float
     end: float
+    switch: float | None = None
 
 
 def gaps(module: ControlModule, result: Result) -> list[Gap]:
@@ -57,13 +62,54 @@ def gaps(module: ControlModule, result: Result) -> list[Gap]:
                 own.append(Gap(phase, float(places[last]), float(places[min(first + 1, places.size - 1)])))
         found += own
     merged = _merged(found)
-    return [gap for gap in merged if sum(other.phase == gap.phase for other in merged) <= MOST_GAPS]
+    few = [gap for gap in merged if sum(other.phase == gap.phase for other in merged) <= MOST_GAPS]
+    grid = time_grid(module, result.steps, result.grid)
+    return [replace(gap, switch=_switching_time(result, grid, gap)) for gap in few]
 
 
-def around(nodes: Vector, gap: Gap) -> slice:
+def _switching_time(result: Result, grid: Grid, gap: Gap) -> float | None:
+    """When a control jumps from its course before a gap to that after it, such that its integral is what it is.
+
+    Both courses are straight lines through two intervals that lie farther away; the control is that which jumps most.
+    """
+    u, steps = result.u, result.steps
+    if u is None or len(u) != result.t.size - 1:
+        return None
+    nodes = grid.nodes[gap.phase * steps : (gap.phase + 1) * steps + 1] / steps - gap.phase
+    window = around(nodes, gap, BESIDE)
+    first, last = window.start, window.stop - 1
+    if first < 2 or last > steps - 2:
+        return None
+    own, middles, lengths = u[gap.phase * steps :][:steps], 0.5 * (nodes[:-1] + nodes[1:]), np.diff(nodes)
+    jumps = np.abs(own[first - 1] - own[last])
+    column = int(np.argmax(jumps / np.maximum(np.ptp(own, axis=0), 1e-300)))
+    values = own[:, column]
+    before = _line(middles[first - 2 : first], values[first - 2 : first])
+    after = _line(middles[last : last + 2], values[last : last + 2])
+    left, right = float(nodes[first]), float(nodes[last])
+    total = float(values[first:last] @ lengths[first:last])
+    time = 0.5 * (left + right)
+    for _ in range(SECANTS):
+        jump = np.polyval(before, time) - np.polyval(after, time)
+        if abs(jump) < LEAST_JUMP * np.ptp(values):
+            return None
+        found = np.polyint(before), np.polyint(after)
+        area = np.polyval(found[0], time) - np.polyval(found[0], left)
+        area += np.polyval(found[1], right) - np.polyval(found[1], time)
+        time = float(np.clip(time + (total - area) / jump, left, right))
+    return time if left < time < right else None
+
+
+def _line(times: Vector, values: Vector) -> Vector:
+    """Coefficients, the highest power first, of the straight line through two points."""
+    slope = (values[1] - values[0]) / (times[1] - times[0])
+    return np.array([slope, values[0] - slope * times[0]])
+
+
+def around(nodes: Vector, gap: Gap, margin: int) -> slice:
     """The nodes of a phase, of which the places are given, in a gap and beside it: errors there say little of arcs."""
     first, last = np.searchsorted(nodes, [gap.begin + 1e-12, gap.end - 1e-12])
-    return slice(max(0, int(first) - MARGIN), int(last) + MARGIN + 1)
+    return slice(max(0, int(first) - margin), int(last) + margin + 1)
 
 
 def arcs(module: ControlModule, result: Result) -> list[Arc]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from codegen.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solutions.result import Result
-from codegen.solving.accuracy.arcs import Gap, around
+from codegen.solving.accuracy.arcs import FAR, Gap, around
 
 NEGLIGIBLE = 1e-12
 """A quantity that is no larger counts as zero."""
@@ -63,7 +63,9 @@ def compared(module: ControlModule, coarse: Result, fine: Result, without: Seque
     differences = np.abs(table[::2] - before) / sizes_of(table)
     for gap in without:
         first = gap.phase * coarse.steps
-        touched = around(time_grid(module, coarse.steps, coarse.grid).nodes[first:] / coarse.steps - gap.phase, gap)
+        touched = around(
+            time_grid(module, coarse.steps, coarse.grid).nodes[first:] / coarse.steps - gap.phase, gap, FAR
+        )
         differences[first : first + coarse.steps + 1][touched] = 0.0
     node, column = np.unravel_index(int(np.argmax(differences)), differences.shape)
     worst = Estimate(float(differences[node, column]), names[column], float(fine.t[::2][node]))

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from codegen.loading import Matrix, Vector
-from codegen.solving.accuracy.arcs import Gap, around
+from codegen.solving.accuracy.arcs import FAR, Gap, around
 
 LEAST_DENSITY = 0.1
 """Of the mean density of nodes, where nothing happens."""
@@ -36,32 +36,56 @@ def bisected(grid: Matrix) -> Matrix:
     return np.repeat(grid / 2.0, 2, axis=1)
 
 
-def refined(grid: Matrix, errors: Matrix, order: int, ratio: float, most: float, gaps: Sequence[Gap]) -> Matrix:
+def refined(
+    grid: Matrix,
+    errors: Matrix,
+    order: int,
+    ratio: float,
+    limits: tuple[float, float],
+    gaps: Sequence[Gap],
+    narrow: float = SHORTEST,
+) -> Matrix:
     """A grid whose intervals on arcs make equal errors, `ratio` times smaller in all, and whose gaps are cut.
 
-    `errors` (phases, N) are those of the intervals of `grid`, of the order p + 1, p = `order`, in their length. There
-    are at most `most` intervals on the arcs of a phase. Lengths of neighbours do not differ by much.
+    `errors` (phases, N) are those of the intervals of `grid`, of the order p + 1, p = `order`, in their length. The
+    number of intervals on the arcs of a phase is between the two `limits`. Lengths of neighbours do not differ by much.
+    A gap that is `narrow` is not cut any more, and where its switching time is known, a node is moved there.
     """
-    arcs = errors.copy()
-    for phase, gap in ((gap.phase, gap) for gap in gaps):
-        arcs[phase, around(np.cumsum(grid[phase]), gap)] = 0.0
-    amounts = np.maximum(arcs, 0.0) ** (1.0 / (order + 1))
-    total = float(arcs.sum())
+    amounts = _amounts(grid, errors, order, gaps)
+    total = float((amounts ** (order + 1)).sum())
     wished = (ratio * (amounts.sum(axis=1) ** (order + 1)).sum() / total) ** (1.0 / order) if total > 0.0 else LEAST
-    count = float(np.clip(wished, LEAST, most))
+    count = float(np.clip(wished, max(LEAST, limits[0]), limits[1]))
     lengths = [
-        _lengths(own, amount, count, [gap for gap in gaps if gap.phase == phase])
+        _lengths(own, amount, count, [gap for gap in gaps if gap.phase == phase], narrow)
         for phase, (own, amount) in enumerate(zip(grid, amounts, strict=True))
     ]
     steps = max(int(np.ceil((pieces / wanted).sum())) for pieces, wanted in lengths)
-    return np.array([_placed(pieces, wanted, steps) for pieces, wanted in lengths])
+    times = [[gap.switch for gap in gaps if gap.phase == phase] for phase in range(len(grid))]
+    return np.array([_placed(*own, steps, known) for own, known in zip(lengths, times, strict=True)])
+
+
+def _amounts(grid: Matrix, errors: Matrix, order: int, gaps: Sequence[Gap]) -> Matrix:
+    """How many intervals each interval is worth, up to a factor; in gaps and beside them as many as farther away."""
+    amounts = np.maximum(errors, 0.0) ** (1.0 / (order + 1))
+    for phase, lengths in enumerate(grid):
+        known = np.ones(lengths.size, bool)
+        for gap in gaps:
+            if gap.phase == phase:
+                known[around(np.cumsum(lengths), gap, FAR)] = False
+        if known.any():
+            middles = np.cumsum(lengths) - lengths / 2.0
+            density = amounts[phase, known] / lengths[known]
+            amounts[phase, ~known] = np.interp(middles[~known], middles[known], density) * lengths[~known]
+    return amounts
 
 
 LEAST = 10.0
 """Intervals of a phase at least."""
 
 
-def _lengths(lengths: Vector, amounts: Vector, count: float, gaps: Sequence[Gap]) -> tuple[Vector, Vector]:
+def _lengths(
+    lengths: Vector, amounts: Vector, count: float, gaps: Sequence[Gap], narrow: float
+) -> tuple[Vector, Vector]:
     """The pieces of a phase, and how long intervals on each of them shall be."""
     mean = amounts.sum() / count
     longest = 1.0 / (LEAST_DENSITY * count)
@@ -75,7 +99,7 @@ def _lengths(lengths: Vector, amounts: Vector, count: float, gaps: Sequence[Gap]
     fine = wanted[np.minimum(own, lengths.size - 1)]
     for gap in gaps:
         inside = (middles > gap.begin) & (middles < gap.end)
-        fine[inside] = np.minimum(fine[inside], max((gap.end - gap.begin) / CUTS, SHORTEST))
+        fine[inside] = np.minimum(fine[inside], max((gap.end - gap.begin) / CUTS, narrow / 4.0))
     return pieces, _graded(fine, middles)
 
 
@@ -89,9 +113,12 @@ def _graded(wanted: Vector, middles: Vector) -> Vector:
     return out
 
 
-def _placed(pieces: Vector, wanted: Vector, steps: int) -> Vector:
-    """N = `steps` intervals whose lengths are in proportion to those that are wanted."""
+def _placed(pieces: Vector, wanted: Vector, steps: int, switches: Sequence[float | None]) -> Vector:
+    """N = `steps` intervals whose lengths are in proportion to those that are wanted, with nodes at switching times."""
     share = np.concatenate([[0.0], np.cumsum(pieces / wanted)])
     nodes = np.interp(np.linspace(0.0, share[-1], steps + 1), share, np.concatenate([[0.0], np.cumsum(pieces)]))
+    for switch in switches:
+        if switch is not None:
+            nodes[1 + int(np.argmin(np.abs(nodes[1:-1] - switch)))] = switch
     new = np.maximum(np.diff(nodes), SHORTEST / 4.0)
     return np.asarray(new / new.sum(), dtype=float)

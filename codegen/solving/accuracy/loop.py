@@ -20,8 +20,14 @@ MOST_GRIDS = 30
 MOST_INTERVALS = 200_000
 GROWTH = 4.0
 """By how much the number of intervals grows at most from one grid to the next."""
+GROWTH_AT_SWITCHES = 1.2
+"""The same while the error is largest at a switching time."""
 AIM = 0.5
 """The part of the request that a grid aims at."""
+NARROW = 2e-3
+"""Part of its phase that a gap lasts whose switching time is told by its controls, and which is not cut any more."""
+SHRINKAGE = 0.7
+"""The same where fewer will do."""
 STAGNANT = 0.8
 """Part of the last difference above which it counts as no smaller."""
 
@@ -77,7 +83,9 @@ class _Search:
             observed = 1.0
             if last is not None and found.difference < last[1] and steps > last[0]:
                 observed = float(np.clip(math.log(last[1] / found.difference) / math.log(steps / last[0]), 1.0, order))
-            error = max(found.difference / (2.0**observed - 1.0), float(local.max()) / 2.0)
+            error = found.difference / (2.0**observed - 1.0)
+            if local.max() > math.sqrt(self.request):  # something happens between nodes that they do not show
+                error = max(error, float(local.max()))
             levels.append(_level(fine, error))
             if best is None or error < best[0]:
                 best = error, fine, found
@@ -89,8 +97,11 @@ class _Search:
                 break
             last = steps, found.difference
             between = gaps(self.module, fine)
-            on_arcs = compared(self.module, coarse, fine, without=between).difference / (2.0**observed - 1.0)
-            grid = refined(grid, local, order, on_arcs / (AIM * self.request), GROWTH * steps, between)
+            on_arcs = compared(self.module, coarse, fine, without=between)
+            # What goes wrong at a switching time is felt on the arcs beside it, where finer grids do not help.
+            growth = GROWTH if on_arcs.difference == found.difference else GROWTH_AT_SWITCHES
+            ratio = on_arcs.difference / (2.0**observed - 1.0) / (AIM * self.request)
+            grid = refined(grid, local, order, ratio, (SHRINKAGE * steps, growth * steps), between, NARROW)
             steps = grid.shape[1]
             if steps > MOST_INTERVALS:
                 reason = f"it would take more than {MOST_INTERVALS} intervals"
