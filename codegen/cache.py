@@ -22,7 +22,7 @@ def cache_folder() -> Path:
     return Path(home) / "variational-codegen"
 
 
-def place_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
+def path_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
     """Where the cache keeps the module of a problem file with these arguments and choices, if it has been built."""
     digest = input_digest(path, arguments, *choice_texts(choices), *versions(), _own_digest())
     return cache_folder() / digest[:20] / f"{module_name(path, arguments, choices)}.py"

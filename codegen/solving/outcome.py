@@ -24,7 +24,7 @@ from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
-from codegen.solving.run import assessed
+from codegen.solving.run import run_and_verify
 from codegen.solving.warm_start import start_of
 
 LEAST_TIME = 1e-9
@@ -153,11 +153,11 @@ def _solved(
             steps, request.every, start, points, _tolerance(request, grid), near, request.max_iterations,
             max(left, LEAST_TIME), watch, request.scaling, grid,
         )  # fmt: skip
-        result = assessed(module, driver, run, request.repeat)
+        result = run_and_verify(module, driver, run, request.repeat)
         left -= result.seconds_solve
         while request.accuracy is not None and result.status in _TOO_TIGHT and _looser(run) != run.tolerance:
             run = replace(run, tolerance=_looser(run), guess=result.unknowns)
-            result = assessed(module, driver, run, request.repeat)
+            result = run_and_verify(module, driver, run, request.repeat)
             left -= result.seconds_solve
         return result
 
