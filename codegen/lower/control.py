@@ -9,6 +9,7 @@ from sympy import Dummy, Symbol, expand
 
 from codegen.derive import ControlDerivatives, ElementDerivatives
 from codegen.discretise import STEP, at_nodes
+from codegen.expressions.table_functions import tables_of
 from codegen.lower import control_guesses, phases
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
@@ -17,13 +18,21 @@ from codegen.lower.kernels import INNER, PLAIN, Kernel, Line, Output, kernel
 from codegen.lower.module import ControlModule, arguments_of
 from codegen.lower.printer import array_code, scalar_code
 from codegen.lower.statement import description
+from codegen.lower.tables import (
+    described_tables,
+    table_arguments,
+    table_constants,
+    table_kernels,
+    table_metadata,
+    table_runtime,
+)
 from codegen.model.kinks import kinks
 from codegen.transcribe.program import ControlProgram, EndElement
 
 
 def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> ControlModule:
     """Write every kernel and table of a control problem as strings."""
-    model = program.model
+    model, tables = program.model, tables_of(program.model)
     couplings, curved = lower_couplings(program), layout.is_curved(derivatives)
     kernels = (
         *_all_interval_kernels(program, derivatives),
@@ -42,18 +51,20 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         template="control.py.j2",
         name=model.name,
         title=model.title,
-        description=tuple(description(program, kernels)),
+        description=tuple(description(program, kernels, described_tables(tables))),
         left_out=tuple(left_out(program, derivatives)),
-        metadata=(*metadata(program, kernels), *_warnings(program)),
+        metadata=(*metadata(program, kernels), *_warnings(program), *table_metadata(tables)),
         constants=(
             *layout.constants(program, derivatives),
             *couplings.constants,
             *(phases.constants(program) if program.phases else ()),
+            *table_constants(tables),
         ),
-        kernels=kernels,
-        runtime=_runtime(program, derivatives),
+        kernels=(*table_kernels(tables, len(layout.parameters(program))), *kernels),
+        runtime=(*_runtime(program, derivatives), *table_runtime(tables, rows=True)),
         sizes=layout.sizes(program, derivatives),
         arguments=arguments_of(model),
+        table_arguments=table_arguments(tables),
         steps=model.steps,
         boundary_values=tuple(
             Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values

@@ -12,9 +12,18 @@ from codegen.derive import StepDerivatives
 from codegen.discretise import STEP
 from codegen.expressions import StraightLine, values_of
 from codegen.expressions.checks import longer_than
+from codegen.expressions.table_functions import tables_of
 from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
 from codegen.lower.module import SimulateModule, arguments_of
 from codegen.lower.printer import readable, scalar_code
+from codegen.lower.tables import (
+    described_tables,
+    table_arguments,
+    table_constants,
+    table_kernels,
+    table_metadata,
+    table_runtime,
+)
 from codegen.transcribe.program import StepProgram
 
 _LONG = 1000
@@ -28,7 +37,7 @@ def _arguments(program: StepProgram) -> tuple[str, ...]:
 
 def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
     """Write every kernel of an initial value problem as strings."""
-    model = program.model
+    model, tables = program.model, tables_of(program.model)
     kernels = (
         *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
         _equations_kernel(program),
@@ -43,14 +52,15 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         template="simulate.py.j2",
         name=model.name,
         title=model.title,
-        description=tuple(_description(program, kernels)),
+        description=tuple(_description(program, kernels, described_tables(tables))),
         left_out=tuple(_left_out(program, derivatives)),
-        metadata=tuple(_metadata(program, derivatives, kernels)),
-        constants=tuple(_constants(program)),
-        kernels=kernels,
-        runtime=_runtime(program),
+        metadata=(*_metadata(program, derivatives, kernels), *table_metadata(tables)),
+        constants=(*_constants(program), *table_constants(tables)),
+        kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
+        runtime=(*_runtime(program), *table_runtime(tables, rows=False)),
         sizes=_sizes(program, derivatives),
         arguments=arguments_of(model),
+        table_arguments=table_arguments(tables),
         steps=model.steps,
         duration=scalar_code(model.duration),
         start_values=tuple(
@@ -220,7 +230,7 @@ def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:
     return out
 
 
-def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
+def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequence[str]) -> list[str]:
     lines = ["One step from t_k to t_k1 = t_k + h (suffixes _k and _k1 mark its nodes):", ""]
     if program.fractions:
         lengths = ", ".join(symbol.name for symbol in program.lengths)
@@ -237,6 +247,7 @@ def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
     if program.velocities:
         lines += ["", "Velocities of the step are unknowns in place of positions, so that no digits cancel:", ""]
         lines += [f"    {v} = ({after} - {before})/{_divisor(time)}" for v, after, before, time in program.velocities]
+    lines += ["", "Tables:", "", *(f"    {line}" for line in tables)] if tables else []
     lines += ["", "Operations of one evaluation, before and after common subexpressions are shared:", ""]
     lines += [f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
     return lines

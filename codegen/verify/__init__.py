@@ -6,6 +6,7 @@ nothing is shared with the stages that made it but the expressions themselves.
 
 from __future__ import annotations
 
+from codegen.expressions.table_functions import tables_of
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 from codegen.verify.control import verify_control
@@ -17,7 +18,8 @@ from codegen.verify.steps import verify_step
 
 def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:
     """Raise VerificationError, naming the entry, where a kernel is not what its program says."""
-    parts = Text(text)
+    tables = () if isinstance(program, PairwiseProgram) else tables_of(program.model)
+    parts = Text(text, tables)
     if isinstance(program, ControlProgram):
         verify_control(program, parts)
         verify_couplings(program, parts)
