@@ -42,6 +42,9 @@ class TableFunction(sympy.Function):  # type: ignore[misc]  # sympy is untyped
     def _sympystr(self, printer: Any) -> str:
         return f"{written(self.table, self.order)}({', '.join(map(printer._print, self.args))})"
 
+    def _pretty(self, printer: Any) -> Any:
+        return printer._print_Function(sympy.Function(written(self.table, self.order))(*self.args))
+
     def _latex(self, printer: Any, exp: str | None = None) -> str:
         name = printer._print(sympy.Symbol(self.table.shape.name))
         by = "".join(printer._print(sympy.Symbol(i)) * o for i, o in zip(self.table.shape.inputs, self.order, strict=True))
@@ -91,3 +94,8 @@ def tables_of(*holders: Any) -> tuple[TableData, ...]:
         elif isinstance(part, (tuple, list)):
             waiting += part
     return tuple(sorted(found, key=lambda table: table.shape.name))
+
+
+def numbers_of(*holders: Any) -> tuple[float, ...]:
+    """The numbers of all tables of expressions, one table after the other, as modules have them behind parameters."""
+    return tuple(number for table in tables_of(*holders) for number in table.numbers)
