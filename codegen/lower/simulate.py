@@ -57,7 +57,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         metadata=(*_metadata(program, derivatives, kernels), *table_metadata(tables)),
         constants=(*_constants(program), *table_constants(tables)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
-        runtime=(*_runtime(program), *table_runtime(tables, rows=False)),
+        runtime=(*_runtime(program), *table_runtime(tables)),
         sizes=_sizes(program, derivatives),
         arguments=arguments_of(model),
         table_arguments=table_arguments(tables),

@@ -37,6 +37,9 @@ def control_result(
         status, message = taken_back(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
+    elif status == "solved" and (outside := _beyond_tables(module, grid, unknowns)):
+        status = "outside a table"
+        message = f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
     elif status != "solved" and driver != "newton":
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
@@ -57,6 +60,12 @@ def control_result(
         stationarity=stationarity, t=t, q=q, p=p, u=u, multipliers=multipliers, log=attempt.log, unknowns=unknowns,
         names=component_names(metadata), stage_places=metadata.get("stage_places", ()), summary=summary,
     )  # fmt: skip
+
+
+def _beyond_tables(module: ControlModule, grid: Grid, unknowns: Vector) -> str:
+    """Which table is read outside its range, where that matters, or nothing."""
+    beyond = getattr(module, "tables_beyond", None)
+    return beyond(grid, unknowns) if beyond else ""
 
 
 def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:
