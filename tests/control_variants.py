@@ -108,9 +108,9 @@ def eliminated_blocks_are_positive(module: Any, grid: Any, matrix: np.ndarray) -
     """Whether what the module eliminates inside each interval has a positive definite block of the KKT matrix."""
     chain = grid.steps * module.STRIDE + module.NODE
     first = module.STRIDE - module.CONDENSED
-    places = [
+    indices = [
         body * chain + k * module.STRIDE + first + np.arange(module.CONDENSED)
         for body in range(module.BODIES)
         for k in range(grid.steps)
     ]
-    return all(np.linalg.eigvalsh(matrix[np.ix_(p, p)]).min(initial=np.inf) > 0.0 for p in places)
+    return all(np.linalg.eigvalsh(matrix[np.ix_(p, p)]).min(initial=np.inf) > 0.0 for p in indices)

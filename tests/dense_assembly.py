@@ -46,10 +46,10 @@ class Scalar:
 
 @dataclass(frozen=True)
 class Share:
-    """One scalar at some places of the flat vector, with the values of its other arguments."""
+    """One scalar at some indices of the flat vector, with the values of its other arguments."""
 
     scalar: Scalar
-    places: np.ndarray
+    indices: np.ndarray
     others: list[float]
 
 
@@ -73,37 +73,37 @@ class DenseProblem(DenseLayout):
         out = []
         for body in range(program.bodies):
             for k in range(self.steps):
-                out.append(Share(element, self.element_places(body, k), self._others(body, k * self.h)))
+                out.append(Share(element, self.element_indices(body, k), self._others(body, k * self.h)))
             for scalar, k in ((start, 0), (end, self.steps)):
-                places = np.concatenate([self.node_places(body, k), self.shared_places(body)])
-                out.append(Share(scalar, places, self._others(body, k * self.h)))
+                indices = np.concatenate([self.node_indices(body, k), self.shared_indices(body)])
+                out.append(Share(scalar, indices, self._others(body, k * self.h)))
         common = program.shared_symbols[program.own :]
         symbols = tuple(symbol for symbol, _, _ in program.coupling_symbols)
-        own_places = [self.own_start + body * program.own + index for _, body, index in program.coupling_symbols]
+        own_indices = [self.own_start + body * program.own + index for _, body, index in program.coupling_symbols]
         for i, coupling in enumerate(program.couplings):
             multiplier = sympy.Symbol(f"_{coupling.multiplier.name}")
             scalar = Scalar(multiplier * coupling.expression, (*symbols, *common, multiplier), self.others)
-            places = [*own_places, *range(self.common_start, self.coupling_start), self.coupling_start + i]
-            out.append(Share(scalar, np.array(places), self._others(0, 0.0)))
+            indices = [*own_indices, *range(self.common_start, self.coupling_start), self.coupling_start + i]
+            out.append(Share(scalar, np.array(indices), self._others(0, 0.0)))
         return out
 
     def lagrangian(self, z: np.ndarray) -> float:
         """The Lagrangian of the optimisation problem."""
         x = self.full(z)
-        return sum(s.scalar.value(x[s.places], s.others) for s in self.shares)
+        return sum(s.scalar.value(x[s.indices], s.others) for s in self.shares)
 
     def gradient(self, z: np.ndarray) -> np.ndarray:
         """Its gradient: stationarity at primal unknowns, residuals of the equations at multipliers."""
         x, out = self.full(z), np.zeros(self.size)
         for s in self.shares:
-            np.add.at(out, s.places, s.scalar.gradient(x[s.places], s.others))
+            np.add.at(out, s.indices, s.scalar.gradient(x[s.indices], s.others))
         return self.expand.T @ out
 
     def hessian(self, z: np.ndarray) -> np.ndarray:
         """The KKT matrix."""
         x, out = self.full(z), np.zeros((self.size, self.size))
         for s in self.shares:
-            np.add.at(out, np.ix_(s.places, s.places), s.scalar.hessian(x[s.places], s.others))
+            np.add.at(out, np.ix_(s.indices, s.indices), s.scalar.hessian(x[s.indices], s.others))
         return self.expand.T @ out @ self.expand
 
     def cost(self, z: np.ndarray) -> float:
@@ -124,10 +124,10 @@ class DenseProblem(DenseLayout):
         total = 0.0
         for body in range(program.bodies):
             for k in range(self.steps):
-                total += float(evaluate(x[self.element_places(body, k)], self._others(body, k * self.h)))
+                total += float(evaluate(x[self.element_indices(body, k)], self._others(body, k * self.h)))
             for k, end_cost in ends.items():
-                places = np.concatenate([self.node_places(body, k), self.shared_places(body)])
-                total += float(end_cost(x[places], self._others(body, k * self.h)))
+                indices = np.concatenate([self.node_indices(body, k), self.shared_indices(body)])
+                total += float(end_cost(x[indices], self._others(body, k * self.h)))
         return total
 
     def with_multipliers(self, z: np.ndarray) -> np.ndarray:

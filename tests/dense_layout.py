@@ -1,4 +1,4 @@
-"""The layout of the flat vector of unknowns of a ControlProgram: places, free unknowns, bounds, first guess."""
+"""The layout of the flat vector of unknowns of a ControlProgram: indices, free unknowns, bounds, first guess."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ class DenseLayout:
             values[self.program.body] = body
         return float(sympy.sympify(expression).subs(values))
 
-    def node_places(self, body: int, k: int) -> np.ndarray:
+    def node_indices(self, body: int, k: int) -> np.ndarray:
         return body * self.body_size + k * self.stride + np.arange(self.node)
 
-    def shared_places(self, body: int) -> np.ndarray:
+    def shared_indices(self, body: int) -> np.ndarray:
         own = self.own_start + body * self.program.own + np.arange(self.program.own)
         return np.concatenate([own, self.common_start + np.arange(self.shared - self.program.own)]).astype(int)
 
-    def element_places(self, body: int, k: int) -> np.ndarray:
+    def element_indices(self, body: int, k: int) -> np.ndarray:
         local = body * self.body_size + k * self.stride + np.arange(self.stride + self.node)
-        return np.concatenate([local, self.shared_places(body)])
+        return np.concatenate([local, self.shared_indices(body)])
 
     def boundary_numbers(self, body: int) -> dict[sympy.Symbol, float]:
         return {v.symbol: self.number(v.value, body=body) for v in self.program.boundary_values}
@@ -70,19 +70,19 @@ class DenseLayout:
         program = self.program
         full, fixed, bound = np.eye(self.size), np.zeros(self.size), set[int]()
 
-        def bind(place: int, value: float) -> None:
-            assert place not in bound, f"unknown {place} is bound twice"
-            bound.add(place)
-            full[place], fixed[place] = 0.0, value
+        def bind(index: int, value: float) -> None:
+            assert index not in bound, f"unknown {index} is bound twice"
+            bound.add(index)
+            full[index], fixed[index] = 0.0, value
 
         for body in range(program.bodies):
             for end, k in ((program.start, 0), (program.end, self.steps)):
-                places, known = self.node_places(body, k), self.boundary_numbers(body)
+                indices, known = self.node_indices(body, k), self.boundary_numbers(body)
                 for i, value in end.pins:
-                    bind(places[i], self.number(value, known, body))
+                    bind(indices[i], self.number(value, known, body))
                 for i, j, offset in end.shared:
-                    bind(places[i], self.number(offset, known, body))
-                    full[places[i], self.shared_places(body)[j]] = 1.0
+                    bind(indices[i], self.number(offset, known, body))
+                    full[indices[i], self.shared_indices(body)[j]] = 1.0
         free = np.array([i for i in range(self.size) if i not in bound])
         return full[:, free], fixed, free
 
@@ -95,25 +95,25 @@ class DenseLayout:
         program = self.program
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
 
-        def put(place: int, unknown: Any, body: int) -> None:
+        def put(index: int, unknown: Any, body: int) -> None:
             if unknown.lower is not None:
-                lower[place] = self.number(unknown.lower, body=body)
+                lower[index] = self.number(unknown.lower, body=body)
             if unknown.upper is not None:
-                upper[place] = self.number(unknown.upper, body=body)
+                upper[index] = self.number(unknown.upper, body=body)
 
         for body in range(program.bodies):
             for k in range(self.steps):
-                for place, unknown in zip(self.element_places(body, k), self.inner_unknowns(), strict=False):
-                    put(place, unknown, body)
-                first = self.node_places(body, k)[0] + self.stride - len(program.slacks)
+                for index, unknown in zip(self.element_indices(body, k), self.inner_unknowns(), strict=False):
+                    put(index, unknown, body)
+                first = self.node_indices(body, k)[0] + self.stride - len(program.slacks)
                 lower[first : first + len(program.slacks)] = 0.0
-            for place, unknown in zip(self.node_places(body, self.steps), program.node, strict=True):
-                put(place, unknown, body)
-            for place, unknown in zip(self.shared_places(body), program.shared, strict=True):
-                put(place, unknown, body)
+            for index, unknown in zip(self.node_indices(body, self.steps), program.node, strict=True):
+                put(index, unknown, body)
+            for index, unknown in zip(self.shared_indices(body), program.shared, strict=True):
+                put(index, unknown, body)
             for end, k in ((program.start, 0), (program.end, self.steps)):
                 for slack, _ in end.slacks:
-                    lower[self.node_places(body, k)[slack]] = 0.0
+                    lower[self.node_indices(body, k)[slack]] = 0.0
         return lower[self.free], upper[self.free]
 
     def initial(self) -> np.ndarray:
@@ -123,22 +123,23 @@ class DenseLayout:
             known = {**self.boundary_numbers(body), DURATION: self.duration}
             for k in range(self.steps + 1):
                 at_node = {**known, program.model.time: k * self.duration / self.steps}
-                places = self.node_places(body, k)
+                indices = self.node_indices(body, k)
                 for i, guess in enumerate(program.node_guess):
-                    x[places[i]] = self.number(guess, at_node, body)
+                    x[indices[i]] = self.number(guess, at_node, body)
                 if program.nodal_controls:
-                    for place, guess in zip(places[-len(program.model.controls) :], program.control_guess, strict=True):
-                        x[place] = self.number(guess, at_node, body)
+                    controls = indices[-len(program.model.controls) :]
+                    for index, guess in zip(controls, program.control_guess, strict=True):
+                        x[index] = self.number(guess, at_node, body)
             for k in range(self.steps):
                 at_middle = {**known, program.model.time: (k + 0.5) * self.duration / self.steps}
-                first = self.node_places(body, k)[0] + self.node
+                first = self.node_indices(body, k)[0] + self.node
                 for i, guess in enumerate(program.stage_guess):
                     x[first + i] = self.number(guess, at_middle, body)
                 if not program.nodal_controls:
                     for i, guess in enumerate(program.control_guess):
                         x[first + len(program.interval) + i] = self.number(guess, at_middle, body)
-            for place, guess in zip(self.shared_places(body), program.shared_guess, strict=True):
-                x[place] = self.number(guess, known, body)
+            for index, guess in zip(self.shared_indices(body), program.shared_guess, strict=True):
+                x[index] = self.number(guess, known, body)
         return x[self.free]
 
     def inner_unknowns(self) -> tuple[Any, ...]:
@@ -147,18 +148,18 @@ class DenseLayout:
 
     def at_nodes(self, z: np.ndarray, name: str, body: int = 0) -> np.ndarray:
         """An unknown of the nodes at all nodes."""
-        place = [u.name for u in self.program.node].index(name)
-        return self.full(z)[[self.node_places(body, k)[place] for k in range(self.steps + 1)]]
+        index = [u.name for u in self.program.node].index(name)
+        return self.full(z)[[self.node_indices(body, k)[index] for k in range(self.steps + 1)]]
 
     def on_intervals(self, z: np.ndarray, name: str, body: int = 0) -> np.ndarray:
         """An unknown of the intervals on all intervals: stage, multiplier, control or slack."""
-        place = [u.name for u in self.inner_unknowns()].index(name)
-        return self.full(z)[[self.node_places(body, k)[0] + place for k in range(self.steps)]]
+        index = [u.name for u in self.inner_unknowns()].index(name)
+        return self.full(z)[[self.node_indices(body, k)[0] + index for k in range(self.steps)]]
 
     def shared_value(self, z: np.ndarray, name: str, body: int = 0) -> float:
         """A shared unknown."""
-        place = [u.name for u in self.program.shared].index(name)
-        return float(self.full(z)[self.shared_places(body)[place]])
+        index = [u.name for u in self.program.shared].index(name)
+        return float(self.full(z)[self.shared_indices(body)[index]])
 
 
 def pinned_names(program: ControlProgram, end: EndElement) -> set[str]:

@@ -17,15 +17,15 @@ Table = list[list[Any]]
 _ITERATIONS = 40
 
 
-def collocation(places: list[Any]) -> tuple[list[Any], Table]:
-    """Weights and table of collocation at some places: integrals of Lagrange's basis polynomials."""
+def collocation(abscissae: list[Any]) -> tuple[list[Any], Table]:
+    """Weights and table of collocation at some abscissae: integrals of Lagrange's basis polynomials."""
 
     def basis(j: int) -> Any:
-        return lambda x: mpmath.fprod((x - c) / (places[j] - c) for i, c in enumerate(places) if i != j)
+        return lambda x: mpmath.fprod((x - c) / (abscissae[j] - c) for i, c in enumerate(abscissae) if i != j)
 
-    count = range(len(places))
+    count = range(len(abscissae))
     return [mpmath.quad(basis(j), [0, 1]) for j in count], [
-        [mpmath.quad(basis(j), [0, c]) for j in count] for c in places
+        [mpmath.quad(basis(j), [0, c]) for j in count] for c in abscissae
     ]
 
 

@@ -10,17 +10,17 @@ import numpy as np
 from simulation_systems import System
 
 
-def partial(function: Callable[..., Any], place: int, *arguments: Any) -> list[Any]:
+def partial(function: Callable[..., Any], index: int, *arguments: Any) -> list[Any]:
     """Numerical gradient by one of the vector arguments, in high precision."""
     gradient = []
-    for i in range(len(arguments[place])):
+    for i in range(len(arguments[index])):
 
         def along(s: Any, i: int = i) -> Any:
             moved = [list(a) if isinstance(a, (list, tuple)) else a for a in arguments]
-            moved[place][i] = s
+            moved[index][i] = s
             return function(*moved)
 
-        gradient.append(mpmath.diff(along, arguments[place][i]))
+        gradient.append(mpmath.diff(along, arguments[index][i]))
     return gradient
 
 
@@ -37,8 +37,8 @@ def mean(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
     return [(x + y) / 2 for x, y in zip(a, b, strict=True)]
 
 
-def one_step_defect(place: str) -> Callable[..., list[Any]]:
-    """z1 - z0 - h X at the named place: which q, which p, which time."""
+def one_step_defect(point: str) -> Callable[..., list[Any]]:
+    """z1 - z0 - h X at the named point: which q, which p, which time."""
 
     def defect(system: System, q0: Any, p0: Any, q1: Any, p1: Any, t: Any, h: Any) -> list[Any]:
         q, p, instant = {
@@ -47,7 +47,7 @@ def one_step_defect(place: str) -> Callable[..., list[Any]]:
             "old q, new p": (q0, p1, t),
             "new q, old p": (q1, p0, t + h),
             "middle": (mean(q0, q1), mean(p0, p1), t + h / 2),
-        }[place]
+        }[point]
         velocity, slope = field(system, q, p, instant)
         return [
             *(b - a - h * v for a, b, v in zip(q0, q1, velocity, strict=True)),
@@ -75,7 +75,7 @@ def stormer_verlet_defect(system: System, q0: Any, p0: Any, q1: Any, p1: Any, t:
 
 
 def variational_defect(rule: Sequence[tuple[Any, Any]]) -> Callable[..., list[Any]]:
-    """p0 + D1 Ld + f- and p1 - D2 Ld - f+ for the quadrature rule [(weight, place), ...]."""
+    """p0 + D1 Ld + f- and p1 - D2 Ld - f+ for the quadrature rule [(weight, abscissa), ...]."""
 
     def defect(system: System, q0: Any, p0: Any, q1: Any, p1: Any, t: Any, h: Any) -> list[Any]:
         def at(function: Callable[..., Any], c: Any, a: Any, b: Any) -> Any:

@@ -180,7 +180,7 @@ class _VelocityForm:
 
     left: Sites
     velocities: tuple[Symbol, ...]
-    places: tuple[Expr, ...]
+    abscissae: tuple[Expr, ...]
     equations: tuple[Expr, ...]
     momenta: tuple[Expr, ...]
     action: Expr
@@ -203,12 +203,12 @@ class _VelocityForm:
             pull = STEP * sympy.diff(density, q) - Add(*slopes[i::size])
             equations.append(at_nodes(_momenta_of(model), "_k")[i] + pull + f.xreplace(arrival))
         balances = [slope + f for slope, f in zip(slopes, forces, strict=True)]
-        places = (*interval.inner_places, *[S.One] * size)
+        abscissae = (*interval.inner_abscissae, *[S.One] * size)
         count = len(inner)
         return cls(
             left=interval.q,
             velocities=velocities,
-            places=places,
+            abscissae=abscissae,
             equations=(*equations, *balances[:count]),
             momenta=tuple(balances[count:]),
             action=STEP * density,
@@ -271,8 +271,8 @@ class _Variational(_Step):
             ]
             return [-weighted(row, column) for row in numbers for column in zip(*accelerations, strict=True)]
 
-        places = [ring.function(c, STEP, ring.zero) for c in self.form.places]
-        guess = [ring.product(c, velocity[i % size]) for i, c in enumerate(places)]
+        abscissae = [ring.function(c, STEP, ring.zero) for c in self.form.abscissae]
+        guess = [ring.product(c, velocity[i % size]) for i, c in enumerate(abscissae)]
         values = self._solve(ring, guess, order, correction)
         evaluate = Evaluation(ring, values, order)
         positions = [

@@ -78,7 +78,7 @@ class FunctionRing(NormalForms):
     def _constant(self, value: Expr) -> Element:
         if value.is_Rational:
             return self.number(value)
-        if value in self._place:
+        if value in self._index:
             return self.symbol(value)
         if isinstance(value, sympy.NumberSymbol):
             return self._adjoin(("number", value), value, lambda: (self.zero,) * len(self.variables))

@@ -51,12 +51,12 @@ class NormalForms:
         self._elements: dict[tuple[Any, ...], Element] = {}
         self._rules: list[tuple[tuple[tuple[int, int], ...], Element]] = []
         self._reciprocals: list[tuple[int, Element]] = []
-        self._place = {symbol: self._size - 1 - i for i, symbol in enumerate(self._symbols)}
+        self._index = {symbol: self._size - 1 - i for i, symbol in enumerate(self._symbols)}
         self.zero, self.one = self.ring.zero, self.ring.one
 
     def symbol(self, symbol: Symbol) -> Element:
         """The element that a variable or a constant is."""
-        return self.ring.gens[self._place[symbol]]
+        return self.ring.gens[self._index[symbol]]
 
     def number(self, value: Rational) -> Element:
         """A rational number."""
@@ -91,9 +91,9 @@ class NormalForms:
     def gradient(self, element: Element) -> tuple[Element, ...]:
         """Derivatives by all variables."""
         total = [self.zero] * len(self.variables)
-        for place in sorted({i for monomial in element for i, e in enumerate(monomial) if e}):
-            outer = element.diff(self.ring.gens[place])
-            for a, inner in enumerate(self._slopes(place)):
+        for index in sorted({i for monomial in element for i, e in enumerate(monomial) if e}):
+            outer = element.diff(self.ring.gens[index])
+            for a, inner in enumerate(self._slopes(index)):
                 if inner:
                     total[a] += outer * inner
         return tuple(self.reduced(part) for part in total)
@@ -102,7 +102,7 @@ class NormalForms:
         """The derivative of each generator along a vector field, which has one element for each variable."""
         along = [self.zero] * self._size
         for symbol, component in zip(self.variables, field, strict=True):
-            along[self._place[symbol]] = component
+            along[self._index[symbol]] = component
         for i, generator in enumerate(self._adjoined):
             pairs = zip(self._derivatives(generator), field, strict=True)
             along[self._slot(i)] = self.reduced(sum((d * f for d, f in pairs if d and f), self.zero))
@@ -123,10 +123,10 @@ class NormalForms:
             return True
         if not self._vanishes_at_points(element, 1):
             return False
-        for place, base in reversed(self._reciprocals):
-            degree = element.degree(self.ring.gens[place])
+        for index, base in reversed(self._reciprocals):
+            degree = element.degree(self.ring.gens[index])
             if degree > 0:
-                element = self._cleared(element, place, base, degree)
+                element = self._cleared(element, index, base, degree)
         return element == 0 or self._vanishes_at_points(element, 3)
 
     def equals(self, element: Element, expression: Expr) -> bool:
@@ -142,10 +142,10 @@ class NormalForms:
 
     def expression(self, element: Element) -> Expr:
         """The element as an expression of sympy."""
-        places = {self._place[symbol]: symbol for symbol in self._symbols}
-        places |= {self._slot(i): generator.expression for i, generator in enumerate(self._adjoined)}
+        written = {self._index[symbol]: symbol for symbol in self._symbols}
+        written |= {self._slot(i): generator.expression for i, generator in enumerate(self._adjoined)}
         terms = (
-            sympy.Mul(sympy.Rational(str(c)), *(places[i] ** e for i, e in enumerate(m) if e))
+            sympy.Mul(sympy.Rational(str(c)), *(written[i] ** e for i, e in enumerate(m) if e))
             for m, c in element.items()
         )
         return sympy.Add(*terms)
@@ -166,19 +166,19 @@ class NormalForms:
             generator.known = generator.derivatives()
         return generator.known
 
-    def _slopes(self, place: int) -> Sequence[Element]:
-        """Derivatives of the generator at a place."""
-        number = self._size - 1 - place - len(self._symbols)
+    def _slopes(self, index: int) -> Sequence[Element]:
+        """Derivatives of the generator at an index."""
+        number = self._size - 1 - index - len(self._symbols)
         if number >= 0:
             return self._derivatives(self._adjoined[number])
-        symbol = self._symbols[self._size - 1 - place]
+        symbol = self._symbols[self._size - 1 - index]
         return [self.one if symbol == variable else self.zero for variable in self.variables]
 
-    def _cleared(self, element: Element, place: int, base: Element, degree: int) -> Element:
-        """The element times base^degree, where the generator at `place` is one over the base."""
+    def _cleared(self, element: Element, index: int, base: Element, degree: int) -> Element:
+        """The element times base^degree, where the generator at `index` is one over the base."""
         total = self.zero
         for power in range(degree + 1):
-            part = {(*m[:place], 0, *m[place + 1 :]): c for m, c in element.items() if m[place] == power}
+            part = {(*m[:index], 0, *m[index + 1 :]): c for m, c in element.items() if m[index] == power}
             total += self.ring.from_dict(part) * base ** (degree - power)
         return self.reduced(total)
 
@@ -204,7 +204,7 @@ class NormalForms:
         """The values of all generators, None where one of them is not a finite real number."""
         values = [mpmath.mpf(0)] * self._size
         for symbol, value in point.items():
-            values[self._place[symbol]] = mpmath.mpf(int(value.p)) / int(value.q)
+            values[self._index[symbol]] = mpmath.mpf(int(value.p)) / int(value.q)
         for i, generator in enumerate(self._adjoined):
             value = sympy.N(generator.expression.xreplace(dict(point)), _DIGITS)
             if not (value.is_finite and value.is_real):
@@ -225,11 +225,11 @@ def _number(value: Expr) -> mpmath.mpf:
 
 def _divided(monomial: tuple[int, ...], lead: tuple[tuple[int, int], ...]) -> tuple[int, ...]:
     quotient = list(monomial)
-    for place, exponent in lead:
-        quotient[place] -= exponent
+    for index, exponent in lead:
+        quotient[index] -= exponent
     return tuple(quotient)
 
 
 def sparse(monomial: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """The places and exponents that are not zero."""
+    """The indices and exponents that are not zero."""
     return tuple((i, e) for i, e in enumerate(monomial) if e)

@@ -79,33 +79,33 @@ def together(
 
 def _common_form(bodies: Sequence[Any]) -> str:
     """Which argument says how every body moves."""
-    for place, body in enumerate(bodies):
+    for index, body in enumerate(bodies):
         if not isinstance(body, Control):
-            raise ProblemFileError(f"body {place} is a {type(body).__name__}", "let every body be a Control")
+            raise ProblemFileError(f"body {index} is a {type(body).__name__}", "let every body be a Control")
     if len(bodies) < 2:
         raise ProblemFileError(f"together(...) has {len(bodies)} bodies", "give two or more, or return one as it is")
     forms = [form_of(body) for body in bodies]
-    for place, form in enumerate(forms):
+    for index, form in enumerate(forms):
         if form != forms[0]:
             raise ExpressionError(
-                f"body 0 is given by {forms[0]}, body {place} by {form}", "give all bodies in the same way"
+                f"body 0 is given by {forms[0]}, body {index} by {form}", "give all bodies in the same way"
             )
     return forms[0]
 
 
 def _require_same(what: str, values: Sequence[Any]) -> None:
-    for place, value in enumerate(values):
+    for index, value in enumerate(values):
         if expressions.checked(value, what) != expressions.checked(values[0], what):
             raise ExpressionError(
-                f"{what} is {values[0]} for body 0 and {value} for body {place}", "let all bodies move at the same time"
+                f"{what} is {values[0]} for body 0 and {value} for body {index}", "let all bodies move at the same time"
             )
 
 
 def _require_single(bodies: Sequence[Control]) -> None:
-    for place, body in enumerate(bodies):
+    for index, body in enumerate(bodies):
         if body.bodies != 1:
             raise ExpressionError(
-                f"body {place} stands for {body.bodies!r} bodies",
+                f"body {index} stands for {body.bodies!r} bodies",
                 "give each of them a Control of its own, or use bodies alone",
             )
 
@@ -113,11 +113,11 @@ def _require_single(bodies: Sequence[Control]) -> None:
 def _require_own_coordinates(bodies: Sequence[Control], form: str) -> None:
     """Refuse a coordinate or state that two bodies have: which of both moves it?"""
     owners: dict[Quantity, int] = {}
-    for place, body in enumerate(bodies):
+    for index, body in enumerate(bodies):
         for symbol in sorted(_moving(body, form), key=lambda symbol: symbol.declared):
-            if owners.setdefault(symbol, place) != place:
+            if owners.setdefault(symbol, index) != index:
                 raise SymbolError(
-                    f"bodies {owners[symbol]} and {place} both have {symbol}",
+                    f"bodies {owners[symbol]} and {index} both have {symbol}",
                     "declare coordinates of its own for each body, or write what both share as interaction",
                 )
 
@@ -134,10 +134,10 @@ def _moving(body: Control, form: str) -> set[Quantity]:
 def _merged(what: str, mappings: Sequence[Any]) -> dict[Any, Any]:
     """All entries; a shared control or parameter may be said twice, if both times the same."""
     found: dict[Any, Any] = {}
-    for place, mapping in enumerate(mappings):
+    for index, mapping in enumerate(mappings):
         if not isinstance(mapping, Mapping):
             raise ExpressionError(
-                f"{what} of body {place} is a {type(mapping).__name__}", f"write {what} as {{symbol: value, ...}}"
+                f"{what} of body {index} is a {type(mapping).__name__}", f"write {what} as {{symbol: value, ...}}"
             )
         for key, value in mapping.items():
             if key in found and found[key] != value:

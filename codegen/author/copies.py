@@ -66,8 +66,8 @@ def written_out(problem: Control, declared: Sequence[Quantity]) -> tuple[Control
         parts[what] = [e for e in entries if not _of_bodies(e)]
     bodies = []
     for number, names in enumerate(copies):
-        places = {**names, **{s: sympy.Integer(number) for s in used if isinstance(s, BodyNumber)}}
-        bodies.append(Control(**{**_put(parts, places), "bodies": 1}))
+        substitution = {**names, **{s: sympy.Integer(number) for s in used if isinstance(s, BodyNumber)}}
+        bodies.append(Control(**{**_put(parts, substitution), "bodies": 1}))
     replaced = {*own, *values, *(s for s in used if isinstance(s, BodyNumber))}
     partners = {s.partner for s in own if isinstance(s, (Coordinate, Velocity, Momentum))}
     return together(*bodies, **conditions), [s for s in declared if s not in replaced | partners]
@@ -99,15 +99,15 @@ def _copies(own: Sequence[Quantity], number: int) -> dict[Quantity, Quantity]:
     return found
 
 
-def _put(value: Any, places: Mapping[Any, Any]) -> Any:
+def _put(value: Any, substitution: Mapping[Any, Any]) -> Any:
     """An argument of a problem with quantities replaced; what is no expression stays as it is."""
     if isinstance(value, sympy.Basic):
-        return value.xreplace(dict(places))
+        return value.xreplace(dict(substitution))
     if isinstance(value, Mapping):
-        return {_put(key, places): _put(entry, places) for key, entry in value.items()}
+        return {_put(key, substitution): _put(entry, substitution) for key, entry in value.items()}
     if isinstance(value, Item):
-        return value.mapped(lambda part: _put(part, places))
-    return type(value)(_put(entry, places) for entry in value) if type(value) in (list, tuple) else value
+        return value.mapped(lambda part: _put(part, substitution))
+    return type(value)(_put(entry, substitution) for entry in value) if type(value) in (list, tuple) else value
 
 
 def _symbols(value: Any) -> Iterator[Any]:

@@ -58,9 +58,9 @@ def read_points(path: Path, dimension: int) -> PointSet:
     if len(rows) == 1:
         raise PointsError(f"{path} holds no points", "give one row for every point")
     table = np.array([finite_numbers(path, number, row, header) for number, row in rows[1:]])
-    place = {name: table[:, index] for index, name in enumerate(header)}
-    start, target = (np.stack([place[name] for name in names], axis=1) for names in _halves(columns))
-    sigma = place.get("sigma", np.zeros(len(table)))
+    by_name = {name: table[:, index] for index, name in enumerate(header)}
+    start, target = (np.stack([by_name[name] for name in names], axis=1) for names in _halves(columns))
+    sigma = by_name.get("sigma", np.zeros(len(table)))
     if (sigma < 0.0).any():
         line = rows[1 + int(np.argmax(sigma < 0.0))][0]
         raise PointsError(f"{path}:{line}: sigma is negative", "give standard deviations")

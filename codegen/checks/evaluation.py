@@ -81,12 +81,12 @@ def _has_value(function: Function, numbers: Sequence[float]) -> bool:
         return False
 
 
-def gradient(function: Function, numbers: Sequence[float], places: Sequence[int]) -> list[Any]:
-    """Forward differences of the first value of a function by the arguments at some places."""
+def gradient(function: Function, numbers: Sequence[float], indices: Sequence[int]) -> list[Any]:
+    """Forward differences of the first value of a function by the arguments at some indices."""
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
         middle = at()
-        return [(at(i) - middle) / _INCREMENT for i in places]
+        return [(at(i) - middle) / _INCREMENT for i in indices]
 
 
 def second_differences(
@@ -95,7 +95,7 @@ def second_differences(
     """Second forward differences of the first value of a function by pairs of arguments."""
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
-        single = {i: at(i) for i in dict.fromkeys(place for pair in pairs for place in pair)}
+        single = {i: at(i) for i in dict.fromkeys(index for pair in pairs for index in pair)}
         middle = at()
         return {(i, j): (at(i, j) - single[i] - single[j] + middle) / _INCREMENT**2 for i, j in pairs}
 
@@ -113,7 +113,7 @@ def directional(function: Function, numbers: Sequence[float], direction: Sequenc
 
 
 def curved_beyond(
-    function: Function, numbers: Sequence[float], places: Sequence[int], pattern: Iterable[tuple[int, int]]
+    function: Function, numbers: Sequence[float], indices: Sequence[int], pattern: Iterable[tuple[int, int]]
 ) -> set[tuple[int, int]]:
     """Pairs (row, column), row >= column, outside a pattern whose second difference does not vanish.
 
@@ -127,8 +127,8 @@ def curved_beyond(
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
         middle = at()
-        for row in places:
-            columns = [c for c in places if c <= row and (row, c) not in known]
+        for row in indices:
+            columns = [c for c in indices if c <= row and (row, c) not in known]
             weights = {c: mpmath.mpf(float(generator.uniform(0.5, 1.5))) for c in columns}
             alone, beside = at(row), at(along=weights)
             if abs(at(row, along=weights) - alone - beside + middle) <= least * _INCREMENT**2:
@@ -139,11 +139,11 @@ def curved_beyond(
 
 
 def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., Any]:
-    """The first value of a function at numbers that are incremented at the given places, and along a direction."""
+    """The first value of a function at numbers that are incremented at the given indices, and along a direction."""
 
-    def at(*places: int, along: Mapping[int, Any] | None = None) -> Any:
+    def at(*indices: int, along: Mapping[int, Any] | None = None) -> Any:
         arguments = [mpmath.mpf(number) for number in numbers]
-        for i in places:
+        for i in indices:
             arguments[i] += _INCREMENT
         for i, weight in (along or {}).items():
             arguments[i] += weight * _INCREMENT

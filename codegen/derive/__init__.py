@@ -113,9 +113,9 @@ def step_derivatives(program: StepProgram) -> StepDerivatives:
     if sum(int(r.count_ops()) for r in residual) < _LONG_STEP:
         jacobian = tuple(tuple(_tidy_derivative(r, y) for y in program.unknowns) for r in residual)
     else:
-        found, places = differentiated(residual, program.unknowns, fixed)
+        found, indices = differentiated(residual, program.unknowns, fixed)
         residual, assignments = found.values[: len(residual)], found.assignments
-        entries = dict(zip(places, found.values[len(residual) :], strict=True))
+        entries = dict(zip(indices, found.values[len(residual) :], strict=True))
         count = range(len(program.unknowns))
         jacobian = tuple(tuple(entries.get((i, j), sympy.S.Zero) for j in count) for i in range(len(residual)))
     constant = all(entry.free_symbols <= fixed for row in jacobian for entry in row)
@@ -129,7 +129,7 @@ def _tidy_derivative(expression: Expr, symbol: Symbol) -> Expr:
 
 
 def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int] = ()) -> ElementDerivatives:
-    """Derivatives by the unknowns; those at the `given` places are numbers, and nobody asks for their derivatives."""
+    """Derivatives by the unknowns; those at the `given` indices are numbers, and nobody asks for their derivatives."""
     if scalar.count_ops() >= _LONG:
         return _long_element(scalar, unknowns, cost, given)
     gradient = tuple(sympy.S.Zero if i in given else sympy.diff(scalar, x) for i, x in enumerate(unknowns))
@@ -146,14 +146,14 @@ def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collec
 
 
 def _long_element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int]) -> ElementDerivatives:
-    free = [place for place in range(len(unknowns)) if place not in given]
-    found = second_derivatives(scalar, [unknowns[place] for place in free], (cost,))
+    free = [index for index in range(len(unknowns)) if index not in given]
+    found = second_derivatives(scalar, [unknowns[index] for index in free], (cost,))
     *slopes, written_cost = found.gradient.values
     gradient = dict(zip(free, slopes, strict=True))
-    entries = zip(found.places, found.hessian.values, strict=True)
+    entries = zip(found.indices, found.hessian.values, strict=True)
     return ElementDerivatives(
         unknowns=tuple(unknowns),
-        gradient=tuple(gradient.get(place, sympy.S.Zero) for place in range(len(unknowns))),
+        gradient=tuple(gradient.get(index, sympy.S.Zero) for index in range(len(unknowns))),
         hessian=tuple((free[row], free[column], value) for (row, column), value in entries),
         cost=written_cost,
         gradient_assignments=found.gradient.assignments,
@@ -168,7 +168,7 @@ def _with_one_pattern(shares: Sequence[ElementDerivatives]) -> tuple[ElementDeri
     pattern = sorted({(row, column) for share in shares for row, column, _ in share.hessian})
     values = [{(row, column): value for row, column, value in share.hessian} for share in shares]
     return tuple(
-        replace(share, hessian=tuple((*place, own.get(place, sympy.S.Zero)) for place in pattern))
+        replace(share, hessian=tuple((*index, own.get(index, sympy.S.Zero)) for index in pattern))
         for share, own in zip(shares, values, strict=True)
     )
 

@@ -60,9 +60,9 @@ def _explicit_guess(program: StepProgram, unknown: Symbol) -> Expr:
     rates = rates_of_change(legendre.hamiltonian_form(program.model), left)
     stage = re.search(r"_stage\d+$", unknown.name)
     name = unknown.name[: stage.start()] if stage else unknown.name.removesuffix("_k1")
-    place = [y.name for y in left].index(f"{name}_k")
+    index = [y.name for y in left].index(f"{name}_k")
     length = sum(program.lengths) if program.fractions else STEP
-    return left[place] + (length / 2 if stage else length) * rates[place]
+    return left[index] + (length / 2 if stage else length) * rates[index]
 
 
 def general_derivatives(program: ControlProgram, derivatives: ControlDerivatives) -> ControlDerivatives:
@@ -77,5 +77,5 @@ def general_derivatives(program: ControlProgram, derivatives: ControlDerivatives
 
 def _dense(element: ElementDerivatives) -> ElementDerivatives:
     values = {(row, column): value for row, column, value in element.hessian}
-    places = [(row, column) for row in range(len(element.unknowns)) for column in range(row + 1)]
-    return replace(element, hessian=tuple((*place, values.get(place, sympy.S.Zero)) for place in places))
+    indices = [(row, column) for row in range(len(element.unknowns)) for column in range(row + 1)]
+    return replace(element, hessian=tuple((*index, values.get(index, sympy.S.Zero)) for index in indices))

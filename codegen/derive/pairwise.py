@@ -168,4 +168,4 @@ def _is_isotropic(term: TermDerivatives, dimension: int) -> bool:
             return False
         blocks.setdefault((one, other), set()).add(value)
         counts[one, other] = counts.get((one, other), 0) + 1
-    return all(len(values) == 1 and counts[place] == dimension for place, values in blocks.items())
+    return all(len(values) == 1 and counts[index] == dimension for index, values in blocks.items())

@@ -43,7 +43,7 @@ class Sites:
         return "stages" if self.stage_controls else "nodal" if self.nodal else "interval"
 
     def controls_at(self, point: int, c: Expr) -> list[Expr]:
-        """The controls at a point of the scheme, c being its place in the step.
+        """The controls at a point of the scheme, c being its abscissa in the step.
 
         They are the point's own, or the interval's, or on the line between those of both nodes.
         """
@@ -59,10 +59,10 @@ class Sites:
 
 @dataclass(frozen=True)
 class PathValue:
-    """A path condition at one point of an interval, whose place `c` lies in [0, 1]."""
+    """A path condition at one point of an interval, whose abscissa `c` lies in [0, 1]."""
 
     condition: Condition
-    place: Expr
+    abscissa: Expr
     value: Expr
 
 
@@ -102,7 +102,7 @@ def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
 def substitute(
     model: Model, function: Expr, position: Sequence[Expr], rate: Sequence[Expr], controls: Sequence[Expr], c: Expr
 ) -> Expr:
-    """The value of a function of (q, rates, u, t) at a point of the interval, c being its place in [0, 1]."""
+    """The value of a function of (q, rates, u, t) at a point of the interval, c being its abscissa in [0, 1]."""
     values = dict(zip(model.coordinates, position, strict=True))
     values |= dict(zip(model.rates, rate, strict=True))
     values |= dict(zip(model.controls, controls, strict=True))

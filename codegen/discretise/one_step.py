@@ -41,7 +41,7 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
     step, states, dimension = scheme.step(), (*model.coordinates, *model.rates), len(model.coordinates)
     q_sites = sites(model, model.coordinates, controls, len(step.points))
     p_sites = sites(model, model.rates, controls, len(step.points))
-    inner = (at_nodes(states, f"_stage{n}") for n in range(1, len(step.places)))
+    inner = (at_nodes(states, f"_stage{n}") for n in range(1, len(step.abscissae)))
     values = [(*q_sites.left, *p_sites.left), *inner, (*q_sites.right, *p_sites.right)]
 
     integrands = _integrands(model)
@@ -50,12 +50,12 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
     for i, point in enumerate(step.points):
         shares = [point.position] * dimension + [point.momentum] * len(model.rates)
         state = [_sum((share, values[n][x]) for n, share in own) for x, own in enumerate(shares)]
-        at = (state[:dimension], state[dimension:], q_sites.controls_at(i, point.place), point.place)
+        at = (state[:dimension], state[dimension:], q_sites.controls_at(i, point.abscissa), point.abscissa)
         there = [substitute(model, f, *at) for f in field]
         rates.append(there[: len(states)])
         densities = zip(integrals, there[len(states) :], strict=True)
         integrals = [total + STEP * point.weight * density for total, density in densities]
-        path += [PathValue(g, point.place, substitute(model, g.expression, *at)) for g in model.path]
+        path += [PathValue(g, point.abscissa, substitute(model, g.expression, *at)) for g in model.path]
 
     unknowns, equations = list[Symbol](), list[Expr]()
     for n, of_kind in enumerate(zip(step.positions, step.momenta, strict=True), start=1):

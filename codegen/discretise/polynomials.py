@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-_PLACE = Symbol("place", real=True)
+_ABSCISSA = Symbol("abscissa", real=True)
 """The fraction of a step, in basis polynomials."""
 
 
@@ -23,11 +23,11 @@ class PolynomialMotion:
         """The basis polynomials at c, with which the values enter the position."""
         if len(self.nodes) == 2:
             return [1 - c, c]
-        return [sympy.expand(basis.subs(_PLACE, c)) for basis in self._basis()]
+        return [sympy.expand(basis.subs(_ABSCISSA, c)) for basis in self._basis()]
 
     def rates(self, c: Expr) -> list[Expr]:
         """The derivatives of the basis polynomials at c."""
-        return [sympy.expand(sympy.diff(basis, _PLACE).subs(_PLACE, c)) for basis in self._basis()]
+        return [sympy.expand(sympy.diff(basis, _ABSCISSA).subs(_ABSCISSA, c)) for basis in self._basis()]
 
     def position(self, c: Expr) -> list[Expr]:
         """The coordinates at c; but on a straight line written in differences from the first value."""
@@ -51,7 +51,7 @@ class PolynomialMotion:
 
     def _basis(self) -> list[Expr]:
         return [
-            sympy.prod([(_PLACE - other) / (node - other) for other in self.nodes if other != node])
+            sympy.prod([(_ABSCISSA - other) / (node - other) for other in self.nodes if other != node])
             for node in self.nodes
         ]
 

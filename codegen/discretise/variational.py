@@ -25,7 +25,7 @@ class VariationalInterval:
 
     `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost.
     Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
-    point after the other, at the fractions `inner_places` of the step, and is stationary there up to `force_inner`.
+    point after the other, at the fractions `inner_abscissae` of the step, and is stationary there up to `force_inner`.
     Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
     made from those of L: to differentiate Ld itself would take long. And `impulse` is what an interval adds to the
     momenta, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
@@ -39,7 +39,7 @@ class VariationalInterval:
     path: tuple[PathValue, ...] = ()
     integrals: tuple[Expr, ...] = ()
     inner: tuple[Symbol, ...] = ()
-    inner_places: tuple[Expr, ...] = ()
+    inner_abscissae: tuple[Expr, ...] = ()
     force_inner: tuple[Expr, ...] = ()
     slopes: tuple[Expr, ...] = ()
     impulse: tuple[Expr, ...] = ()
@@ -70,7 +70,7 @@ class VariationalInterval:
         return tuple(slope + f for slope, f in pairs)
 
     def virtual_work(self, displacements: Sequence[Symbol], impulses: Sequence[Expr]) -> Expr:
-        """The work of -p_k, p_k1, the inner balances and impulses along displacements of left, right, inner places.
+        """The work of -p_k, p_k1, the inner balances and impulses along displacements of left, right, inner positions.
 
         A long Ld is differentiated in the direction of the displacements instead of by each coordinate: this keeps
         its structure, such as the speed of a body that many coordinates move.
@@ -92,17 +92,17 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
     controls in the cost, and along straight lines of the forces of both nodes.
     """
     rule = scheme.discrete_lagrangian()
-    places = sites(model, model.coordinates, controls, len(rule.points))
+    q_sites = sites(model, model.coordinates, controls, len(rule.points))
     inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(rule.nodes) - 1)]
-    motion = PolynomialMotion(STEP, rule.nodes, (places.left, *inner, places.right))
+    motion = PolynomialMotion(STEP, rule.nodes, (q_sites.left, *inner, q_sites.right))
 
     def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
         return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
 
     def force_at(f: Expr, i: int, c: Expr) -> Expr:
-        if places.nodal and not inner:
-            return (1 - c) * at(f, sympy.S.Zero, places.left_controls) + c * at(f, sympy.S.One, places.right_controls)
-        return at(f, c, places.controls_at(i, c))
+        if q_sites.nodal and not inner:
+            return (1 - c) * at(f, sympy.S.Zero, q_sites.left_controls) + c * at(f, sympy.S.One, q_sites.right_controls)
+        return at(f, c, q_sites.controls_at(i, c))
 
     lagrangian = sympy.S.Zero
     integrands = (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
@@ -110,8 +110,8 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
     path: list[PathValue] = []
     forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
     for number, point in enumerate(rule.points):
-        weight, c = STEP * point.weight, point.place
-        here = places.controls_at(number, c)
+        weight, c = STEP * point.weight, point.abscissa
+        here = q_sites.controls_at(number, c)
         lagrangian += weight * at(model.function, c, here)
         integrals = [total + weight * at(f, c, here) for total, f in zip(integrals, integrands, strict=True)]
         path += [PathValue(g, c, at(g.expression, c, here)) for g in model.path]
@@ -121,9 +121,9 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
     minus, *between, plus = (tuple(node) for node in forces)
     slopes, impulse = (), ()
     if inner:
-        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, i, c: at(f, c, places.controls_at(i, c)))
+        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, i, c: at(f, c, q_sites.controls_at(i, c)))
     return VariationalInterval(
-        q=places,
+        q=q_sites,
         lagrangian=lagrangian,
         force_minus=minus,
         force_plus=plus,
@@ -131,7 +131,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         path=distinct(path),
         integrals=tuple(integrals[1:]),
         inner=tuple(q for point in inner for q in point),
-        inner_places=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
+        inner_abscissae=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),
         slopes=slopes,
         impulse=impulse,
@@ -149,7 +149,7 @@ def _slopes_and_impulse(
     impulse = [sympy.S.Zero] * len(model.coordinates)
     of_position, of_velocity = gradient(model.function, model.coordinates), gradient(model.function, model.rates)
     for number, point in enumerate(scheme.points):
-        weight, c = point.weight, point.place
+        weight, c = point.weight, point.abscissa
         by_position = [at(slope, number, c) for slope in of_position]
         by_velocity = [at(slope, number, c) for slope in of_velocity]
         for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):

@@ -201,10 +201,10 @@ class ScaledProblem:
         slope, rounding = gradient + jacobian.T @ nu, _SIGN_ROUNDING * max(1.0, max_norm(gradient))
         if not (held * slope < -rounding).any() or x.size + nu.size > _DENSE_LIMIT:
             return nu
-        places = np.flatnonzero(held)
-        duals = np.zeros((x.size, places.size))
-        duals[places, np.arange(places.size)] = -held[places]
-        least = np.concatenate([np.full(nu.size, -np.inf), np.zeros(places.size)])
+        indices = np.flatnonzero(held)
+        duals = np.zeros((x.size, indices.size))
+        duals[indices, np.arange(indices.size)] = -held[indices]
+        least = np.concatenate([np.full(nu.size, -np.inf), np.zeros(indices.size)])
         found = lsq_linear(np.hstack([jacobian.T.toarray(), duals]), -gradient, (least, np.inf), method="bvls")
         return np.asarray(found.x[: nu.size], dtype=float)
 

@@ -20,10 +20,10 @@ def specialise(text: str, sizes: Mapping[str, int]) -> str:
     In a sum `... + NAME`, a size that is zero is left out.
     """
     while _may_be_undecided(text, sizes):
-        lines, chosen = text.splitlines(), list[_Place]()
+        lines, chosen = text.splitlines(), list[_Site]()
         # What lies inside, or on a line of, something decided has to wait for the next round.
         for node in ast.walk(ast.parse(text)):
-            if isinstance(node, _Place) and _decided(node, lines, sizes) and not any(_meet(node, c) for c in chosen):
+            if isinstance(node, _Site) and _decided(node, lines, sizes) and not any(_meet(node, c) for c in chosen):
                 chosen.append(node)
         if not chosen:
             return text
@@ -40,16 +40,16 @@ def _may_be_undecided(text: str, sizes: Mapping[str, int]) -> bool:
     return bool((names and re.search(tests, text)) or (zeros and re.search(empty, text)))
 
 
-_Place = ast.If | ast.For | ast.BinOp
+_Site = ast.If | ast.For | ast.BinOp
 """Where there may be something to decide."""
 
 
-def _meet(one: _Place, other: _Place) -> bool:
-    """Whether two places have a line in common."""
+def _meet(one: _Site, other: _Site) -> bool:
+    """Whether two sites have a line in common."""
     return one.lineno <= (other.end_lineno or 0) and other.lineno <= (one.end_lineno or 0)
 
 
-def _decided(node: _Place, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:
+def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:
     """The lines with one statement decided, or None when there is nothing to decide about it."""
     if isinstance(node, ast.BinOp):
         return _without_zero(lines, node, sizes)

@@ -35,12 +35,12 @@ class SecondDerivatives:
     """Straight-line programs for a scalar's derivatives.
 
     The values of `gradient` are the derivatives by all unknowns, then those of further expressions; those of `hessian`
-    are its lower triangle's entries at the `places` (row, column).
+    are its lower triangle's entries at the `indices` (row, column).
     """
 
     gradient: StraightLine
     hessian: StraightLine
-    places: tuple[tuple[int, int], ...]
+    indices: tuple[tuple[int, int], ...]
 
 
 def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequence[Expr] = ()) -> SecondDerivatives:
@@ -56,17 +56,16 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
     first = [adjoints.first.get(leaf, zero) for leaf in leaves]
     entries = {(max(pair), min(pair)): node for pair, node in adjoints.second.items() if max(pair) < len(unknowns)}
     absent = vanishing(graph, list(entries.values()))
-    places = tuple(sorted(place for place, node in entries.items() if node not in absent))
+    indices = tuple(sorted(index for index, node in entries.items() if node not in absent))
+    second = [entries[index] for index in indices]
     taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
-    return SecondDerivatives(
-        _written(graph, [*first, *further], taken), _written(graph, [entries[place] for place in places], taken), places
-    )
+    return SecondDerivatives(_written(graph, [*first, *further], taken), _written(graph, second, taken), indices)
 
 
 def jacobian(
     values: Sequence[Expr], unknowns: Sequence[Symbol], constants: Collection[Symbol]
 ) -> tuple[StraightLine, tuple[tuple[int, int], ...]]:
-    """A program for some values and their derivatives by unknowns, and the places (row, column) of the latter.
+    """A program for some values and their derivatives by unknowns, and the indices (row, column) of the latter.
 
     What depends on `constants` alone reads no assignment. Derivatives that are identically zero are left out.
     """
@@ -76,8 +75,8 @@ def jacobian(
     rows = [slopes(graph, node, range(len(unknowns))) for node in nodes]
     entries = {(i, j): node for i, row in enumerate(rows) for j, node in sorted(row.items())}
     absent = vanishing(graph, list(entries.values()))
-    places = tuple(place for place, node in entries.items() if node not in absent)
-    return program_of(graph, [*nodes, *(entries[place] for place in places)]), places
+    indices = tuple(index for index, node in entries.items() if node not in absent)
+    return program_of(graph, [*nodes, *(entries[index] for index in indices)]), indices
 
 
 def values_of(values: Sequence[Expr]) -> StraightLine:

@@ -65,7 +65,7 @@ class _Sweep:
         # Sums and differences of unknowns, such as midpoints and velocities, come last: they are few, and each of
         # them would multiply the number of pairs by the number of its unknowns.
         self.order = sorted(varying, key=lambda node: (node not in affine, node), reverse=True)
-        self.rank = {node: -place for place, node in enumerate(self.order)}
+        self.rank = {node: -index for index, node in enumerate(self.order)}
         self.first: dict[int, Terms] = {value: [(graph.number(ONE), ONE)]}
         self.second: dict[int, dict[int, Terms]] = {}
         self.zero = graph.number(ONE - ONE)
@@ -113,9 +113,9 @@ class _Sweep:
             found = [(a, b, _lowered(graph, node, a, b)) for i, a in enumerate(varying) for b in varying[: i + 1]]
         elif not isinstance(node, Sum):
             call = graph.call_at(number)
-            places = [(i, a) for i, a in enumerate(call.arguments) if varies[a]]
+            indices = [(i, a) for i, a in enumerate(call.arguments) if varies[a]]
             found = [
-                (a, b, graph.derivative(call, i, j)) for n, (i, a) in enumerate(places) for j, b in places[: n + 1]
+                (a, b, graph.derivative(call, i, j)) for n, (i, a) in enumerate(indices) for j, b in indices[: n + 1]
             ]
         return [(a, b, curvature) for a, b, curvature in found if curvature != self.zero]
 

@@ -205,8 +205,8 @@ def values_at(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.n
         values = np.array(matrix.evalf(subs=point).tolist(), dtype=float).reshape(matrix.shape)
     except (TypeError, ValueError):
         return None
-    for place in np.argwhere((values != 0.0) & (np.abs(values) < _TINY)):
-        row, column = map(int, place)
+    for index in np.argwhere((values != 0.0) & (np.abs(values) < _TINY)):
+        row, column = map(int, index)
         if _cancels(matrix[row, column], float(values[row, column]), point):
             values[row, column] = 0.0
     return values if np.all(np.isfinite(values)) else None

@@ -53,9 +53,9 @@ class Call:
 Node = Leaf | Sum | Product | Call
 
 
-def argument(place: int) -> Symbol:
-    """The symbol that stands in a template for the argument at a place."""
-    return Symbol(f"_{place}", real=True)
+def argument(index: int) -> Symbol:
+    """The symbol that stands in a template for the argument at an index."""
+    return Symbol(f"_{index}", real=True)
 
 
 class Graph:
@@ -125,18 +125,18 @@ class Graph:
         """The node of a product of nodes."""
         return self.product([(node, ONE) for node in nodes])
 
-    def call(self, template: Expr, places: tuple[int, ...]) -> int:
+    def call(self, template: Expr, indices: tuple[int, ...]) -> int:
         """The node of a function; the logarithm of 1 + x is written without loss of digits."""
-        if len(set(places)) < len(places):  # equal arguments, such as in atan2(x, x), are one
-            once = {argument(i): argument(places.index(node)) for i, node in enumerate(places)}
-            return self.of(template.xreplace(once), {argument(i): node for i, node in enumerate(places)})
+        if len(set(indices)) < len(indices):  # equal arguments, such as in atan2(x, x), are one
+            once = {argument(i): argument(indices.index(node)) for i, node in enumerate(indices)}
+            return self.of(template.xreplace(once), {argument(i): node for i, node in enumerate(indices)})
         if template == sympy.log(argument(0)):
-            factor, core = self.scaled(places[0])
+            factor, core = self.scaled(indices[0])
             inner = self.nodes[core] if core is not None else None
             if isinstance(inner, Sum) and inner.constant * factor == 1:
                 terms = [(node, c * factor) for node, c in inner.terms]
                 return self.add(Call(log1p(argument(0)), (self.sum(terms),)))
-        return self.add(Call(template, places))
+        return self.add(Call(template, indices))
 
     def call_at(self, number: int) -> Call:
         """The function that a node is, which it must be."""
@@ -178,13 +178,13 @@ class Graph:
         template, parts = _template(expression)
         return self.call(template, tuple(self._converted(part, known) for part in parts))
 
-    def derivative(self, call: Call, *places: int) -> int:
-        """The node of the derivative of a function by the arguments at some places; kinks have no derivative."""
+    def derivative(self, call: Call, *indices: int) -> int:
+        """The node of the derivative of a function by the arguments at some indices; kinks have no derivative."""
         template = call.template
-        for place in places:
-            key = template, place
+        for index in indices:
+            key = template, index
             if key not in self._derivatives:
-                slope = sympy.diff(template, argument(place))
+                slope = sympy.diff(template, argument(index))
                 self._derivatives[key] = slope.replace(sympy.DiracDelta, lambda *_: S.Zero)
             template = self._derivatives[key]
         return self.of(template, {argument(i): node for i, node in enumerate(call.arguments)})
@@ -208,11 +208,11 @@ class Graph:
         self, items: tuple[tuple[int, Fraction], ...], constant: Fraction
     ) -> tuple[tuple[tuple[int, Fraction], ...], Fraction]:
         """Write c exp(x) - c as c expm1(x), which keeps all digits."""
-        for place, (node, coefficient) in enumerate(items):
+        for index, (node, coefficient) in enumerate(items):
             inner = self.nodes[node]
             if coefficient == -constant and isinstance(inner, Call) and inner.template == sympy.exp(argument(0)):
                 shifted = self.add(Call(expm1(argument(0)), inner.arguments))
-                return tuple(sorted([*items[:place], (shifted, coefficient), *items[place + 1 :]])), ZERO
+                return tuple(sorted([*items[:index], (shifted, coefficient), *items[index + 1 :]])), ZERO
         return items, constant
 
 

@@ -82,11 +82,11 @@ class Invariants:
         return without_cancellation(sympy.diff(self.outer, self.symbols[k], self.symbols[m]))
 
     def distances(self) -> tuple[int, ...]:
-        """Places of the squared distances: what vanishes where both particles meet, and is nowhere negative."""
+        """Indices of the squared distances: what vanishes where both particles meet, and is nowhere negative."""
         return tuple(k for k in self._vanishing() if _is_square(self.polynomials[k], self.moving))
 
     def _vanishing(self) -> tuple[int, ...]:
-        """Places of the scalars that vanish where both particles meet, such as a difference of coordinates."""
+        """Indices of the scalars that vanish where both particles meet, such as a difference of coordinates."""
         if not self.second:
             return ()
         return tuple(
@@ -106,20 +106,20 @@ class Invariants:
         the gradient of the term is that of the limit if f_s sqrt(s) tends to zero. Of a difference, which has two
         signs, the value and the slope at zero are taken.
         """
-        places = self._vanishing()
-        if len(places) > 1:
+        indices = self._vanishing()
+        if len(indices) > 1:
             return None, False
         values = {s: p.xreplace(self._meeting) for s, p in zip(self.symbols, self.polynomials, strict=True)}
-        if not places:
+        if not indices:
             return self.outer.xreplace(values), True
         if not self.distances():
-            values[self.symbols[places[0]]] = sympy.S.Zero
-            value, slope = self.outer.xreplace(values), self.slope(places[0]).xreplace(values)
+            values[self.symbols[indices[0]]] = sympy.S.Zero
+            value, slope = self.outer.xreplace(values), self.slope(indices[0]).xreplace(values)
             return (None, False) if value.has(*_SINGULAR) else (value, not slope.has(*_SINGULAR))
         # What has the same value where both meet is one symbol; that of a term in its domain is positive.
         same = {value: Symbol(f"m{k}", positive=True) for k, value in enumerate(dict.fromkeys(values.values()))}
         positive = {s: same[values[s]] for s in self.symbols}
-        distance, outer = positive[self.symbols[places[0]]], self.outer.xreplace(positive)
+        distance, outer = positive[self.symbols[indices[0]]], self.outer.xreplace(positive)
         limit = sympy.limit(outer, distance, 0, "+")
         if limit.has(*_SINGULAR):
             return None, False

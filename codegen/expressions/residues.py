@@ -102,8 +102,8 @@ class Residues:
         return self._drawn(("leaf", expression), level, self._in_subgroup)
 
     def _call(self, number: int, call: Call, level: int) -> int:
-        prime, function, places = PRIMES[level], call.template.func, call.template.args
-        if places == (_ARGUMENT,) and level + 1 < len(PRIMES) and function in _EXPONENTIAL:
+        prime, function, arguments = PRIMES[level], call.template.func, call.template.args
+        if arguments == (_ARGUMENT,) and level + 1 < len(PRIMES) and function in _EXPONENTIAL:
             argument_node = call.arguments[0]
             exponent = self.evaluate([argument_node], level + 1)[argument_node]
             if argument_node in self.uncertain[level + 1]:

@@ -49,8 +49,8 @@ class _Functions(dict[Expr, Callable[..., Any]]):
     """The functions of nodes with many digits, by their templates, each made once."""
 
     def __missing__(self, template: Expr) -> Callable[..., Any]:
-        places = sorted(template.free_symbols, key=lambda symbol: int(symbol.name[1:]))
-        self[template] = sympy.lambdify(places, template, modules=[_FUNCTIONS, "mpmath"])
+        arguments = sorted(template.free_symbols, key=lambda symbol: int(symbol.name[1:]))
+        self[template] = sympy.lambdify(arguments, template, modules=[_FUNCTIONS, "mpmath"])
         return self[template]
 
 

@@ -108,8 +108,8 @@ class _Pairs:
 
     def _pairs(self, parts: Parts) -> Iterator[Pair]:
         items = sorted(parts.items())
-        for place, (a, weight) in enumerate(items):
-            for b, other in items[place + 1 :]:
+        for index, (a, weight) in enumerate(items):
+            for b, other in items[index + 1 :]:
                 yield self._pair(a, weight, b, other)
 
     def _pairs_with(self, chosen: Sequence[int], parts: Parts) -> Iterator[Pair]:

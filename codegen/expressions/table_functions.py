@@ -28,10 +28,10 @@ class TableFunction(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
     def fdiff(self, argindex: int = 1) -> Expr:
         """The derivative by an input; beyond the degree of the polynomials it is zero."""
-        place = argindex - 1
-        if self.order[place] == DEGREE:
+        index = argindex - 1
+        if self.order[index] == DEGREE:
             return sympy.S.Zero
-        order = tuple(o + (i == place) for i, o in enumerate(self.order))
+        order = tuple(o + (i == index) for i, o in enumerate(self.order))
         return member(self.table, order)(*self.args)
 
     def _eval_evalf(self, precision: int) -> Any:
@@ -47,7 +47,9 @@ class TableFunction(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
     def _latex(self, printer: Any, exp: str | None = None) -> str:
         name = printer._print(sympy.Symbol(self.table.shape.name))
-        by = "".join(printer._print(sympy.Symbol(i)) * o for i, o in zip(self.table.shape.inputs, self.order, strict=True))
+        by = "".join(
+            printer._print(sympy.Symbol(i)) * o for i, o in zip(self.table.shape.inputs, self.order, strict=True)
+        )
         below = f"_{{{by}}}" if by else ""
         power = f"^{{{exp}}}" if exp else ""
         return rf"{{{name}}}{below}{power}\left({', '.join(map(printer._print, self.args))}\right)"

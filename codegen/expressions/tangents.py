@@ -22,10 +22,10 @@ _LONG = 500
 
 def gradient(function: Expr, symbols: Iterable[Symbol]) -> tuple[Expr, ...]:
     """The derivatives of a function by symbols, each written out as one expression."""
-    places = tuple(symbols)
+    ordered = tuple(symbols)
     if function.count_ops() < _LONG:
-        return tuple(sympy.diff(function, symbol) for symbol in places)
-    return _along(function, [{symbol: sympy.S.One} for symbol in places])
+        return tuple(sympy.diff(function, symbol) for symbol in ordered)
+    return _along(function, [{symbol: sympy.S.One} for symbol in ordered])
 
 
 def variation(function: Expr, displacements: Mapping[Symbol, Expr]) -> Expr:

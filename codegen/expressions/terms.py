@@ -23,41 +23,41 @@ class Kind:
 
 @dataclass(frozen=True)
 class Instance:
-    """One term: its kind, the condition (row) to which it belongs, and the places of the quantities that it reads."""
+    """One term: its kind, the condition (row) to which it belongs, and the indices of the quantities that it reads."""
 
     kind: int
     row: int
-    places: tuple[int, ...]
+    indices: tuple[int, ...]
 
 
 def sorted_terms(
-    conditions: Sequence[Expr], places: Mapping[Symbol, int]
+    conditions: Sequence[Expr], indices: Mapping[Symbol, int]
 ) -> tuple[tuple[Kind, ...], tuple[Instance, ...]]:
-    """The kinds of the terms of conditions, in order of appearance, and all terms; `places` number the quantities."""
+    """The kinds of the terms of conditions, in order of appearance, and all terms; `indices` number the quantities."""
     symbols = set().union(*(condition.free_symbols for condition in conditions))
-    taken = {symbol.name for symbol in symbols - places.keys()}
+    taken = {symbol.name for symbol in symbols - indices.keys()}
     fresh = (Symbol(f"a{i}", real=True) for i in count() if f"a{i}" not in taken)
     arguments: list[Symbol] = []
     kinds: dict[Kind, int] = {}
     instances = []
     for row, condition in enumerate(conditions):
         for term in Add.make_args(condition):
-            read = sorted(term.free_symbols & places.keys(), key=lambda symbol: places[symbol])
+            read = sorted(term.free_symbols & indices.keys(), key=lambda symbol: indices[symbol])
             arguments += [next(fresh) for _ in read[len(arguments) :]]
             general = _signed(term.xreplace(dict(zip(read, arguments, strict=False))))
             kind = kinds.setdefault(Kind(general, tuple(arguments[: len(read)])), len(kinds))
-            instances.append(Instance(kind, row, tuple(places[symbol] for symbol in read)))
+            instances.append(Instance(kind, row, tuple(indices[symbol] for symbol in read)))
     return tuple(kinds), tuple(instances)
 
 
 def distinct(conditions: Sequence[Expr], quantities: Sequence[Symbol]) -> tuple[int, ...]:
-    """The places of those conditions that do not merely repeat an earlier one with other quantities."""
-    places = {symbol: place for place, symbol in enumerate(quantities)}
+    """The indices of those conditions that do not merely repeat an earlier one with other quantities."""
+    indices = {symbol: index for index, symbol in enumerate(quantities)}
     arguments = [Dummy(f"a{i}", real=True) for i in range(len(quantities))]
     first: dict[Expr, int] = {}
-    for place, condition in enumerate(conditions):
-        read = sorted(condition.free_symbols & places.keys(), key=lambda symbol: places[symbol])
-        first.setdefault(_signed(condition.xreplace(dict(zip(read, arguments, strict=False)))), place)
+    for index, condition in enumerate(conditions):
+        read = sorted(condition.free_symbols & indices.keys(), key=lambda symbol: indices[symbol])
+        first.setdefault(_signed(condition.xreplace(dict(zip(read, arguments, strict=False)))), index)
     return tuple(first.values())
 
 

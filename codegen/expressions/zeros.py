@@ -174,8 +174,8 @@ class _Evaluation:
         if function in _SATURATING and abs(values[0]) > self.digits / 2:
             self.absorbed.add(number)
         if call.template not in self.functions:
-            places = [argument(i) for i in range(len(call.arguments))]
-            self.functions[call.template] = sympy.lambdify(places, call.template, "mpmath")
+            arguments = [argument(i) for i in range(len(call.arguments))]
+            self.functions[call.template] = sympy.lambdify(arguments, call.template, "mpmath")
         return self.functions[call.template](*values)
 
     def _constant(self, expression: Expr) -> Any:

@@ -147,7 +147,7 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
     if model.passive:
         lines.append(Line("BLOCK", str(BLOCK), "passive points that are carried together"))
     if program.method == "action":
-        lines.append(Line("PLACE", repr(float(program.place)), "where on an interval the action takes H"))
+        lines.append(Line("ABSCISSA", repr(float(program.abscissa)), "where on an interval the action takes H"))
     return lines
 
 

@@ -111,13 +111,13 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
 
 
 def _integral_multipliers(program: ControlProgram) -> tuple[tuple[str, int], ...]:
-    """The name of every condition on an integral, and the place of its multiplier among the unknowns of no node."""
+    """The name of every condition on an integral, and the index of its multiplier among the unknowns of no node."""
     own, bodies = program.own, program.bodies
     found = []
-    for place, integrals in [(0, program.integrals), *((i, p.integrals) for i, p in enumerate(program.phases, 1))]:
+    for index, integrals in [(0, program.integrals), *((i, p.integrals) for i, p in enumerate(program.phases, 1))]:
         for integral in integrals:
             j = program.shared_symbols.index(integral.multiplier)
-            where = f" in phase {place}" if place else ""
+            where = f" in phase {index}" if index else ""
             for body in range(bodies if j < own else 1):
                 of_body = f" of body {body}" if bodies > 1 else ""
                 found.append((f"{integral.condition.name}{where}{of_body}", body * own + j))
@@ -149,13 +149,13 @@ def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
     return tuple(u.name for u, is_seen in zip(controls, alone, strict=True) if not is_seen)
 
 
-def _places(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:
+def _codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:
     """The code that reads each symbol inside a kernel; shared unknowns stand behind the parameters."""
-    places = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(unknowns)}
-    places |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(layout.parameters(program))}
-    places[program.model.time] = "t"
-    places[STEP] = "h"
-    return places
+    codes = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(unknowns)}
+    codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(layout.parameters(program))}
+    codes[program.model.time] = "t"
+    codes[STEP] = "h"
+    return codes
 
 
 def _all_interval_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
@@ -168,7 +168,7 @@ def _all_interval_kernels(program: ControlProgram, derivatives: ControlDerivativ
 def _interval_kernels(
     program: ControlProgram, element: ElementDerivatives, stem: str, where: str
 ) -> tuple[Kernel, Kernel]:
-    places = _places(program, element.unknowns)
+    codes = _codes(program, element.unknowns)
     arguments, share = ("unknowns", "t", "h", "parameters", "gradient"), "an interval's share l"
     gradient = [
         Output(f"gradient[{i}]", value, f"dl/d{symbol}")
@@ -182,12 +182,12 @@ def _interval_kernels(
         kernel(
             f"{stem}_gradient",
             f"Gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; returns Cd.",
-            arguments, places, gradient, element.cost, decorators=INNER, straight_line=element.gradient_assignments,
+            arguments, codes, gradient, element.cost, decorators=INNER, straight_line=element.gradient_assignments,
         ),
         kernel(
             f"{stem}_hessian",
             f"Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
-            (*arguments[:-1], "hessian"), places, hessian,
+            (*arguments[:-1], "hessian"), codes, hessian,
             decorators=INNER, straight_line=element.hessian_assignments,
         ),
     )  # fmt: skip
@@ -197,10 +197,10 @@ def _inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[K
     """What tells with which inputs tables are read, on every kind of interval and at both ends, where that matters."""
     if not ranged:
         return ()
-    places = _places(program, program.element_symbols)
+    codes = _codes(program, program.element_symbols)
     kernels = [
         inputs_kernel(
-            f"{stem}_inputs", f"on an interval{where}", ("unknowns", "t", "h", "parameters"), places, ranged,
+            f"{stem}_inputs", f"on an interval{where}", ("unknowns", "t", "h", "parameters"), codes, ranged,
             (share.element, share.cost),
         )
         for (stem, where), share in zip(phases.named_elements(program), program.interval_elements, strict=True)
@@ -209,10 +209,10 @@ def _inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[K
         ("start", program.start, program.left_symbols),
         ("end", program.end, program.right_symbols),
     ):
-        places = _places(program, (*node, *program.shared_symbols))
+        codes = _codes(program, (*node, *program.shared_symbols))
         read = (end.element, end.cost)
         arguments = ("unknowns", "t", "parameters")
-        kernels.append(inputs_kernel(f"{name}_inputs", f"at the {name}", arguments, places, ranged, read))
+        kernels.append(inputs_kernel(f"{name}_inputs", f"at the {name}", arguments, codes, ranged, read))
     return tuple(kernels)
 
 
@@ -231,15 +231,15 @@ def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -
         for row, column, value in derivatives.element.hessian
         if row - first in controls and column - first in controls
     ]
-    places = _places(program, derivatives.element.unknowns)
+    codes = _codes(program, derivatives.element.unknowns)
     summary = "Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on every interval."
-    return (kernel("control_hessian", summary, ("h", "parameters", "block"), places, block, decorators=PLAIN),)
+    return (kernel("control_hessian", summary, ("h", "parameters", "block"), codes, block, decorators=PLAIN),)
 
 
 def _end_kernels(
     program: ControlProgram, end: EndElement, derivatives: ElementDerivatives, name: str, curved: bool
 ) -> tuple[Kernel, ...]:
-    places = _places(program, derivatives.unknowns)
+    codes = _codes(program, derivatives.unknowns)
     pinned = {i for i, _ in end.pins}
     gradient: list[Output] = [
         Output(f"gradient[{i}]", value, f"by {symbol}", "+=")
@@ -251,7 +251,7 @@ def _end_kernels(
     before = derivatives.gradient_assignments
     kernels = [
         kernel(
-            f"{name}_gradient", summary, arguments, places, gradient, derivatives.cost,
+            f"{name}_gradient", summary, arguments, codes, gradient, derivatives.cost,
             decorators=INNER, straight_line=before,
         )
     ]  # fmt: skip
@@ -264,7 +264,7 @@ def _end_kernels(
         arguments = ("unknowns", "t", "parameters", "hessian")
         before = derivatives.hessian_assignments
         kernels.append(
-            kernel(f"{name}_hessian", summary, arguments, places, entries, decorators=INNER, straight_line=before)
+            kernel(f"{name}_hessian", summary, arguments, codes, entries, decorators=INNER, straight_line=before)
         )
     return tuple(kernels)
 
@@ -291,7 +291,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *solver,
         *(("momenta",) if program.method == "variational" else ()),
         "counts", "tolerances", "frame",
-        *(("slacks",) if layout.slack_places(program) else ()),
+        *(("slacks",) if layout.slack_indices(program) else ()),
         *(("phases",) if program.phases else ()),
         "layout",
         "callbacks",

@@ -10,7 +10,7 @@ from typing import Any
 import sympy
 from sympy import Expr
 
-from codegen.lower.control_layout import inputs, shared_views, slack_places
+from codegen.lower.control_layout import inputs, shared_views, slack_indices
 from codegen.lower.kernels import Line
 from codegen.lower.printer import array_code, scalar_code
 from codegen.transcribe.program import ControlProgram
@@ -46,7 +46,7 @@ def shared_guesses(program: ControlProgram) -> dict[str, Any]:
             for j, (unknown, value) in enumerate(zip(program.shared[program.own :], common, strict=True))
         ),
         "own_guess": _own_guess(program),
-        "guess_result": "with_slacks(grid, unknowns)" if slack_places(program) else "unknowns",
+        "guess_result": "with_slacks(grid, unknowns)" if slack_indices(program) else "unknowns",
     }
 
 
@@ -79,7 +79,7 @@ def _own_guess(program: ControlProgram) -> tuple[Line, ...]:
     """Guesses of a body's shared unknowns: what a node's unknown equals is read there."""
     lines: dict[int, Line] = {}
     for node, end in (("0", program.start), ("-1", program.end)):
-        for place, j, _ in end.shared:
+        for index, j, _ in end.shared:
             if j < program.own:
-                lines.setdefault(j, Line(f"own[:, {j}]", f"nodes[:, {node}, {place}]", program.shared[j].name))
+                lines.setdefault(j, Line(f"own[:, {j}]", f"nodes[:, {node}, {index}]", program.shared[j].name))
     return tuple(lines.values())

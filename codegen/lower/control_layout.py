@@ -77,14 +77,16 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         lines.append(Line("EQUATIONS", f"np.arange({n}, {2 * n})", "multipliers of the equations of motion in a node"))
     for name, end in (("START", program.start), ("END", program.end)):
         if program.start.shared or program.end.shared:
-            lines.append(Line(f"{name}_SHARED_PLACES", integers([i for i, _, _ in end.shared]), "equal to"))
+            lines.append(
+                Line(f"{name}_TIED", integers([i for i, _, _ in end.shared]), "unknowns of the node that equal")
+            )
             lines.append(Line(f"{name}_SHARED", integers([j for _, j, _ in end.shared]), "these shared unknowns"))
     if is_curved(derivatives):
         for name, entries in (("START", derivatives.start.hessian), ("END", derivatives.end.hessian)):
             lines.append(Line(f"{name}_HESSIAN_ROWS", integers([r for r, _, _ in entries])))
             lines.append(Line(f"{name}_HESSIAN_COLUMNS", integers([c for _, c, _ in entries])))
-    if slack_places(program):
-        slacks, multipliers = zip(*slack_places(program), strict=True)
+    if slack_indices(program):
+        slacks, multipliers = zip(*slack_indices(program), strict=True)
         lines.append(Line("SLACKS", integers(slacks), "unknowns of an interval that take up an inequality's distance"))
         lines.append(Line("SLACK_MULTIPLIERS", integers(multipliers), "of the equations that define them"))
     return lines
@@ -95,10 +97,10 @@ def is_curved(derivatives: ControlDerivatives) -> bool:
     return bool(derivatives.start.hessian or derivatives.end.hessian)
 
 
-def slack_places(program: ControlProgram) -> list[tuple[int, int]]:
-    """Places of slacks in an interval's unknowns, with those of their multipliers."""
+def slack_indices(program: ControlProgram) -> list[tuple[int, int]]:
+    """Indices of slacks in an interval's unknowns, with those of their multipliers."""
     node, first = len(program.node), len(program.node) + len(program.interval) + len(program.controls)
-    return [(first + j, node + place) for j, place in enumerate(program.slack_multipliers)]
+    return [(first + j, node + index) for j, index in enumerate(program.slack_multipliers)]
 
 
 def pins(program: ControlProgram) -> dict[str, Any]:
@@ -107,12 +109,12 @@ def pins(program: ControlProgram) -> dict[str, Any]:
     values += [v for end in (program.start, program.end) for _, _, v in end.shared]
     lines = []
     for node, end in (("0", program.start), ("-1", program.end)):
-        for place, value in sorted(end.pins, key=lambda pin: pin[0]):
-            lines.append(Line(f"nodes[:, {node}, {place}]", array_code(value)))
-        for place, j, offset in end.shared:
+        for index, value in sorted(end.pins, key=lambda pin: pin[0]):
+            lines.append(Line(f"nodes[:, {node}, {index}]", array_code(value)))
+        for index, j, offset in end.shared:
             shared = f"own[:, {j}]" if j < program.own else f"common[{j - program.own}]"
             lines.append(
-                Line(f"nodes[:, {node}, {place}]", shared if offset == 0 else f"{shared} + {array_code(offset)}")
+                Line(f"nodes[:, {node}, {index}]", shared if offset == 0 else f"{shared} + {array_code(offset)}")
             )
     needs_shared = bool(program.start.shared or program.end.shared)
     views = shared_views(program, "own, common", "unknowns") if needs_shared else ()
@@ -138,10 +140,10 @@ def duration(program: ControlProgram) -> dict[str, Any]:
 def duration_inputs(program: ControlProgram, durations: Sequence[Expr]) -> tuple[Line, ...]:
     """Lines that read what durations depend on, out of the parameters and the unknowns."""
     first = len(program.shared) - program.own + len(program.couplings)
-    places = {s: f"unknowns[{j - first}]" for j, s in enumerate(program.shared_symbols[program.own :])}
-    places |= {s: f"grid.parameters[0, {i}]" for i, s in enumerate(program.model.parameters)}
+    codes = {s: f"unknowns[{j - first}]" for j, s in enumerate(program.shared_symbols[program.own :])}
+    codes |= {s: f"grid.parameters[0, {i}]" for i, s in enumerate(program.model.parameters)}
     used = set[Symbol]().union(*(duration.free_symbols for duration in durations))
-    return tuple(Line(s.name, code) for s, code in places.items() if s in used)
+    return tuple(Line(s.name, code) for s, code in codes.items() if s in used)
 
 
 def bounds(program: ControlProgram) -> dict[str, Any]:
@@ -197,13 +199,13 @@ def _without_bounds(program: ControlProgram, end: EndElement, node: str, name: s
     """Lines that take away the bounds of an unknown of an end node, or of a slack there or beside it."""
     of_interval = [slack.name for slack in program.slacks]
     if name in of_interval:
-        place = len(program.interval) + len(program.controls) + of_interval.index(name)
-        return [Line(f"lower_intervals[:, {node}, {place}]", "-1.0", f"{name} is determined there")]
-    place = [unknown.name for unknown in program.node].index(name)
-    if place in [slack for slack, _ in end.slacks]:
-        return [Line(f"lower_nodes[:, {node}, {place}]", "-1.0", f"{name} is determined there")]
+        index = len(program.interval) + len(program.controls) + of_interval.index(name)
+        return [Line(f"lower_intervals[:, {node}, {index}]", "-1.0", f"{name} is determined there")]
+    index = [unknown.name for unknown in program.node].index(name)
+    if index in [slack for slack, _ in end.slacks]:
+        return [Line(f"lower_nodes[:, {node}, {index}]", "-1.0", f"{name} is determined there")]
     ends = (("lower", "-np.inf"), ("upper", "np.inf"))
-    return [Line(f"{side}_nodes[:, {node}, {place}]", code, f"{name} is determined there") for side, code in ends]
+    return [Line(f"{side}_nodes[:, {node}, {index}]", code, f"{name} is determined there") for side, code in ends]
 
 
 def bound_views(program: ControlProgram) -> tuple[Line, ...]:
@@ -232,11 +234,11 @@ def views(program: ControlProgram) -> dict[str, Any]:
         "multipliers": f"nodes[:, :, {n}:{2 * n}]"
         if variational
         else f"intervals[:, :, {steps_first}:{steps_first + equations}]",
-        "control_place": _CONTROL_PLACES[program.controlled] if m else "none",
+        "control_sites": _CONTROL_SITES[program.controlled] if m else "none",
     }
 
 
-_CONTROL_PLACES = {"interval": "on intervals", "nodal": "at nodes", "stages": "at the stages of all intervals"}
+_CONTROL_SITES = {"interval": "on intervals", "nodal": "at nodes", "stages": "at the stages of all intervals"}
 
 
 def integers(values: Sequence[int]) -> str:

@@ -80,16 +80,16 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
         *((("scale", repr({s.name: size for s, size in model.scales})),) if model.scales else ()),
-        *((("stage_places", repr(_stage_places(program))),) if program.controlled == "stages" else ()),
+        *((("stage_abscissae", repr(_stage_abscissae(program))),) if program.controlled == "stages" else ()),
         *(_of_phases(program) if program.phases else ()),
     ]
 
 
-def _stage_places(program: ControlProgram) -> tuple[float, ...]:
+def _stage_abscissae(program: ControlProgram) -> tuple[float, ...]:
     """The fractions of an interval at which its controls are."""
     scheme = schemes.find(program.scheme, program.method)
     points = scheme.discrete_lagrangian().points if scheme.variational else scheme.step().points
-    return tuple(float(point.place) for point in points)
+    return tuple(float(point.abscissa) for point in points)
 
 
 def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:

@@ -62,11 +62,11 @@ def _acts_on_itself(model: PairwiseModel) -> bool:
 
 def _gradient(writer: Writer) -> BlockLoop:
     pair, size = writer.derivatives.pair, writer.dimension
-    scalars = {s: code for s, code in writer.single_places.items() if s in dict(pair.scalars)}
-    codes = [*writer.places("i").values(), *(f"singles[i, {k}]" for k in range(len(writer.singles)))]
+    scalars = {s: code for s, code in writer.single_codes.items() if s in dict(pair.scalars)}
+    codes = [*writer.codes("i").values(), *(f"singles[i, {k}]" for k in range(len(writer.singles)))]
     rows = {code: entry("state", row, "GROUP") for row, code in enumerate(codes)}
     outputs = [(entry("sums", row, "GROUP"), value) for row, value in enumerate(pair.gradient[: 2 * size])]
-    reads = {s: rows.get(code, code) for s, code in {**writer.places("i"), **writer.places("j"), **scalars}.items()}
+    reads = {s: rows.get(code, code) for s, code in {**writer.codes("i"), **writer.codes("j"), **scalars}.items()}
     made = writer.summed((*pair.differences, *pair.scalars, *pair.slopes), reads, outputs, scalars)
     used = {line.code for line in made.inputs}
     singles = [Line("singles", "single_values(z)")] if writer.singles else []

@@ -62,14 +62,14 @@ def kernel(
     name: str,
     summary: str,
     arguments: Sequence[str],
-    places: Mapping[Symbol, str],
+    codes: Mapping[Symbol, str],
     outputs: Sequence[Output],
     result: Expr | None = None,
     assignments: Sequence[tuple[Symbol, Expr]] = (),
     decorators: tuple[str, ...] = CACHED,
     straight_line: Sequence[tuple[Symbol, Expr]] = (),
 ) -> Kernel:
-    """Lower expressions to a kernel; `places` tells for each symbol the code that reads it (its own name: argument).
+    """Lower expressions to a kernel; `codes` tells for each symbol the code that reads it (its own name: argument).
 
     `assignments` give values to further symbols, each of which later assignments and all outputs may read. Those of a
     `straight_line` program do as well, but hold all common subexpressions already; a kernel has one or the other.
@@ -79,13 +79,13 @@ def kernel(
     values += [] if result is None else [result]
     expressions = [with_decimal_roots(stabilised(value)) for value in values]
     used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
-    inputs = tuple(Line(s.name, code) for s, code in places.items() if s in used and code != s.name)
+    inputs = tuple(Line(s.name, code) for s, code in codes.items() if s in used and code != s.name)
     body, reduced = [*zip(names, expressions, strict=False)], expressions[len(names) :]
     if not straight_line:
-        body, reduced = _with_common(names, expressions, {s.name for s in places} | set(arguments))
+        body, reduced = _with_common(names, expressions, {s.name for s in codes} | set(arguments))
     after = [int(e.count_ops()) for e in (*(value for _, value in body), *reduced)]
     count = len(outputs)
-    taken = {s.name for s in places} | set(arguments) | {str(s) for s, _ in body}
+    taken = {s.name for s in codes} | set(arguments) | {str(s) for s, _ in body}
     pairs, reduced = with_lookups(body, reduced, taken)
     return Kernel(
         name=name,
@@ -131,10 +131,10 @@ def _written_out(assignments: Sequence[tuple[Symbol, Expr]], expressions: Sequen
     """The operations of all outputs if nothing were assigned; the first expressions are what is assigned."""
     totals: dict[Expr, int] = {}
     outputs = 0
-    for place, (expression, operations) in enumerate(zip(expressions, own, strict=True)):
+    for index, (expression, operations) in enumerate(zip(expressions, own, strict=True)):
         total = operations + sum(totals.get(part, 0) for part in sympy.preorder_traversal(expression))
-        if place < len(assignments):
-            totals[assignments[place][0]] = total
+        if index < len(assignments):
+            totals[assignments[index][0]] = total
         else:
             outputs += total
     return outputs

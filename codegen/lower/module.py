@@ -115,7 +115,7 @@ class ControlModule(Module):
     momenta: str
     controls: str
     multipliers: str
-    control_place: str
+    control_sites: str
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ def hessian(writer: Writer) -> PairLoop:
             one, other = divmod(row, size)[0], divmod(column, size)[0]
             # j < i: momenta come after places, particle i after particle j.
             later = (one % 2, -(one // 2)) >= (other % 2, -(other // 2))
-            place = (row, column) if later else (column, row)
-            lines.append(Line(f"hessian[{_row(place[0], size)}, {_row(place[1], size)}]", name, operator="+="))
+            index = (row, column) if later else (column, row)
+            lines.append(Line(f"hessian[{_row(index[0], size)}, {_row(index[1], size)}]", name, operator="+="))
         filled[term is pair] = lines
     first = writer.lowered(alone, _named(_entries(alone)), alone.slopes + alone.curvatures)
     second = writer.lowered(pair, _named(_entries(pair)), pair.slopes + pair.curvatures)
@@ -78,11 +78,11 @@ def momentum_matrix(writer: Writer) -> PairLoop:
             (one, a), (other, b) = divmod(row, size), divmod(column, size)
             if one % 2 == 0 or other % 2 == 0 or (isotropic and a > 0):
                 continue
-            places = [f"{'ij'[one // 2]}", f"{'ij'[other // 2]}"]
+            codes = [f"{'ij'[one // 2]}", f"{'ij'[other // 2]}"]
             if not isotropic:
-                places = [f"{size}*{place} + {axis}" for place, axis in zip(places, (a, b), strict=True)]
+                codes = [f"{size}*{index} + {axis}" for index, axis in zip(codes, (a, b), strict=True)]
             # The row of particle i comes after that of j.
-            later = places if one // 2 <= other // 2 else places[::-1]
+            later = codes if one // 2 <= other // 2 else codes[::-1]
             outputs.append((f"matrix[{later[0]}, {later[1]}]", "+=", value))
         kernels.append(writer.lowered(term, outputs, term.slopes + term.curvatures))
     return writer.loop(
@@ -96,14 +96,14 @@ def momentum_matrix(writer: Writer) -> PairLoop:
 
 
 def _entries(term: TermDerivatives) -> list[tuple[str, int, int, Expr]]:
-    """Distinct values among second derivatives under names h0, h1, ..., with all places that they have."""
+    """Distinct values among second derivatives under names h0, h1, ..., with all indices that they have."""
     names: dict[Expr, str] = {}
     return [(names.setdefault(value, f"h{len(names)}"), row, column, value) for row, column, value in term.hessian]
 
 
-def _row(place: int, size: int) -> str:
+def _row(index: int, size: int) -> str:
     """The row of a moving symbol of one of two particles."""
-    group, axis = divmod(place, size)
+    group, axis = divmod(index, size)
     particle, is_momentum = divmod(group, 2)
     parts = [*(["half"] if is_momentum else []), "row_" + "ij"[particle], *([str(axis)] if axis else [])]
     return " + ".join(parts)
@@ -155,15 +155,15 @@ def _along_direction(writer: Writer, term: TermDerivatives) -> Kernel:
         if changed != 0:
             outputs.append((f"products[{_row(row, size)}, c]", changed))
     read = needed(assignments, [value for _, value in outputs])
-    places: dict[Symbol, str] = {changes[z]: f"directions[{_row(k, size)}, c]" for k, z in enumerate(moving)}
+    codes: dict[Symbol, str] = {changes[z]: f"directions[{_row(k, size)}, c]" for k, z in enumerate(moving)}
     known = (
         *moving,
         *(d for d, _ in term.differences),
         *(s for s, _ in (*term.scalars, *term.slopes, *term.curvatures)),
     )
-    places |= {writer.renamed(term, symbol): writer.renamed(term, symbol).name for symbol in known}
+    codes |= {writer.renamed(term, symbol): writer.renamed(term, symbol).name for symbol in known}
     return kernel(
-        "", "", (), places,
+        "", "", (), codes,
         [Output(target, writer.renamed(term, value), "", "+=") for target, value in outputs],
         assignments=[(symbol, writer.renamed(term, value)) for symbol, value in read],
     )  # fmt: skip

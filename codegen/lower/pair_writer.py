@@ -57,7 +57,7 @@ class Writer:
         self.dimension = len(model.coordinates)
         back = dict(zip(model.second.q, model.first.q, strict=True))
         self.singles: list[Expr] = []
-        self.single_places: dict[Symbol, str] = {}
+        self.single_codes: dict[Symbol, str] = {}
         for term in (derivatives.alone, derivatives.pair):
             for symbol, polynomial in term.scalars:
                 for mark, own in (("i", model.first.q), ("j", model.second.q)):
@@ -65,7 +65,7 @@ class Writer:
                         value = polynomial.xreplace(back)
                         if value not in self.singles:
                             self.singles.append(value)
-                        self.single_places[self._scalar(term, symbol)] = f"singles[{mark}, {self.singles.index(value)}]"
+                        self.single_codes[self._scalar(term, symbol)] = f"singles[{mark}, {self.singles.index(value)}]"
 
     def _scalar(self, term: TermDerivatives, symbol: Symbol) -> Symbol:
         """Scalars of the self term and of the pair term may carry the same names."""
@@ -78,12 +78,12 @@ class Writer:
         named = [symbol for symbol, _ in (*term.scalars, *term.slopes, *term.curvatures)]
         return expression.xreplace({symbol: Symbol(f"{symbol.name}_alone", real=True) for symbol in named})
 
-    def places(self, mark: str) -> dict[Symbol, str]:
+    def codes(self, mark: str) -> dict[Symbol, str]:
         """The code that reads the quantities of one particle."""
         one = self.model.first if mark == "i" else self.model.second
-        places = {s: f"z[0, {mark}, {a}]" for a, s in enumerate(one.q)}
-        places |= {s: f"z[1, {mark}, {a}]" for a, s in enumerate(one.p)}
-        return places | {s: f"own[{mark}, {a}]" for a, s in enumerate(one.own)}
+        codes = {s: f"z[0, {mark}, {a}]" for a, s in enumerate(one.q)}
+        codes |= {s: f"z[1, {mark}, {a}]" for a, s in enumerate(one.p)}
+        return codes | {s: f"own[{mark}, {a}]" for a, s in enumerate(one.own)}
 
     def lowered(
         self, term: TermDerivatives, outputs: Sequence[tuple[str, str, Expr]], names: Sequence[Assignment] = ()
@@ -93,15 +93,15 @@ class Writer:
         assignments = []
         for symbol, value in read:
             renamed = self.renamed(term, symbol)
-            if renamed in self.single_places:
+            if renamed in self.single_codes:
                 continue
             if self.model.smooth and symbol in term.distances:
                 value = sympy.Max(value, CLOSEST)
             assignments.append((renamed, self.renamed(term, value)))
-        places = {**self.places("i"), **self.places("j"), **self.single_places}
-        places |= {s: f"parameters[{k}]" for k, s in enumerate(self.model.parameters)}
+        codes = {**self.codes("i"), **self.codes("j"), **self.single_codes}
+        codes |= {s: f"parameters[{k}]" for k, s in enumerate(self.model.parameters)}
         return kernel(
-            "", "", (), places,
+            "", "", (), codes,
             [Output(target, self.renamed(term, value), "", operator) for target, operator, value in outputs],
             assignments=assignments,
         )  # fmt: skip

@@ -50,10 +50,10 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
             tuple(Line("margin", f"min(margin, {code})") for code in domain), ("margin",),
         )
     )  # fmt: skip
-    places: dict[Symbol, str] = {x: f"start[i, {a}]" for a, x in enumerate(model.first.q)}
-    places |= {x: f"target[i, {a}]" for a, x in enumerate(model.second.q)}
-    places[FRACTION] = "fraction"
-    made = kernel("", "", (), places, [Output(f"place[i, {a}]", e, "") for a, e in enumerate(model.path)])
+    codes: dict[Symbol, str] = {x: f"start[i, {a}]" for a, x in enumerate(model.first.q)}
+    codes |= {x: f"target[i, {a}]" for a, x in enumerate(model.second.q)}
+    codes[FRACTION] = "fraction"
+    made = kernel("", "", (), codes, [Output(f"place[i, {a}]", e, "") for a, e in enumerate(model.path)])
     loops.append(
         ParticleLoop(
             "guide", "Fill `place`, shape (n, d) as all are, with where particles may be after a part of their way.",
@@ -64,13 +64,13 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
     return tuple(loops)
 
 
-def accurate_sum(expression: Expr, model: PairwiseModel, places: Sequence[str] = ()) -> str:
+def accurate_sum(expression: Expr, model: PairwiseModel, codes: Sequence[str] = ()) -> str:
     """Code of a polynomial of one particle's coordinates: to the last digit where it is a sum of products of two.
 
-    `places` are codes that read the coordinates, by default those of particle i.
+    `codes` read the coordinates, by default those of particle i.
     """
-    places = places or [f"z[0, i, {a}]" for a in range(len(model.first.q))]
-    reads = {s: Symbol(code, real=True) for s, code in zip(model.first.q, places, strict=True)}
+    codes = codes or [f"z[0, i, {a}]" for a in range(len(model.first.q))]
+    reads = {s: Symbol(code, real=True) for s, code in zip(model.first.q, codes, strict=True)}
     first, second = list[str](), list[str]()
     for term in sympy.Add.make_args(sympy.expand(expression)):
         coefficient, rest = term.as_coeff_Mul()

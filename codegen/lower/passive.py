@@ -52,16 +52,16 @@ def _loop(
 ) -> BlockLoop:
     model = writer.model
     reads = {s: _entry("places", a) for a, s in enumerate(model.first.q)}
-    own = {s: _of_point(code) for s, code in writer.single_places.items()}
+    own = {s: _of_point(code) for s, code in writer.single_codes.items()}
     pair_scalars = {s for s, _ in writer.derivatives.pair.scalars}
-    reads |= writer.places("j") | {s: code for s, code in own.items() if s in pair_scalars}
+    reads |= writer.codes("j") | {s: code for s, code in own.items() if s in pair_scalars}
     made = writer.summed(passive.assignments, reads, outputs, own)
-    places = [_entry("places", a) for a in range(len(model.coordinates))]
-    sums = [accurate_sum(e, model, places) for e in writer.singles]
+    codes = [_entry("places", a) for a in range(len(model.coordinates))]
+    sums = [accurate_sum(e, model, codes) for e in writer.singles]
     scalars = {code: _entry("scalars", k) for k, code in enumerate(sums)}
     lengths = f"{len(sums)}*BLOCK" if len(sums) > 1 else "BLOCK"
     singles = [Line("singles", "single_values(z)"), Line("scalars", f"np.empty({lengths})")] if sums else []
-    positive = [scalars.get(code, code) for code in (accurate_sum(e, model, places) for e in model.domain)]
+    positive = [scalars.get(code, code) for code in (accurate_sum(e, model, codes) for e in model.domain)]
     margin = positive[0] if len(positive) == 1 else f"min({', '.join(positive)})"
     return BlockLoop(
         name=name,

@@ -201,7 +201,7 @@ def _vanishes_with_exponents(total: sympy.Expr) -> bool:
     """Whether a sum is zero, as far as one point can tell, where all its exponentials are one."""
     ones = dict.fromkeys(total.atoms(sympy.exp), sympy.S.One)
     symbols = sorted(total.free_symbols, key=sympy.default_sort_key)
-    point = {symbol: 0.5 + (0.6180339887 * place) % 1.0 for place, symbol in enumerate(symbols, start=1)}
+    point = {symbol: 0.5 + (0.6180339887 * index) % 1.0 for index, symbol in enumerate(symbols, start=1)}
     terms = [expressions.rounded_at(term.xreplace(ones), point) for term in total.args]
     known = [term for term in terms if term is not None]
     return len(known) < len(terms) or abs(sum(known)) <= 1e-9 * sum(map(abs, known))

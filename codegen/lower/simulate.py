@@ -43,7 +43,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         _equations_kernel(program),
         kernel(
             "energy", "The Hamiltonian at `state` (STATE,).",
-            ("state", "t", "parameters"), _places(program), (), program.energy,
+            ("state", "t", "parameters"), _codes(program), (), program.energy,
             straight_line=needed(program.state_assignments, (program.energy,)),
         ),
     )  # fmt: skip
@@ -75,13 +75,13 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
     )
 
 
-def _places(program: StepProgram) -> dict[Symbol, str]:
+def _codes(program: StepProgram) -> dict[Symbol, str]:
     """The code that reads each symbol inside a kernel."""
-    places = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(program.unknowns)}
-    places |= {symbol: f"state[{i}]" for i, symbol in enumerate(program.left_symbols)}
-    places |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(program.model.parameters)}
+    codes = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(program.unknowns)}
+    codes |= {symbol: f"state[{i}]" for i, symbol in enumerate(program.left_symbols)}
+    codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(program.model.parameters)}
     lengths = {h: f"lengths[{i}]" for i, h in enumerate(program.lengths)} if program.fractions else {STEP: "h"}
-    return places | lengths | {program.model.time: "t"}
+    return codes | lengths | {program.model.time: "t"}
 
 
 def _interval(program: StepProgram) -> tuple[Symbol, ...]:
@@ -96,12 +96,12 @@ def _explicit_kernel(program: StepProgram) -> Kernel:
     return kernel(
         "explicit_step",
         "Fill `interval` (STAGES + STATE,) with inner stages and the state at the right node, from `state` (STATE,).",
-        (*_arguments(program), "interval"), _places(program), _interval_outputs(program), None, program.before,
+        (*_arguments(program), "interval"), _codes(program), _interval_outputs(program), None, program.before,
     )  # fmt: skip
 
 
 def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tuple[Kernel, ...]:
-    places, arguments = _places(program), _arguments(program)
+    codes, arguments = _codes(program), _arguments(program)
     names = [symbol.name for symbol in program.unknowns]
     guess = [Output(f"unknowns[{i}]", value, names[i]) for i, value in enumerate(program.guess)]
     residual = [Output(f"residual[{i}]", value, "") for i, value in enumerate(derivatives.residual)]
@@ -119,31 +119,31 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
     return (
         kernel(
             "predict_step", f"Where to start solving from `state` (STATE,) for `unknowns` (UNKNOWNS,): {listed}.",
-            (*arguments, "unknowns"), places, guess,
+            (*arguments, "unknowns"), codes, guess,
             straight_line=needed(program.state_assignments, program.guess),
         ),
         kernel(
             "step_residual", f"What must vanish, `residual` (UNKNOWNS,), as a function of {listed}.",
-            ("unknowns", *arguments, "residual"), places, residual, None,
+            ("unknowns", *arguments, "residual"), codes, residual, None,
             () if straight else of_residual, straight_line=of_residual if straight else (),
         ),
         kernel(
             "step_jacobian", f"Residual, and its `jacobian` (UNKNOWNS, UNKNOWNS) by {listed}.",
-            ("unknowns", *arguments, "residual", "jacobian"), places, [*residual, *entries], None,
+            ("unknowns", *arguments, "residual", "jacobian"), codes, [*residual, *entries], None,
             () if straight else of_both, straight_line=of_both if straight else (),
         ),
         kernel(
             "complete_step",
             f"Fill `interval` (STAGES + STATE,): inner stages, and the state at the right node, given {listed}.",
-            ("unknowns", *arguments, "interval"), places, _interval_outputs(program), None,
+            ("unknowns", *arguments, "interval"), codes, _interval_outputs(program), None,
             (*program.before, *program.after),
         ),
     )  # fmt: skip
 
 
 def _equations_kernel(program: StepProgram) -> Kernel:
-    places = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
-    places |= {symbol: code for symbol, code in _places(program).items() if symbol not in places}
+    codes = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
+    codes |= {symbol: code for symbol, code in _codes(program).items() if symbol not in codes}
     names, values = zip(*program.equations, strict=True)
     straight = StraightLine(values=values)
     if longer_than(_LONG, values):
@@ -152,7 +152,7 @@ def _equations_kernel(program: StepProgram) -> Kernel:
     return kernel(
         "step_equations",
         "The scheme's equations as they stand above, `residual` (STAGES + STATE,); a step makes them vanish.",
-        ("state", "interval", *_arguments(program)[1:], "residual"), places, outputs,
+        ("state", "interval", *_arguments(program)[1:], "residual"), codes, outputs,
         straight_line=straight.assignments,
     )  # fmt: skip
 

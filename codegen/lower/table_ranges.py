@@ -15,7 +15,7 @@ from codegen.tables.data import TableData
 
 @dataclass(frozen=True)
 class Input:
-    """An input of a table whose range a solution must not leave: its number, and the places of its ends."""
+    """An input of a table whose range a solution must not leave: its number, and the indices of its ends."""
 
     table: TableData
     number: int
@@ -34,14 +34,14 @@ class Input:
 
 
 def ranged_inputs(tables: Sequence[TableData], first: int) -> tuple[Input, ...]:
-    """The inputs of all tables that have a range; numbers of tables stand among parameters from a place on."""
+    """The inputs of all tables that have a range; numbers of tables stand among parameters from an index on."""
     found = []
     for table in tables:
-        place = first
+        index = first
         for number, size in enumerate(table.shape.sizes):
             if table.shape.outside == "error":
-                found.append(Input(table, number, (place, place + size - 1)))
-            place += size
+                found.append(Input(table, number, (index, index + size - 1)))
+            index += size
         first += table.shape.count
     return tuple(found)
 
@@ -53,7 +53,7 @@ def range_constants(inputs: Sequence[Input]) -> tuple[Line, ...]:
     ends = ", ".join(f"[{first}, {last}]" for first, last in (i.ends for i in inputs))
     return (
         Line("RANGED", str(len(inputs)), "inputs of tables that have a range"),
-        Line("RANGES", f"np.array([{ends}])", "places of their least and greatest values among the parameters"),
+        Line("RANGES", f"np.array([{ends}])", "indices of their least and greatest values among the parameters"),
         Line("RANGE_NAMES", repr(tuple(i.name for i in inputs))),
     )
 
@@ -62,7 +62,7 @@ def inputs_kernel(
     name: str,
     where: str,
     arguments: Sequence[str],
-    places: Mapping[Symbol, str],
+    indices: Mapping[Symbol, str],
     inputs: Sequence[Input],
     expressions: Sequence[Expr],
 ) -> Kernel:
@@ -73,6 +73,4 @@ def inputs_kernel(
             outputs += [Output(f"inputs[{j}, 0]", sympy.Min(*values), f"least {given.name}")]
             outputs += [Output(f"inputs[{j}, 1]", sympy.Max(*values), "greatest")]
     summary = f"Least and greatest `inputs` (RANGED, 2) with which tables are read {where}."
-    return kernel(name, summary, (*arguments, "inputs"), places, outputs, decorators=INNER)
-
-
+    return kernel(name, summary, (*arguments, "inputs"), indices, outputs, decorators=INNER)

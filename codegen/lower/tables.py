@@ -17,7 +17,7 @@ FORCED = ('@njit(error_model="numpy", forceinline=True)',)
 
 
 def table_kernels(tables: Sequence[TableData], first: int) -> tuple[Kernel, ...]:
-    """A function for every table, whose numbers stand among the parameters from the place `first` on."""
+    """A function for every table, whose numbers stand among the parameters from the index `first` on."""
     kernels = []
     for table in tables:
         kernels.append(_kernel(table, first))
@@ -37,9 +37,7 @@ def _kernel(table: TableData, first: int) -> Kernel:
         code = f"clamped_{kind}({', '.join(f'in_{name}' for name in names)}, *{code})"
     told = " and ".join(f"{name} = {given}" for name, given in zip(names, shape.inputs, strict=True))
     summary = f"The table {shape.name} of {told}, with its derivatives up to the third order."
-    return Kernel(
-        function_name(shape), summary, ("parameters", *names), (), tuple(lines), (), (code,), 0, 0, FORCED
-    )
+    return Kernel(function_name(shape), summary, ("parameters", *names), (), tuple(lines), (), (code,), 0, 0, FORCED)
 
 
 def table_constants(tables: Sequence[TableData]) -> tuple[Line, ...]:

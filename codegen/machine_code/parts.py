@@ -40,7 +40,7 @@ def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
     bounds = module.finite_bounds(*module.variable_bounds(grid))
     distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
     duals, result = np.ones(distance.size), np.empty(distance.size)
-    places = bounds.place, bounds.side, distance
+    places = bounds.indices, bounds.side, distance
     barrier = grid.is_multiplier, *places, duals, 1.0
     return [
         lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *places, duals),

@@ -32,7 +32,7 @@ def checked_drawing(problem: Problem) -> tuple[Item, ...]:
         raise ExpressionError(
             f"drawing is a {type(problem.drawing).__name__}", "write drawing=[...] with items of codegen.drawing"
         )
-    return tuple(_checked(item, f"drawing[{place}]") for place, item in enumerate(problem.drawing))
+    return tuple(_checked(item, f"drawing[{index}]") for index, item in enumerate(problem.drawing))
 
 
 def drawn_quantities(items: Sequence[Item]) -> set[Quantity]:
@@ -58,12 +58,12 @@ def with_drawing(model: Model, items: Sequence[Item], plain: Mapping[Quantity, s
         alone = model.time if isinstance(symbol, Time) else sympy.Symbol(symbol.name, real=True)
         symbols[symbol] = plain.get(symbol, alone)
     drawing = tuple(item.mapped(lambda expression: expression.xreplace(symbols)) for item in items)
-    for place, item in enumerate(drawing):
+    for index, item in enumerate(drawing):
         for name in ("radius", "width", "height"):
             size = expressions.rounded_at(getattr(item, name, sympy.S.One), model.default_values)
             if size is not None and size <= 0.0:
                 raise ExpressionError(
-                    f"{name} of drawing[{place}], a {type(item).__name__}, is {size:g}", "give a positive length"
+                    f"{name} of drawing[{index}], a {type(item).__name__}, is {size:g}", "give a positive length"
                 )
     return replace(model, drawing=drawing)
 

@@ -24,7 +24,7 @@ FRACTION = Symbol("fraction", real=True)
 
 
 @dataclass(frozen=True)
-class Place:
+class ParticleSymbols:
     """The plain symbols of one of the two particles."""
 
     q: tuple[Symbol, ...]
@@ -58,8 +58,8 @@ class PairwiseModel:
     coordinates: tuple[str, ...]
     momenta: tuple[str, ...]
     own: tuple[str, ...]
-    first: Place
-    second: Place
+    first: ParticleSymbols
+    second: ParticleSymbols
     parameters: tuple[Symbol, ...]
     defaults: tuple[float, ...]
     self_term: Expr
@@ -103,7 +103,9 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     inside = set().union(*(e.free_symbols for e in (*terms.values(), duration)))
     parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)
     plain = _plain_symbols(system.pair, parameters, problem.task)
-    first, second = (Place(*(tuple(plain[s] for s in g) for g in (one.q, one.p, one.own))) for one in system.pair)
+    first, second = (
+        ParticleSymbols(*(tuple(plain[s] for s in g) for g in (one.q, one.p, one.own))) for one in system.pair
+    )
     pair = expressions.tidied(terms["pair_term"].xreplace(plain))
     self_term = expressions.tidied(terms["self_term"].xreplace(plain)) if "self_term" in terms else None
     _require_scope(pair, self_term, first, second)
@@ -183,7 +185,7 @@ def _require_symbols(terms: Mapping[str, Expr], pair: tuple[Particle, Particle],
     require_unique_names(declared)
 
 
-def _require_scope(pair: Expr, self_term: Expr | None, first: Place, second: Place) -> None:
+def _require_scope(pair: Expr, self_term: Expr | None, first: ParticleSymbols, second: ParticleSymbols) -> None:
     of_second = {*second.moving, *second.own}
     if self_term is not None and self_term.free_symbols & of_second:
         raise ExpressionError("self_term depends on the second particle", "write it in quantities of the first")
@@ -196,7 +198,7 @@ def _require_scope(pair: Expr, self_term: Expr | None, first: Place, second: Pla
             raise ExpressionError("pair_term changes when the two particles are exchanged", "write a symmetric term")
 
 
-def _guessed_path(problem: Connect, first: Place, second: Place) -> tuple[Expr, ...]:
+def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymbols) -> tuple[Expr, ...]:
     if problem.path is None:
         return tuple(x + FRACTION * (y - x) for x, y in zip(first.q, second.q, strict=True))
     places = problem.path(first.q, second.q, FRACTION)

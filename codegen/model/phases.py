@@ -38,7 +38,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
         return normal_form.normalise(problem, declared, name, title)
     form = _common_form(problem)
     jumps = jump_entries(problem.jumps, len(problem.phases) - 1) or [[]] * (len(problem.phases) - 1)
-    written = [_written(place, phase, form, jumps) for place, phase in enumerate(problem.phases)]
+    written = [_written(index, phase, form, jumps) for index, phase in enumerate(problem.phases)]
     used = used_quantities(entry for entries in written for entry in entries)
     drawing = drawings.checked_drawing(problem.phases[0])
     drawings.require_derived(drawing, used)
@@ -55,33 +55,33 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
 
 
 @contextmanager
-def _in_phase(place: int) -> Iterator[None]:
+def _in_phase(index: int) -> Iterator[None]:
     """Let errors name the phase, counted from one."""
     try:
         yield
     except CodegenError as error:
-        raise type(error)(f"phase {place + 1}: {error.finding}", error.remedy) from error
+        raise type(error)(f"phase {index + 1}: {error.finding}", error.remedy) from error
 
 
 def _common_form(problem: Phases) -> str:
     """Which argument says how every phase moves."""
-    for place, phase in enumerate(problem.phases):
+    for index, phase in enumerate(problem.phases):
         if not isinstance(phase, Control):
-            raise ProblemFileError(f"phase {place + 1} is a {type(phase).__name__}", "let every phase be a Control")
+            raise ProblemFileError(f"phase {index + 1} is a {type(phase).__name__}", "let every phase be a Control")
     if len(problem.phases) < 2:
         raise ProblemFileError("a single phase in Phases(...)", "give two or more, or return the Control itself")
     forms, greatest = list[str](), list[bool]()
-    for place, phase in enumerate(problem.phases):
-        with _in_phase(place):
+    for index, phase in enumerate(problem.phases):
+        with _in_phase(index):
             forms.append(form_of(phase))
             greatest.append(maximises(phase))
         if forms[-1] != forms[0]:
             raise ExpressionError(
-                f"phase 1 is given by {forms[0]}, phase {place + 1} by {forms[-1]}", "give all phases in the same way"
+                f"phase 1 is given by {forms[0]}, phase {index + 1} by {forms[-1]}", "give all phases in the same way"
             )
         if phase.steps != problem.phases[0].steps:
             raise ExpressionError(
-                f"phase 1 has {problem.phases[0].steps} steps, phase {place + 1} has {phase.steps}",
+                f"phase 1 has {problem.phases[0].steps} steps, phase {index + 1} has {phase.steps}",
                 "give all phases the same number of steps; their lengths may differ",
             )
     if any(greatest) and not all(greatest[i] or not _has_cost(phase) for i, phase in enumerate(problem.phases)):
@@ -93,18 +93,18 @@ def _has_cost(phase: Control) -> bool:
     return any(entry.expression != 0 for entry in written_costs(phase))
 
 
-def _written(place: int, phase: Control, form: str, jumps: Sequence[Sequence[Entry]]) -> list[Entry]:
-    with _in_phase(place):
-        _require_supported(place, phase)
-        return written_entries(phase, form, jumps[place - 1] if place else ())
+def _written(index: int, phase: Control, form: str, jumps: Sequence[Sequence[Entry]]) -> list[Entry]:
+    with _in_phase(index):
+        _require_supported(index, phase)
+        return written_entries(phase, form, jumps[index - 1] if index else ())
 
 
-def _require_supported(place: int, phase: Control) -> None:
+def _require_supported(index: int, phase: Control) -> None:
     """Refuse what a phase cannot have, or what has no meaning between two others."""
-    if place and (phase.start or phase.start_conditions):
+    if index and (phase.start or phase.start_conditions):
         raise BoundaryError(
             "it says how it starts, but begins where the phase before ends",
-            f"write a value in jumps[{place - 1}], or a condition in the end or end_conditions of phase {place}",
+            f"write a value in jumps[{index - 1}], or a condition in the end or end_conditions of phase {index}",
         )
     for kind in CONDITIONS:
         if kind.not_in_phases and getattr(phase, kind.argument):
@@ -112,7 +112,7 @@ def _require_supported(place: int, phase: Control) -> None:
             raise error(finding, remedy)
     if phase.bodies != 1:
         raise ExpressionError(f"bodies is {phase.bodies!r}", "let one body move in problems of phases")
-    if place and phase.drawing:
+    if index and phase.drawing:
         raise ExpressionError("it has a drawing", "give the drawing to the first phase, whose it is in all of them")
 
 
@@ -122,14 +122,14 @@ def _models(
     """The model of every phase; what one leaves open is expected to be near where the phases before it end."""
     models: list[Model] = []
     elsewhere: dict[sympy.Symbol, float] = {}
-    for place, (phase, entries) in enumerate(zip(phases, written, strict=True)):
-        models.append(_phase(place, phase, entries, kinds, plain, elsewhere))
+    for index, (phase, entries) in enumerate(zip(phases, written, strict=True)):
+        models.append(_phase(index, phase, entries, kinds, plain, elsewhere))
         elsewhere |= trials.expected_values(models[-1], 1.0)
     return models
 
 
 def _phase(
-    place: int,
+    index: int,
     phase: Control,
     entries: Sequence[Entry],
     common: Kinds,
@@ -137,7 +137,7 @@ def _phase(
     elsewhere: Mapping[sympy.Symbol, float],
 ) -> Model:
     """The model of one phase, checked by itself."""
-    with _in_phase(place):
+    with _in_phase(index):
         kinds = kinds_of(used_quantities(entries), form_of(phase))
         lacking = [q.name for q in common.coordinates if q not in kinds.coordinates]
         if lacking:
@@ -225,8 +225,8 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
     for switch, (before, after) in enumerate(pairwise(chain.phases)):
         _require_common_values(switch, before, after, dict(chain.jumps[switch]))
     begin: sympy.Expr = sympy.S.Zero
-    for place, model in enumerate(chain.phases):
-        with _in_phase(place):
+    for index, model in enumerate(chain.phases):
+        with _in_phase(index):
             # The time at which a phase ends is that of the whole problem.
             values.require_agreement(replace(model, duration=begin + model.duration))
         begin += model.duration
@@ -234,7 +234,7 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
 
 def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, Any]) -> None:
     """What does not jump has to satisfy the bounds of both phases, with room between them unless it is given."""
-    numbers, place = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
+    numbers, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
     given = prescribed(before, "end")
     for symbol in (s for s in (*before.coordinates, *before.rates) if s not in jump):
         both = [bound for model in (before, after) for bound in model.bounds if bound.symbol == symbol]
@@ -243,12 +243,12 @@ def _require_common_values(switch: int, before: Model, after: Model, jump: Mappi
         for value in _numbers([given.get(symbol)], numbers):
             if not least <= value <= greatest:
                 raise BoundaryError(
-                    f"{symbol} is {value:g} {place}, outside its bounds {least:g} and {greatest:g}",
+                    f"{symbol} is {value:g} {where}, outside its bounds {least:g} and {greatest:g}",
                     "correct one of them",
                 )
         if symbol not in given and not least < greatest:
             raise BoundaryError(
-                f"the bounds of {symbol} leave {'one value' if least == greatest else 'no value'} {place}",
+                f"the bounds of {symbol} leave {'one value' if least == greatest else 'no value'} {where}",
                 f"widen them, or give {symbol} a value in the end of phase {switch + 1}",
             )
 

@@ -74,8 +74,8 @@ def value_entries(what: str, mapping: Any) -> Iterator[Entry]:
 def relation_entries(what: str, values: Any) -> Iterator[Entry]:
     """The relations of an argument, which is their role; ExpressionError for names or relations that occur twice."""
     seen, named = set[sympy.Expr](), set[str]()
-    for place, (given_name, written) in enumerate(named_relations(what, values)):
-        found = relation(written, f"{what}[{given_name or place!r}]")
+    for index, (given_name, written) in enumerate(named_relations(what, values)):
+        found = relation(written, f"{what}[{given_name or index!r}]")
         name = given_name or found.name
         if given_name in named:
             raise ExpressionError(f"{what} has two relations of the name {given_name!r}", "give each another name")

@@ -34,7 +34,7 @@ def jump_entries(jumps: Any, switches: int) -> list[list[Entry]]:
         raise ExpressionError(
             f"jumps has {len(given)} entries for {switches} switches", "give one mapping for each switch, {} for none"
         )
-    named = [(f"jumps[{place}]", mapping) for place, mapping in enumerate(given)]
+    named = [(f"jumps[{index}]", mapping) for index, mapping in enumerate(given)]
     return [
         [
             entry_of("jump", f"{what} of {key}", value, key)

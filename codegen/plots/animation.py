@@ -75,13 +75,13 @@ def frames(scene: Scene, title: str) -> Iterator[Frame]:
     figure, axes, clock = _stage(scene, title, room)
     canvas: Any = figure.canvas
     background = canvas.copy_from_bbox(figure.bbox)
-    for place in range(0, scene.t.size, FINE):
+    for frame in range(0, scene.t.size, FINE):
         canvas.restore_region(background)
-        moving = [axes.add_artist(artist) for artist in shapes.instant(scene, place, room, moving=True)]
+        moving = [axes.add_artist(artist) for artist in shapes.instant(scene, frame, room, moving=True)]
         for artist in sorted(moving, key=lambda artist: artist.get_zorder()):
             axes.draw_artist(artist)
             artist.remove()
-        clock.set_text(_clock(scene.t[place], scene.t))
+        clock.set_text(_clock(scene.t[frame], scene.t))
         axes.draw_artist(clock)
         yield np.array(canvas.buffer_rgba())[:, :, :3]
 

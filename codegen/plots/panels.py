@@ -113,8 +113,8 @@ def _line(axes: Any, shown: Quantity, values: Vector, **style: Any) -> None:
     if shown.on_intervals:
         axes.stairs(values, shown.t, baseline=None, **style)
         return
-    places = [node + 1 for node in shown.jumps]
-    for t, part in zip(np.split(shown.t, places), np.split(values, places), strict=True):
+    cuts = [node + 1 for node in shown.jumps]
+    for t, part in zip(np.split(shown.t, cuts), np.split(values, cuts), strict=True):
         axes.plot(t, part, **style)
 
 

@@ -19,7 +19,7 @@ CLOSE, LEAST = 2e-4, 1e-6
 _PER_INTERVAL = 9
 """Times in an interval at which a control that is a polynomial there is drawn."""
 
-_SLACK = re.compile(r"slack of (?P<name>.*) at (?P<place>\S.*?) of an interval")
+_SLACK = re.compile(r"slack of (?P<name>.*) at (?P<abscissa>\S.*?) of an interval")
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def first_guess(module: ControlModule, result: Result) -> Result:
 def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity]]:
     """States, momenta, multipliers and controls of a result, each list in the order of declaration.
 
-    The multiplier at a place belongs to the state of the same place; those of momenta follow.
+    A multiplier belongs to the state of the same index; those of momenta follow.
     """
     assert result.u is not None
     assert result.multipliers is not None
@@ -101,16 +101,16 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
         "control": (tuple(metadata["control_names"]), _drawn(module, result, fine), _drawn(module, guess, fine), 2),
     }
     out: dict[str, list[Quantity]] = {}
-    for kind, (names, values, guessed, place) in groups.items():
+    for kind, (names, values, guessed, index) in groups.items():
         # Bounds of momenta mean something only where momenta are unknowns of their own.
         is_bounded = kind != "momentum" or metadata["method"] == "hamiltonian"
-        tables = [_by_body(table, bodies) for table in (_finite(values), guessed, lower[place], upper[place])]
+        tables = [_by_body(table, bodies) for table in (_finite(values), guessed, lower[index], upper[index])]
         none = np.full(bodies, np.inf)
         out[kind] = [
             Quantity(
                 name,
                 kind,
-                fine if kind == "control" and result.stage_places else result.t,
+                fine if kind == "control" and result.stage_abscissae else result.t,
                 tables[0][:, :, i],
                 _limits(module, tables[2][:, :, i], -np.inf) if is_bounded else -none,
                 _limits(module, tables[3][:, :, i], np.inf) if is_bounded else none,
@@ -143,15 +143,15 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
                 continue  # another phase has it
             # The equation g + s = 0 may have a residual, so that the slack alone would hide a violation.
             distance = intervals[:, rows, slack] - residuals[:, rows, multiplier]
-            found.setdefault(meaning["name"], []).append((meaning["place"], _finite(distance).T))
+            found.setdefault(meaning["name"], []).append((meaning["abscissa"], _finite(distance).T))
         for name, parts in found.items():
             columns.setdefault(name, []).append(_in_order(parts, result.t[:-1][rows], np.diff(result.t)[rows]))
     return [Inequality(name, *_with_gaps(parts)) for name, parts in columns.items()]
 
 
 def _in_order(parts: list[tuple[str, Matrix]], t: Vector, steps: Vector) -> tuple[Vector, Matrix]:
-    """Times and values of what is known at some places of every interval."""
-    times = np.array([t + c * steps for c in _places([place for place, _ in parts])])
+    """Times and values of what is known at some points of every interval."""
+    times = np.array([t + c * steps for c in _abscissae([text for text, _ in parts])])
     order = np.argsort(times.ravel(), kind="stable")
     return times.ravel()[order], np.concatenate([values for _, values in parts])[order]
 
@@ -165,8 +165,8 @@ def _with_gaps(parts: list[tuple[Vector, Matrix]]) -> tuple[Vector, Matrix]:
     return t, values
 
 
-def _places(texts: list[str]) -> list[float]:
-    """Places within an interval; those that are no fractions stand evenly, in their order."""
+def _abscissae(texts: list[str]) -> list[float]:
+    """Abscissae within an interval; those that are no fractions stand evenly, in their order."""
     try:
         return [float(Fraction(text)) for text in texts]
     except ValueError:
@@ -223,7 +223,7 @@ def _jumps(module: ControlModule, result: Result, name: str) -> tuple[int, ...]:
 def _drawn(module: ControlModule, result: Result, fine: Vector) -> Matrix:
     """The controls as they are drawn: those at stages as polynomials, which may jump at nodes."""
     assert result.u is not None
-    if not result.stage_places:
+    if not result.stage_abscissae:
         return _present(module, result.u, result.steps)
     # At a node, the value at the end of the interval before it comes first.
     before = np.nextafter(fine, result.t[0])
@@ -240,8 +240,8 @@ def _present(module: ControlModule, controls: Matrix, steps: int) -> Matrix:
     _, intervals = module.views(grid, np.where(generated.free_unknowns(grid), 0.0, np.nan))
     inside = module.metadata["interval"]
     # The last of a name: multipliers come first, one of which may be called like a control.
-    places = [len(inside) - 1 - inside[::-1].index(name) for name in module.metadata["control_names"]]
-    return np.asarray(controls + intervals[0][:, places])
+    indices = [len(inside) - 1 - inside[::-1].index(name) for name in module.metadata["control_names"]]
+    return np.asarray(controls + intervals[0][:, indices])
 
 
 def _constant(table: Matrix, none: float) -> Vector:

@@ -58,12 +58,12 @@ def prepare(axes: Any, room: Extent) -> None:
         spine.set_visible(False)
 
 
-def instant(scene: Scene, place: int, room: Extent, *, moving: bool, alpha: float = 1.0) -> Iterator[Any]:
+def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: float = 1.0) -> Iterator[Any]:
     """The artists of what moves, or of what does not, at one of the scene's times; trails end there."""
     for item in scene.items:
         if is_moving(item) is moving:
             for body, colour in enumerate(_colours(scene, item)):
-                yield from _artists(item, body, place, room, colour, alpha)
+                yield from _artists(item, body, index, room, colour, alpha)
 
 
 def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None:
@@ -126,8 +126,8 @@ def legend(axes: Any, scene: Scene, *, ends: bool) -> None:
         handles["start"] = Line2D([], [], color=DARK, marker="o", markersize=4, markerfacecolor="white", linestyle="")
         handles["end"] = Line2D([], [], color="black", marker="s", markersize=5, linestyle="")
     if handles:
-        place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": 5, "columnspacing": 1.4}
-        axes.legend(list(handles.values()), list(handles), fontsize=8.5, **place)
+        location = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": 5, "columnspacing": 1.4}
+        axes.legend(list(handles.values()), list(handles), fontsize=8.5, **location)
 
 
 def _handle(item: Item, colour: Any) -> Any:
@@ -144,22 +144,22 @@ def _handle(item: Item, colour: Any) -> Any:
     return patches.Patch(facecolor=_PALE, edgecolor=DARK)
 
 
-def _artists(item: Item, body: int, place: int, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
+def _artists(item: Item, body: int, index: int, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
     """What shows one item of one body at one time; nothing where a number is not finite."""
 
     def at(array: np.ndarray) -> float:
-        return float(array[min(body, len(array) - 1), min(place, array.shape[1] - 1)])
+        return float(array[min(body, len(array) - 1), min(index, array.shape[1] - 1)])
 
     if isinstance(item, Trail):
-        yield _trail(item, body, place, colour)
+        yield _trail(item, body, index, colour)
         return
     here = item.mapped(at)
     if all(np.isfinite(number) for _, number in here.expressions()):
         yield from _solid(here, room, colour, alpha)
 
 
-def _trail(item: Trail, body: int, place: int, colour: Any) -> Line2D:
-    x, y = (array[min(body, len(array) - 1), : place + 1] for array in item.point)
+def _trail(item: Trail, body: int, index: int, colour: Any) -> Line2D:
+    x, y = (array[min(body, len(array) - 1), : index + 1] for array in item.point)
     return Line2D(x, y, color=colour, linewidth=1.5, zorder=2)
 
 

@@ -57,7 +57,7 @@ def body_colours(bodies: int, single: str) -> list[Any]:
         return [single]
     if bodies <= MOST_BODY_COLOURS:
         return [BLUE, GREEN, PINK, AMBER, SKY, DARK, GREY][:bodies]
-    return [body_map()(place / (bodies - 1)) for place in range(bodies)]
+    return [body_map()(index / (bodies - 1)) for index in range(bodies)]
 
 
 def body_map() -> Any:

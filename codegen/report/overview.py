@@ -70,23 +70,23 @@ def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:
     made: Any = store.get(MODULES, default.case) or {}
     rows = kind.rows(store, chosen.problem, default)
     errors = kind.errors(store, chosen.problem, default)
-    place = _next_to(made.get("steps"), [v["steps"] for v in rows])
+    index = _next_to(made.get("steps"), [v["steps"] for v in rows])
     return (
         name,
         chosen.task,
         str(sum(bool(kind.rows(store, chosen.problem, v)) for v in chosen.variants)),
         f"{number(best[0])} ({best[1].scheme})" if best else "–",
-        str(rows[place]["steps"]) if rows else "–",
-        number(errors[place], 2) if rows else "–",
-        seconds(rows[place]["seconds"]) if rows else "–",
-        rows[place]["status"] if rows else made.get("status", "–"),
+        str(rows[index]["steps"]) if rows else "–",
+        number(errors[index], 2) if rows else "–",
+        seconds(rows[index]["seconds"]) if rows else "–",
+        rows[index]["status"] if rows else made.get("status", "–"),
         str(made.get("lines", "–")),
         str(len(made.get("left out", ()))),
     )
 
 
 def _next_to(own: int | None, steps: Sequence[int]) -> int:
-    """The place of the number of steps that is closest to the problem's own."""
+    """The index of the number of steps that is closest to the problem's own."""
     return min(range(len(steps)), key=lambda i: abs(steps[i] - (own or 0)), default=0)
 
 

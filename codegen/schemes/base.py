@@ -61,10 +61,10 @@ class Scheme:
 
 @dataclass(frozen=True)
 class QuadraturePoint:
-    """One point of a quadrature rule on [0, 1]: its weight and its place c."""
+    """One point of a quadrature rule on [0, 1]: its weight and its abscissa c."""
 
     weight: Expr
-    place: Expr
+    abscissa: Expr
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ def _galerkin(method: RungeKutta, degree: int, summary: str) -> DiscreteLagrangi
 
     It is the same map with Gauss quadrature, and with another where the mass matrix is constant.
     """
-    pairs = zip(method.weights, method.places, strict=True)
+    pairs = zip(method.weights, method.abscissae, strict=True)
     return DiscreteLagrangian(
         name=method.name,
         order=method.order,
@@ -24,7 +24,7 @@ def _galerkin(method: RungeKutta, degree: int, summary: str) -> DiscreteLagrangi
         source="Marsden and West (2001), section 2.6.5; Ober-Bloebaum and Saake (2015), Construction and analysis of "
         "higher order Galerkin variational integrators",
         summary=summary,
-        points=tuple(QuadraturePoint(weight, place) for weight, place in pairs),
+        points=tuple(QuadraturePoint(weight, abscissa) for weight, abscissa in pairs),
         nodes=tuple(Rational(i, degree) for i in range(degree + 1)),
     )
 

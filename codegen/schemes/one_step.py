@@ -30,14 +30,14 @@ class OneStep(Scheme):
 
     def step(self) -> Step:
         """Substep n leads from state n to state n + 1, with one point between them."""
-        points, updates, places, elapsed = list[FieldPoint](), list[Update](), list[Expr](), S.Zero
+        points, updates, abscissae, elapsed = list[FieldPoint](), list[Update](), list[Expr](), S.Zero
         for n, s in enumerate(self.substeps):
             position, momentum = (((n, 1 - share), (n + 1, share)) for share in (s.position, s.momentum))
             points.append(FieldPoint(elapsed + s.position * s.fraction, s.fraction, position, momentum))
             updates.append(Update(n, s.fraction, tuple(S(int(m == n)) for m in range(len(self.substeps)))))
             elapsed = sympy.expand(elapsed + s.fraction)
-            places.append(elapsed)
-        return Step(tuple(points), tuple(updates), tuple(updates), tuple(places))
+            abscissae.append(elapsed)
+        return Step(tuple(points), tuple(updates), tuple(updates), tuple(abscissae))
 
 
 ONE_STEPS = (

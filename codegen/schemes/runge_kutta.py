@@ -22,7 +22,7 @@ class RungeKutta(Scheme):
     momenta: Rows
 
     @property
-    def places(self) -> tuple[Expr, ...]:
+    def abscissae(self) -> tuple[Expr, ...]:
         """The fractions c_i of the step at which stages are, the row sums of the coordinates' table."""
         return tuple(sum(row, S.Zero) for row in self.positions)
 
@@ -37,9 +37,9 @@ class RungeKutta(Scheme):
             own = (Update(0, S.One, row) if state(i, row) == i else None for i, row in zip(numbers, table, strict=True))
             return (*own, end)
 
-        rows = zip(numbers, self.places, self.weights, self.positions, self.momenta, strict=True)
+        rows = zip(numbers, self.abscissae, self.weights, self.positions, self.momenta, strict=True)
         points = (FieldPoint(c, b, ((state(i, a), S.One),), ((state(i, d), S.One),)) for i, c, b, a, d in rows)
-        return Step(tuple(points), updates(self.positions), updates(self.momenta), (*self.places, S.One))
+        return Step(tuple(points), updates(self.positions), updates(self.momenta), (*self.abscissae, S.One))
 
 
 def _table(*rows: str) -> tuple[tuple[Expr, ...], ...]:

@@ -16,12 +16,12 @@ Rows: TypeAlias = tuple[tuple[Expr, ...], ...]
 
 @dataclass(frozen=True)
 class FieldPoint:
-    """A point X_j at the place c of the step; the shares of states in its position and momentum add up to 1.
+    """A point X_j at the abscissa c of the step; the shares of states in its position and momentum add up to 1.
 
     `weight` is that of the point in the integral of anything over the step.
     """
 
-    place: Expr
+    abscissa: Expr
     weight: Expr
     position: Shares
     momentum: Shares
@@ -49,14 +49,14 @@ class Tableau:
 class Step:
     """A step through states 0, ..., s + 1, of which the first is that of the left node, the last of the right one.
 
-    Updates number n, of coordinates and of momenta, lead to state n + 1 at the fraction `places[n]` of the step; there
-    is none where no point takes anything from that state.
+    Updates number n, of coordinates and of momenta, lead to state n + 1 at the fraction `abscissae[n]` of the step;
+    there is none where no point takes anything from that state.
     """
 
     points: tuple[FieldPoint, ...]
     positions: tuple[Update | None, ...]
     momenta: tuple[Update | None, ...]
-    places: tuple[Expr, ...]
+    abscissae: tuple[Expr, ...]
 
     @property
     def is_chain(self) -> bool:

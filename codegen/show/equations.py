@@ -209,14 +209,14 @@ def _variational(model: Model, interval: VariationalInterval) -> Iterator[Block]
 
 def _one_interval_earlier(model: Model, interval: VariationalInterval) -> dict[Symbol, Expr]:
     """Substitution that turns expressions of the interval after node k into those of the interval before it."""
-    places = interval.q
-    shift: dict[Symbol, Expr] = dict(zip(places.left, at_nodes(model.coordinates, "_k-1"), strict=True))
-    shift |= dict(zip(places.right, places.left, strict=True))
+    q_sites = interval.q
+    shift: dict[Symbol, Expr] = dict(zip(q_sites.left, at_nodes(model.coordinates, "_k-1"), strict=True))
+    shift |= dict(zip(q_sites.right, q_sites.left, strict=True))
     shift |= dict(zip(interval.inner, at_nodes(interval.inner, "_k-1"), strict=True))
-    of_before = [Symbol(f"{u.name}-1", real=True) for u in places.of_interval]
-    shift |= dict(zip(places.of_interval, of_before, strict=True))
-    if places.nodal:
-        shift |= dict(zip(places.right_controls, places.left_controls, strict=True))
+    of_before = [Symbol(f"{u.name}-1", real=True) for u in q_sites.of_interval]
+    shift |= dict(zip(q_sites.of_interval, of_before, strict=True))
+    if q_sites.nodal:
+        shift |= dict(zip(q_sites.right_controls, q_sites.left_controls, strict=True))
     shift[model.time] = model.time - STEP
     return shift
 

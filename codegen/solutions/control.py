@@ -39,7 +39,9 @@ def control_result(
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status == "solved" and (outside := _beyond_tables(module, grid, unknowns)):
         status = "outside a table"
-        message = f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
+        message = (
+            f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
+        )
     elif status != "solved" and driver != "newton":
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
@@ -58,7 +60,7 @@ def control_result(
     return Result(
         **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
         stationarity=stationarity, t=t, q=q, p=p, u=u, multipliers=multipliers, log=attempt.log, unknowns=unknowns,
-        names=component_names(metadata), stage_places=metadata.get("stage_places", ()), summary=summary,
+        names=component_names(metadata), stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary,
     )  # fmt: skip
 
 
@@ -191,8 +193,8 @@ def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> fl
     metadata = module.metadata
     bodies, node = metadata["bodies"], len(metadata["node"])
     chain = grid.steps * (node + len(metadata["interval"])) + node
-    places = np.arange(unknowns.size)
-    at_end = (places >= bodies * chain) | (places % chain >= chain - node)
+    indices = np.arange(unknowns.size)
+    at_end = (indices >= bodies * chain) | (indices % chain >= chain - node)
     equations = at_end[module.multiplier_unknowns(grid)]
     pinned = _pinned_error(module, grid, unknowns, np.ones(unknowns.size))
     return max(max_norm(pinned), max_norm(module.constraints(grid, unknowns)[equations]))
@@ -202,7 +204,7 @@ def _integral_multipliers(module: ControlModule, unknowns: Vector) -> dict[str, 
     """The multipliers of conditions on integrals: the rates at which the cost falls as their values grow."""
     first = unknowns.size - module.ROOT
     integrals = module.metadata.get("integrals", ())
-    return {f"multiplier of {name}": float(unknowns[first + place]) for name, place in integrals}
+    return {f"multiplier of {name}": float(unknowns[first + index]) for name, index in integrals}
 
 
 def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:

@@ -36,9 +36,9 @@ def varied(module: ControlModule, steps: int, seed: int) -> Vector:
     for own, curves in zip(module.views(grid, guess), module.views(grid, change), strict=True):
         times = np.linspace(0.0, 1.0, own.shape[1])
         for body in range(own.shape[0]):
-            for place in range(own.shape[2]):
-                size = max(np.abs(own[body, :, place]).max(), least)
-                curves[body, :, place] = SIZE * size * _curve(rng, times)
+            for index in range(own.shape[2]):
+                size = max(np.abs(own[body, :, index]).max(), least)
+                curves[body, :, index] = SIZE * size * _curve(rng, times)
     guess[changed] += change[changed]
     return guess
 
@@ -61,7 +61,7 @@ def best_of(solve: Callable[[Vector | None], Result], module: ControlModule, ste
     alike = sum(abs(_cost(result) - _cost(best)) <= SAME * max(1.0, abs(_cost(best))) for result in solved)
     return replace(
         best,
-        attempts=tuple(_line(place, result) for place, result in enumerate(results, start=1)),
+        attempts=tuple(_line(number, result) for number, result in enumerate(results, start=1)),
         summary={**best.summary, "guesses": starts, "guesses_solved": len(solved), "guesses_with_this_cost": alike},
     )
 
@@ -70,7 +70,7 @@ def _cost(result: Result) -> float:
     return float("inf") if result.cost is None else result.cost
 
 
-def _line(place: int, result: Result) -> str:
-    origin = "the problem's own" if place == 1 else "varied"
+def _line(number: int, result: Result) -> str:
+    origin = "the problem's own" if number == 1 else "varied"
     cost = f", cost {result.cost:.9g}" if result.solved and result.cost is not None else ""
-    return f"guess {place} ({origin}): {result.status}, {result.iterations} iterations{cost}"
+    return f"guess {number} ({origin}): {result.status}, {result.iterations} iterations{cost}"

@@ -53,9 +53,9 @@ def source_steps(module: ControlModule, unknowns: Vector) -> int:
     return steps
 
 
-def _times(steps: int, place: float) -> Vector:
-    """Times as fractions of the duration: of nodes (place 0), or at a place inside every interval."""
-    return (np.arange(steps + (place == 0.0)) + place) / steps
+def _times(steps: int, abscissa: float) -> Vector:
+    """Times as fractions of the duration: of nodes (abscissa 0), or at an abscissa inside every interval."""
+    return (np.arange(steps + (abscissa == 0.0)) + abscissa) / steps
 
 
 def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
@@ -94,7 +94,7 @@ def refine(
 
 def _solved_to_the_end(results: Sequence[Result]) -> Sequence[Result]:
     """Those behind the last failure."""
-    failed = [place for place, result in enumerate(results) if not result.solved]
+    failed = [index for index, result in enumerate(results) if not result.solved]
     return results[failed[-1] + 1 if failed else 0 :]
 
 

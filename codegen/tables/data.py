@@ -82,7 +82,7 @@ def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], value
     """
     heights = [values]
     if shape.width > 1:
-        heights = [values, *(_slopes(shape.kind, axis, values, place) for place, axis in enumerate(axes))]
+        heights = [values, *(_slopes(shape.kind, axis, values, index) for index, axis in enumerate(axes))]
         if len(axes) == 2:
             heights.append(_slopes(shape.kind, axes[1], heights[1], 1))
     stacked = np.stack(heights, axis=-1)
@@ -90,9 +90,9 @@ def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], value
     return TableData(shape, source, tuple(map(float, numbers)))
 
 
-def _slopes(kind: str, axis: NDArray[np.float64], values: NDArray[np.float64], place: int) -> NDArray[np.float64]:
+def _slopes(kind: str, axis: NDArray[np.float64], values: NDArray[np.float64], index: int) -> NDArray[np.float64]:
     """The slopes at the breakpoints of the spline along one axis."""
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
-    spline = (CubicSpline if kind == "cubic" else PchipInterpolator)(axis, values, axis=place)
+    spline = (CubicSpline if kind == "cubic" else PchipInterpolator)(axis, values, axis=index)
     return np.asarray(spline(axis, nu=1), dtype=float)

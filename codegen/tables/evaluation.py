@@ -64,8 +64,8 @@ def _part(axis: NDArray[np.float64], table: TableData, order: int, x: Any, real:
     s = (at - left) / length
     basis = _LINEAR if table.shape.kind == "linear" else _HERMITE
     weights = [_differentiated(polynomial, order, s) * factor for polynomial in basis]
-    for place in range(1, len(weights), 2) if basis is _HERMITE else ():
-        weights[place] = weights[place] * length
+    for index in range(1, len(weights), 2) if basis is _HERMITE else ():
+        weights[index] = weights[index] * length
     for _ in range(order):
         weights = [weight / length for weight in weights]
     return cell, weights

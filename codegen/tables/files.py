@@ -51,10 +51,10 @@ def read_columns(path: Path, names: Sequence[str] = ()) -> Columns:
     if not rows:
         raise TableError(f"{path} is empty", "name the columns in the first line, and give rows of numbers")
     (first, header), body = rows[0], rows[1:]
-    chosen = _places(path, first, header, names)
+    chosen = _indices(path, first, header, names)
     if len(body) > MOST:
         raise TableError(f"{path} has {len(body)} rows", f"give at most {MOST}, which a spline goes through")
-    values = [[_number(path, line, row, header, place) for place in chosen.values()] for line, row in body]
+    values = [[_number(path, line, row, header, index) for index in chosen.values()] for line, row in body]
     table = np.array(values).reshape(len(body), len(chosen))
     return Columns(path, {name: table[:, i] for i, name in enumerate(chosen)}, tuple(line for line, _ in body))
 
@@ -68,7 +68,7 @@ def _rows(lines: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
             yield number, fields
 
 
-def _places(path: Path, line: int, header: Sequence[str], names: Sequence[str]) -> dict[str, int]:
+def _indices(path: Path, line: int, header: Sequence[str], names: Sequence[str]) -> dict[str, int]:
     listed = ", ".join(header)[:100]
     for name in header:
         if header.count(name) > 1:
@@ -79,21 +79,23 @@ def _places(path: Path, line: int, header: Sequence[str], names: Sequence[str]) 
     return {name: header.index(name) for name in names or header}
 
 
-def _number(path: Path, line: int, row: Sequence[str], header: Sequence[str], place: int) -> float:
+def _number(path: Path, line: int, row: Sequence[str], header: Sequence[str], index: int) -> float:
     if len(row) != len(header):
         raise TableError(
             f"{path}:{line}: {len(row)} values for {len(header)} columns", f"give {','.join(header)[:100]} in every row"
         )
     try:
-        number = math.nan if "_" in row[place] else float(row[place])
+        number = math.nan if "_" in row[index] else float(row[index])
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise TableError(f"{path}:{line}: {header[place]} is {row[place][:30]!r}", "give finite numbers")
+        raise TableError(f"{path}:{line}: {header[index]} is {row[index][:30]!r}", "give finite numbers")
     return number
 
 
-def read_table(path: Path, source: str, name: str, inputs: Sequence[str], output: str, kind: str, outside: str) -> TableData:
+def read_table(
+    path: Path, source: str, name: str, inputs: Sequence[str], output: str, kind: str, outside: str
+) -> TableData:
     """Read a file and fit the spline of a table; TableError names the line of what is unusable."""
     columns = read_columns(path, [*inputs, output])
     if len(inputs) == 1:
@@ -124,7 +126,7 @@ def _grid(
     """The breakpoints of two inputs and the values at all pairs; TableError for a pair that is missing or twice."""
     found = [np.unique(columns.values[name], return_inverse=True) for name in inputs]
     axes = [axis for axis, _ in found]
-    pairs = np.stack([place.ravel() for _, place in found], axis=1)
+    pairs = np.stack([index.ravel() for _, index in found], axis=1)
     rows = np.full([axis.size for axis in axes], -1)
     for row, (i, j) in enumerate(pairs):
         if rows[i, j] >= 0:

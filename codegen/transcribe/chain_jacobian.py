@@ -47,12 +47,12 @@ class ChainJacobian:
         free, matrix = np.ones(self.size, bool), self.matrix.copy()
         for end, k in ((program.start, 0), (program.end, self.steps)):
             first = k * self.stride
-            free[[first + place for place, _ in end.pins]] = False
-            for place, shared, _ in end.shared:
-                matrix[:, self.size - len(program.shared) + shared] += matrix[:, first + place]
-                free[first + place] = False
+            free[[first + index for index, _ in end.pins]] = False
+            for index, shared, _ in end.shared:
+                matrix[:, self.size - len(program.shared) + shared] += matrix[:, first + index]
+                free[first + index] = False
         for k in range(1, self.steps):
-            free[[k * self.stride + place for place in program.only_at_ends]] = False
+            free[[k * self.stride + index for index in program.only_at_ends]] = False
         rows, columns = np.flatnonzero(free & self.is_multiplier), np.flatnonzero(free & ~self.is_multiplier)
         matrix, residuals = matrix[np.ix_(rows, columns)], self.residuals[rows]
         scale = np.abs(matrix).max(axis=1, initial=0.0)
@@ -76,19 +76,19 @@ class ChainJacobian:
         point = np.zeros(self.size)
         ends = [{i: expressions.rounded_at(v, values) for i, v in end.pins} for end in (program.start, program.end)]
         for k in range(self.steps + 1):
-            for place in range(self.node):
-                first, last = (end.get(place) for end in ends)
+            for index in range(self.node):
+                first, last = (end.get(index) for end in ends)
                 first, last = first if first is not None else last, last if last is not None else first
                 if first is not None and last is not None:
-                    point[k * self.stride + place] = first + (last - first) * k / self.steps
+                    point[k * self.stride + index] = first + (last - first) * k / self.steps
         point += np.where(point == 0.0, 1.0, np.maximum(1.0, np.abs(point))) * generator.uniform(0.1, 0.4, self.size)
         shared = self.size - len(program.shared)
         point[shared:] = [values.get(symbol, point[0]) for symbol in program.shared_symbols]
         for end, given, k in ((program.start, ends[0], 0), (program.end, ends[1], self.steps)):
-            for place, value in given.items():
-                point[k * self.stride + place] = value or 0.0
-            for place, other, offset in end.shared:
-                point[k * self.stride + place] = point[shared + other] + (expressions.rounded_at(offset, values) or 0.0)
+            for index, value in given.items():
+                point[k * self.stride + index] = value or 0.0
+            for index, other, offset in end.shared:
+                point[k * self.stride + index] = point[shared + other] + (expressions.rounded_at(offset, values) or 0.0)
         return np.where(self.is_multiplier, 0.0, point)
 
     def _add_all(self, program: ControlProgram, values: dict[Symbol, float], point: Array) -> None:
@@ -98,22 +98,22 @@ class ChainJacobian:
         numbers = [values[symbol] for symbol in others]
         element = _equations(program.element, program.element_symbols, [time, *others])
         for k in range(self.steps):
-            places = np.concatenate([k * self.stride + np.arange(self.stride + self.node), shared])
-            self._add(element, places, point, [k * values[STEP], *numbers])
+            indices = np.concatenate([k * self.stride + np.arange(self.stride + self.node), shared])
+            self._add(element, indices, point, [k * values[STEP], *numbers])
         for end, symbols, k in (
             (program.start, program.left_symbols, 0),
             (program.end, program.right_symbols, self.steps),
         ):
             share = _equations(end.element, (*symbols, *program.shared_symbols), [time, *others])
-            places = np.concatenate([k * self.stride + np.arange(self.node), shared])
-            self._add(share, places, point, [k * values[STEP], *numbers])
+            indices = np.concatenate([k * self.stride + np.arange(self.node), shared])
+            self._add(share, indices, point, [k * values[STEP], *numbers])
 
-    def _add(self, share: _Share, places: NDArray[np.intp], point: Array, others: Sequence[float]) -> None:
+    def _add(self, share: _Share, indices: NDArray[np.intp], point: Array, others: Sequence[float]) -> None:
         (rows, columns), evaluate = share
         with np.errstate(all="ignore"):
-            gradient, entries = evaluate(*point[places], *others)
-        np.add.at(self.residuals, places, np.array(gradient, dtype=float))
-        np.add.at(self.matrix, (places[rows], places[columns]), np.array(entries, dtype=float))
+            gradient, entries = evaluate(*point[indices], *others)
+        np.add.at(self.residuals, indices, np.array(gradient, dtype=float))
+        np.add.at(self.matrix, (indices[rows], indices[columns]), np.array(entries, dtype=float))
 
 
 _Share = tuple[tuple[list[int], list[int]], Callable[..., Any]]
@@ -122,7 +122,7 @@ _Share = tuple[tuple[list[int], list[int]], Callable[..., Any]]
 
 def _equations(share: Expr, unknowns: Sequence[Symbol], others: Sequence[Symbol]) -> _Share:
     gradient = [sympy.diff(share, x) for x in unknowns]
-    places = [(i, j) for i, g in enumerate(gradient) for j, x in enumerate(unknowns) if x in g.free_symbols]
-    entries = [sympy.diff(gradient[i], unknowns[j]) for i, j in places]
+    indices = [(i, j) for i, g in enumerate(gradient) for j, x in enumerate(unknowns) if x in g.free_symbols]
+    entries = [sympy.diff(gradient[i], unknowns[j]) for i, j in indices]
     function = sympy.lambdify([*unknowns, *others], [gradient, entries], modules=NUMPY, cse=True)
-    return ([i for i, _ in places], [j for _, j in places]), function
+    return ([i for i, _ in indices], [j for _, j in indices]), function

@@ -31,7 +31,7 @@ class PairwiseProgram:
 
     `substeps` are (fraction, position, momentum) of a composition; or `rows` and `weights` are those of an explicit
     Runge-Kutta method, which for an adaptive scheme serves for the derivatives alone; `adaptive` is that scheme's name
-    in scipy. `place` is where on its interval the action takes H, for the method action.
+    in scipy. `abscissa` is where on its interval the action takes H, for the method action.
     """
 
     model: PairwiseModel
@@ -42,7 +42,7 @@ class PairwiseProgram:
     rows: tuple[tuple[Expr, ...], ...] = ()
     weights: tuple[Expr, ...] = ()
     adaptive: str = ""
-    place: Rational = S.Zero
+    abscissa: Rational = S.Zero
 
 
 def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None = None) -> PairwiseProgram:
@@ -56,8 +56,8 @@ def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None
         raise ArgumentError(f"method {method!r} does not exist for this problem", f"use {' or '.join(methods)}")
     found = particles.find(scheme or DEFAULT_SCHEME, model.task)
     if method == "action":
-        place, substep = _action(found)
-        return PairwiseProgram(model, method, found.name, found.order, substeps=(substep,), place=place)
+        abscissa, substep = _action(found)
+        return PairwiseProgram(model, method, found.name, found.order, substeps=(substep,), abscissa=abscissa)
     if found.adaptive and method == "full":
         raise SchemeError(f"scheme {found.name} chooses its own steps", "use --method stepping")
     if found.is_chain:
@@ -75,6 +75,6 @@ def _action(scheme: Scheme) -> tuple[Rational, tuple[Rational, Rational, Rationa
             f"scheme {scheme.name} evaluates H more than once in a step, so that no action belongs to it",
             "use an Euler method or midpoint",
         )
-    ((_, place, _),), half = scheme.step().substeps, Rational(1, 2)
-    momentum = half if place == half else 1 - place
-    return place, (Rational(1), place, momentum)
+    ((_, abscissa, _),), half = scheme.step().substeps, Rational(1, 2)
+    momentum = half if abscissa == half else 1 - abscissa
+    return abscissa, (Rational(1), abscissa, momentum)

@@ -85,7 +85,7 @@ def with_decisions(program: ControlProgram, inequalities: Sequence[PathValue]) -
 def _with_decisions(program: ControlProgram, where: str, inequalities: Sequence[PathValue]) -> EndElement:
     end = program.start if where == "start" else program.end
     node = program.left_symbols if where == "start" else program.right_symbols
-    given = {node[place]: value for place, value in end.pins}
+    given = {node[index]: value for index, value in end.pins}
     equations = _equations(program, where, given)
     candidates = [(s.name, v.condition.name, v.value) for s, v in zip(program.slacks, inequalities, strict=True)]
     if equations.solved or equations.others:
@@ -106,14 +106,14 @@ def _of_the_node(program: ControlProgram, end: EndElement, node: Sequence[Symbol
         head, _, condition = text.partition(" ")
         if head in names:
             found.append((names[head], condition[1:-1], value))
-    fixed = {place for place, _ in end.pins} | {place for place, _, _ in end.shared}
-    for place, unknown in enumerate(program.node):
-        if place in fixed:
+    fixed = {index for index, _ in end.pins} | {index for index, _, _ in end.shared}
+    for index, unknown in enumerate(program.node):
+        if index in fixed:
             continue
         if unknown.lower is not None:
-            found.append((unknown.name, f"{unknown.name} >= {unknown.lower}", unknown.lower - node[place]))
+            found.append((unknown.name, f"{unknown.name} >= {unknown.lower}", unknown.lower - node[index]))
         if unknown.upper is not None:
-            found.append((unknown.name, f"{unknown.name} <= {unknown.upper}", node[place] - unknown.upper))
+            found.append((unknown.name, f"{unknown.name} <= {unknown.upper}", node[index] - unknown.upper))
     return found
 
 
@@ -123,12 +123,12 @@ def _equations(program: ControlProgram, where: str, given: Mapping[Symbol, Expr]
     boundary = model.start if where == "start" else model.end
     assert boundary is not None, "a control problem has an end"
     quantities = (*model.coordinates, *model.rates)
-    place: dict[Symbol, Expr] = dict(zip(quantities, at_nodes(quantities, suffix), strict=True))
-    place |= {v: value for v, value in zip(model.rates, boundary.rates, strict=True) if value is not None}
+    substitution: dict[Symbol, Expr] = dict(zip(quantities, at_nodes(quantities, suffix), strict=True))
+    substitution |= {v: value for v, value in zip(model.rates, boundary.rates, strict=True) if value is not None}
     unknowns = {*program.element_symbols, *at_nodes(model.rates, suffix)} - set(given)
     duration = expressions.rounded_at(model.duration, model.default_values)
     if where == "end":
-        place[model.time] = model.time + STEP
+        substitution[model.time] = model.time + STEP
         if model.duration.free_symbols & set(program.shared_symbols):
             unknowns |= {model.time, STEP}
     conditions = model.start_conditions if where == "start" else model.end_conditions
@@ -136,7 +136,7 @@ def _equations(program: ControlProgram, where: str, given: Mapping[Symbol, Expr]
     values = {v.symbol: expressions.rounded_at(v.value, model.default_values) for v in program.boundary_values}
     return EndEquations.of(
         where,
-        [g.expression.subs(place, simultaneous=True).xreplace(given) for g in conditions if g.equality],
+        [g.expression.subs(substitution, simultaneous=True).xreplace(given) for g in conditions if g.equality],
         frozenset(unknowns),
         {symbol: number for symbol, number in {**numbers, **values}.items() if number is not None},
     )

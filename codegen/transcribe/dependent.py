@@ -58,15 +58,15 @@ class _Candidate:
 
     where: str
     name: str
-    place: int
+    index: int
     is_equation: bool
 
     def left_out(self, program: ControlProgram) -> ControlProgram:
         """The program without it."""
         end = program.start if self.where == "start" else program.end
-        pins = tuple(pin for pin in end.pins if pin[0] != self.place)
+        pins = tuple(pin for pin in end.pins if pin[0] != self.index)
         if self.is_equation:
-            pins = (*pins, (self.place, S.Zero))
+            pins = (*pins, (self.index, S.Zero))
         changed = replace(end, pins=pins, dependent=(*end.dependent, self.name))
         return replace(program, start=changed) if self.where == "start" else replace(program, end=changed)
 
@@ -74,18 +74,18 @@ class _Candidate:
 def _candidates(program: ControlProgram) -> Iterator[_Candidate]:
     """What could be left out at the end, and then at the start: velocities, path equalities, other given values."""
     for where, end in (("end", program.end), ("start", program.start)):
-        names, pinned = [unknown.name for unknown in program.node], {place for place, _ in end.pins}
+        names, pinned = [unknown.name for unknown in program.node], {index for index, _ in end.pins}
         given = [value.quantity for value in program.boundary_values if value.where == where]
         for name, quantity in _equations(program):
-            place = names.index(name) if name in names else -1
-            if place >= 0 and place not in pinned and (quantity in given or name.startswith("y_")):
-                yield _Candidate(where, quantity, place, True)
+            index = names.index(name) if name in names else -1
+            if index >= 0 and index not in pinned and (quantity in given or name.startswith("y_")):
+                yield _Candidate(where, quantity, index, True)
         bound = _bound(program)
-        values = {place: value for place, value in end.pins if not program.node[place].multiplier}
+        values = {index: value for index, value in end.pins if not program.node[index].multiplier}
         quantities = {v.symbol: v.quantity for v in program.boundary_values}
-        for place in sorted(values, key=lambda place: (names[place] in bound, -place)):
-            written = [quantities[s] for s in values[place].free_symbols if s in quantities]  # a velocity, or several
-            yield _Candidate(where, written[0] if len(written) == 1 else names[place], place, False)
+        for index in sorted(values, key=lambda index: (names[index] in bound, -index)):
+            written = [quantities[s] for s in values[index].free_symbols if s in quantities]  # a velocity, or several
+            yield _Candidate(where, written[0] if len(written) == 1 else names[index], index, False)
 
 
 def _equations(program: ControlProgram) -> Iterator[tuple[str, str]]:

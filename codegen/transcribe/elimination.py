@@ -135,12 +135,12 @@ class _System:
         present = {i: self._present(i) for i in order}
         occurrences = {y: sum(y in symbols for symbols in present.values()) for y in self.open}
         ranked = [
-            (y != self.unknowns[i], (occurrences[y] - 1) * (len(present[i]) - 1), place, self.unknowns.index(y))
-            for place, i in enumerate(order)
+            (y != self.unknowns[i], (occurrences[y] - 1) * (len(present[i]) - 1), position, self.unknowns.index(y))
+            for position, i in enumerate(order)
             for y in present[i]
             if (i, y) not in self.rejected
         ]
-        return [(order[place], self.unknowns[index]) for _, _, place, index in sorted(ranked)]
+        return [(order[position], self.unknowns[index]) for _, _, position, index in sorted(ranked)]
 
     def _is_safe(self, coefficient: Expr, foreign: bool) -> bool:
         """Whether a pivot cannot vanish where the system as a whole is regular.

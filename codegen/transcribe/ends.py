@@ -46,19 +46,19 @@ def pinned_at_zero(names: Sequence[str]) -> End:
 def conditioned_end(
     conditions: Sequence[Condition],
     cost: Expr,
-    place: Mapping[Symbol, Expr],
+    substitution: Mapping[Symbol, Expr],
     suffix: str,
     unknowns: set[Symbol],
     names: Names,
 ) -> End:
     """Impose g = 0 by nu g, and g <= 0 by nu (g + s) with a slack s >= 0; add the terminal cost.
 
-    `place` puts the quantities of this end into a condition, `unknowns` are the symbols that are not given there.
-    Raises BoundaryError for a condition on what is given.
+    `substitution` puts the quantities of this end into a condition, `unknowns` are the symbols that are not given
+    there. Raises BoundaryError for a condition on what is given.
     """
-    out = End(element=cost.subs(place, simultaneous=True), cost=cost.subs(place, simultaneous=True))
+    out = End(element=cost.subs(substitution, simultaneous=True), cost=cost.subs(substitution, simultaneous=True))
     for condition in conditions:
-        value = condition.expression.subs(place, simultaneous=True)
+        value = condition.expression.subs(substitution, simultaneous=True)
         if not value.free_symbols & unknowns:
             raise BoundaryError(
                 f"the condition {condition} at the {_where(suffix)} is on values that are given there",
@@ -127,13 +127,13 @@ class Ends:
 
 
 def _element(end: End, node: Sequence[Unknown], shared: Sequence[Unknown]) -> EndElement:
-    place = {unknown.name: i for i, unknown in enumerate(node)}
-    shared_place = {unknown.name: i for i, unknown in enumerate(shared)}
+    index = {unknown.name: i for i, unknown in enumerate(node)}
+    shared_index = {unknown.name: i for i, unknown in enumerate(shared)}
     return EndElement(
-        pins=tuple((place[name], value) for name, value in end.pins),
+        pins=tuple((index[name], value) for name, value in end.pins),
         element=end.element,
         conditions=end.conditions,
         cost=end.cost,
-        shared=tuple((place[name], shared_place[other], offset) for name, other, offset in end.aliases),
-        slacks=tuple((place[slack], place[multiplier]) for slack, multiplier in end.slacks),
+        shared=tuple((index[name], shared_index[other], offset) for name, other, offset in end.aliases),
+        slacks=tuple((index[slack], index[multiplier]) for slack, multiplier in end.slacks),
     )

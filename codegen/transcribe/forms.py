@@ -93,7 +93,7 @@ def _momentum_bounds_as_conditions(model: Model) -> Model:
 
 
 def occurring(quantities: Sequence[Symbol], *expressions: Expr) -> set[int]:
-    """The places of those quantities that occur in any of the expressions."""
+    """The indices of those quantities that occur in any of the expressions."""
     present = set[Symbol]().union(*(expression.free_symbols for expression in expressions), set())
     return {i for i, quantity in enumerate(quantities) if quantity in present}
 

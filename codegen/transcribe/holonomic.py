@@ -36,7 +36,7 @@ class Constraints:
     """The constraints of a model with their unknowns kappa and eta at the nodes."""
 
     def __init__(self, model: Model, names: Names) -> None:
-        """Name the unknowns; `touched` lists for each constraint the places of its coordinates."""
+        """Name the unknowns; `touched` lists for each constraint the indices of its coordinates."""
         self.model = model
         self.touched = tuple(occurring(model.coordinates, c) for c in model.holonomic)
         self.kappa = tuple(
@@ -47,17 +47,17 @@ class Constraints:
 
     def force(self, suffix: str) -> list[Expr]:
         """The impulse h/2 G^T kappa of a node's constraint force in one of its two intervals."""
-        place = dict(zip(self.model.coordinates, at_nodes(self.model.coordinates, suffix), strict=True))
+        substitution = dict(zip(self.model.coordinates, at_nodes(self.model.coordinates, suffix), strict=True))
         if suffix == "_k1":
-            place[self.model.time] = self.model.time + STEP
+            substitution[self.model.time] = self.model.time + STEP
         kappa = symbols([unknown.name for unknown in self.kappa], suffix)
         potential = sum((k * c for k, c in zip(kappa, self.model.holonomic, strict=True)), S.Zero)
-        return [(STEP * sympy.diff(potential, q) / 2).xreplace(place) for q in self.model.coordinates]
+        return [(STEP * sympy.diff(potential, q) / 2).xreplace(substitution) for q in self.model.coordinates]
 
     def nodal_terms(self, matched: tuple[set[int], set[int]], by_pi: set[int]) -> NodalTerms:
         """Unknowns and pins: a kappa is zero at an end where no momentum of its coordinates is matched.
 
-        Where both ends match the same unknown momenta, at the places `by_pi`, only the sum of both kappa acts, and
+        Where both ends match the same unknown momenta, at the indices `by_pi`, only the sum of both kappa acts, and
         that of the end is zero.
         """
         pairs = list(zip(self.kappa, self.touched, strict=True))

@@ -35,8 +35,8 @@ class EndConditions:
     momenta: Mapping[int, Expr]
 
 
-def matched_places(model: Model, end: EndConditions, constraints: Constraints) -> set[int]:
-    """The places of the momenta that match those of velocities at an end.
+def matched_indices(model: Model, end: EndConditions, constraints: Constraints) -> set[int]:
+    """The indices of the momenta that match those of velocities at an end.
 
     They are those of fixed velocities, and of all on which a condition, the terminal cost, a matched momentum or a
     constraint with a matched velocity depends.
@@ -62,17 +62,17 @@ def momentum_end(
 ) -> End:
     """Fix positions, match momenta, impose conditions; `shared` are the unknowns that are common to all nodes."""
     dimension = len(model.coordinates)
-    matched = matched_places(model, end, constraints)
+    matched = matched_indices(model, end, constraints)
     extra = sorted(i for i in matched if end.boundary.rates[i] is None)
     here = symbols([q.name for q in model.coordinates], end.suffix)
     multiplier_names = [f"lambda_{q.name}" for q in model.coordinates]
     multipliers = symbols(multiplier_names, end.suffix)
     extra_symbols = symbols([model.rates[j].name for j in extra], end.suffix)
-    place: dict[Symbol, Expr] = dict(zip(model.coordinates, here, strict=True))
-    place |= {v: value for v, value in zip(model.rates, end.boundary.rates, strict=True) if value is not None}
-    place |= dict(zip((model.rates[j] for j in extra), extra_symbols, strict=True))
+    substitution: dict[Symbol, Expr] = dict(zip(model.coordinates, here, strict=True))
+    substitution |= {v: value for v, value in zip(model.rates, end.boundary.rates, strict=True) if value is not None}
+    substitution |= dict(zip((model.rates[j] for j in extra), extra_symbols, strict=True))
     momentum = gradient(model.function, model.rates)
-    momenta = [(i, momentum[i].xreplace(place)) for i in sorted(matched)]
+    momenta = [(i, momentum[i].xreplace(substitution)) for i in sorted(matched)]
     _require_disjoint(model, matched, end.momenta)
     momenta += sorted(end.momenta.items())
     unmatched = [multiplier_names[i] for i in range(dimension) if i not in dict(momenta)]
@@ -87,7 +87,8 @@ def momentum_end(
     free = {symbol for symbol, value in zip(here, end.boundary.positions, strict=True) if value is None}
     conditions: Sequence[Condition] = (*end.conditions, *constraints.tangency(end.boundary, matched, literal))
     unknowns = free | set(extra_symbols) | shared
-    return own + pinned_at_zero(unmatched) + conditioned_end(conditions, end.cost, place, end.suffix, unknowns, names)
+    imposed = conditioned_end(conditions, end.cost, substitution, end.suffix, unknowns, names)
+    return own + pinned_at_zero(unmatched) + imposed
 
 
 def _require_disjoint(model: Model, matched: set[int], momenta: Mapping[int, Expr]) -> None:

@@ -86,8 +86,8 @@ def _ends(
         pinned = {name for name, _ in values.pins}
         unknowns = {symbol for x, symbol in zip(states, here, strict=True) if x.name not in pinned}
         unknowns |= {own.symbol for own in shared.all}
-        place = dict(zip(states, here, strict=True))
-        ends.append(values + conditioned_end(conditions, cost, place, suffix, unknowns, names))
+        substitution = dict(zip(states, here, strict=True))
+        ends.append(values + conditioned_end(conditions, cost, substitution, suffix, unknowns, names))
     return ends[0], ends[1]
 
 

@@ -37,7 +37,7 @@ intervals: with multipliers there, and none at nodes, the Hessian of the Lagrang
 
 @dataclass(frozen=True)
 class IntervalTerms:
-    """Path conditions on one interval: multipliers, slacks with the places of their multipliers, and their share of l.
+    """Path conditions on one interval: multipliers, slacks with the indices of their multipliers, and their share of l.
 
     `inequalities` are the values to which the slacks belong.
     """
@@ -82,20 +82,20 @@ def start_inequalities(model: Model) -> tuple[Condition, ...]:
 def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: Names) -> IntervalTerms:
     """Multipliers and slacks of all conditions of an interval; `first` unknowns of the interval come before them."""
     values = _imposed(model, inner)
-    multipliers, slacks, places, equations = list[Unknown](), list[Unknown](), list[int](), list[tuple[str, Expr]]()
+    multipliers, slacks, indices, equations = list[Unknown](), list[Unknown](), list[int](), list[tuple[str, Expr]]()
     element: Expr = S.Zero
     for value in values:
-        condition, told = value.condition, ("y", f"at {value.place} of an interval", "_k")
-        yields = condition in {other.condition for other in values if other.place != value.place}
+        condition, told = value.condition, ("y", f"at {value.abscissa} of an interval", "_k")
+        yields = condition in {other.condition for other in values if other.abscissa != value.abscissa}
         least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
         (multiplier, *slack), term, equation = imposed(condition, value.value, told, names, least)
         multipliers.append(multiplier)
         slacks += slack
-        places += [first + len(multipliers) - 1] * len(slack)
+        indices += [first + len(multipliers) - 1] * len(slack)
         element += term
         equations.append(equation)
     inequalities = tuple(value for value in values if not value.condition.equality)
-    return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(places), inequalities, element, tuple(equations))
+    return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(indices), inequalities, element, tuple(equations))
 
 
 def _imposed(model: Model, inner: Sequence[PathValue]) -> list[PathValue]:
@@ -107,19 +107,19 @@ def _imposed(model: Model, inner: Sequence[PathValue]) -> list[PathValue]:
 
 def _follows_from_nodes(model: Model, value: PathValue) -> bool:
     """Whether a value is that of a node, or on the straight line between two nodes with a convex condition."""
-    if value.value in [_at_node(model, value.condition, place) for place in (S.Zero, S.One)]:
+    if value.value in [_at_node(model, value.condition, abscissa) for abscissa in (S.Zero, S.One)]:
         return True
     along = {model.time, STEP, *model.parameters, *(free.symbol for free in model.free_parameters)}
     along |= {q for suffix in ("_k", "_k1") for q in at_nodes(model.coordinates, suffix)}
     return value.value.free_symbols <= along and is_convex(model, value.condition)
 
 
-def _at_node(model: Model, condition: Condition, place: Expr) -> Expr:
+def _at_node(model: Model, condition: Condition, abscissa: Expr) -> Expr:
     """The value of a condition on coordinates at the left (0) or right (1) node of an interval."""
     values: dict[Symbol, Expr] = dict(
-        zip(model.coordinates, at_nodes(model.coordinates, "_k1" if place else "_k"), strict=True)
+        zip(model.coordinates, at_nodes(model.coordinates, "_k1" if abscissa else "_k"), strict=True)
     )
-    values[model.time] = model.time + place * STEP
+    values[model.time] = model.time + abscissa * STEP
     return condition.expression.subs(values, simultaneous=True)
 
 
@@ -145,8 +145,8 @@ def nodal_equalities(model: Model, conditions: Sequence[Condition], stem: str, n
     for condition in conditions:
         name = names.numbered(stem)
         unknowns.append(Unknown(name, f"multiplier of {condition.name}", True))
-        for suffix, place in (("_k", S.Zero), ("_k1", S.One)):
-            element += symbols([name], suffix)[0] * _at_node(model, condition, place) / 2
+        for suffix, abscissa in (("_k", S.Zero), ("_k1", S.One)):
+            element += symbols([name], suffix)[0] * _at_node(model, condition, abscissa) / 2
         assert model.end is not None, "a control problem has an end"
         if given_at(model, model.start, condition.expression):
             start_pins.append(name)
@@ -159,8 +159,8 @@ def nodal_equalities(model: Model, conditions: Sequence[Condition], stem: str, n
 def given_at(model: Model, boundary: Boundary, expression: Expr) -> bool:
     """Whether an end gives all that an expression in coordinates depends on."""
     free = {parameter.symbol for parameter in model.free_parameters}
-    places = occurring(model.coordinates, expression)
-    return not expression.free_symbols & free and all(boundary.positions[i] is not None for i in places)
+    indices = occurring(model.coordinates, expression)
+    return not expression.free_symbols & free and all(boundary.positions[i] is not None for i in indices)
 
 
 def repeated_at_end(model: Model, expression: Expr) -> bool:

@@ -39,7 +39,7 @@ class Own:
 class Periodic:
     """Shared unknowns and what they do at both ends.
 
-    `momenta` gives for a coordinate's place the momentum at the start and at the end that the discrete ones match.
+    `momenta` gives for a coordinate's index the momentum at the start and at the end that the discrete ones match.
     """
 
     own: tuple[Own, ...] = ()
@@ -115,7 +115,7 @@ def periodic_velocities_in_momenta(model: Model, phase: Model, names: Names) -> 
 
 
 def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
-    """Those of the chosen places at which equal velocities at both ends mean equal momenta dL/dv.
+    """Those of the chosen indices at which equal velocities at both ends mean equal momenta dL/dv.
 
     The momenta must depend on periodic velocities and coordinates only and must not change under the coordinates'
     shifts; with a holonomic constraint all of its coordinates are needed.
@@ -148,10 +148,10 @@ def _tied(model: Model, quantity: Symbol, unknown: Symbol, shift: Expr, guess: E
     return Periodic((own,), ((unknown.name, name, S.Zero),), ((unknown.name, name, shift),))
 
 
-def _matched(model: Model, place: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
-    q = model.coordinates[place]
+def _matched(model: Model, index: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
+    q = model.coordinates[index]
     own = _own(names.named("pi", q), f"momentum of {q} at the start", guess)
-    return Periodic(own=(own,), momenta=((place, own.symbol, own.symbol + shift),))
+    return Periodic(own=(own,), momenta=((index, own.symbol, own.symbol + shift),))
 
 
 def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, names: Names) -> Periodic:
@@ -170,10 +170,10 @@ def _own(name: str, meaning: str, guess: Expr) -> Own:
 def require_constraints_return(model: Model, periodic: Periodic) -> None:
     """Refuse velocities that are periodic while others of the same holonomic constraint are not, or are shifted."""
     conditions = (*periodic.start_conditions, *periodic.end_conditions)
-    places = occurring(model.rates, *(condition.expression for condition in conditions))
+    indices = occurring(model.rates, *(condition.expression for condition in conditions))
     for constraint in model.holonomic:
         touched = occurring(model.coordinates, constraint)
-        if places & touched:
+        if indices & touched:
             listed = " ".join(model.rates[i].name for i in sorted(touched))
             raise BoundaryError(
                 f"velocities of the constraint {constraint} are periodic, but not all of them alike",

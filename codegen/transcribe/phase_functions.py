@@ -72,8 +72,8 @@ def phase_functions(model: Model) -> PhaseFunctions | None:
 def _largest_block(entries: Iterable[tuple[int, int]], count: int) -> int:
     """How many unknowns depend on each other at most."""
     matrix = sympy.zeros(count, count)
-    for place in entries:
-        matrix[place] = 1
+    for index in entries:
+        matrix[index] = 1
     return max(map(len, matrix.connected_components()))
 
 
@@ -109,9 +109,9 @@ class _Elimination:
 
     def _factorise(self, mass: Mapping[tuple[int, int], int]) -> None:
         zero = self.graph.sum(())
-        for place, i in enumerate(self.order):
+        for index, i in enumerate(self.order):
             column: dict[int, int] = {}
-            for j in self.order[:place]:
+            for j in self.order[:index]:
                 known = [(self.factors[j, k], column[k]) for k in column if (j, k) in self.factors]
                 entry = self._reduced(mass.get((i, j), zero), known)
                 if entry != zero:

@@ -46,26 +46,26 @@ def _quantities(model: Model) -> Sequence[Symbol]:
     return model.coordinates if model.form != "hamiltonian" else (*model.coordinates, *model.rates)
 
 
-def _line(model: Model, quantity: Symbol, place: int, left: Expr | None, times: Sequence[Expr]) -> Expr:
+def _line(model: Model, quantity: Symbol, index: int, left: Expr | None, times: Sequence[Expr]) -> Expr:
     """From the value at the beginning of a phase to the next one that is known."""
-    for last, phase in enumerate(model.phases[place:], start=place):
+    for last, phase in enumerate(model.phases[index:], start=index):
         right = known_values(model, phase.end, phase.end_conditions).get(quantity)
         if right is not None:
             if left is None:
                 return right
-            return left + (right - left) * (model.time - times[place]) / (times[last + 1] - times[place])
+            return left + (right - left) * (model.time - times[index]) / (times[last + 1] - times[index])
         if last < len(model.jumps) and quantity in dict(model.jumps[last]):
             break
     return S.Zero if left is None else left
 
 
-def _after(model: Model, place: int, guess: Values, time: Expr) -> Values:
+def _after(model: Model, index: int, guess: Values, time: Expr) -> Values:
     """The values with which the next phase begins, as far as anything says more than zero about them."""
     before = {q: at_guess(model, value).subs(model.time, time) for q, value in guess.items()}
     if model.form == "lagrangian":
         pairs = zip(model.coordinates, model.rates, strict=True)
         before |= {v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs}
-    given = known_values(model, model.phases[place].end, model.phases[place].end_conditions)
-    jump = {q: at_guess(model, value).xreplace(before | given) for q, value in model.jumps[place]}
+    given = known_values(model, model.phases[index].end, model.phases[index].end_conditions)
+    jump = {q: at_guess(model, value).xreplace(before | given) for q, value in model.jumps[index]}
     known = given | jump
     return {q: value for q, value in (before | known).items() if value != 0 or q in known}

@@ -34,18 +34,18 @@ def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> Con
     return chain.program()
 
 
-def _alone(model: Model, place: int) -> Model:
+def _alone(model: Model, index: int) -> Model:
     """A phase with free ends where other phases follow, in the time and with the controls of the whole problem."""
-    phase, last = model.phases[place], len(model.phases) - 1
+    phase, last = model.phases[index], len(model.phases) - 1
     free = Boundary((None,) * len(phase.coordinates), (None,) * len(phase.rates))
     return replace(
         phase,
         controls=model.controls,
         duration=model.duration,
-        start=phase.start if place == 0 else free,
-        end=phase.end if place == last else free,
-        end_conditions=phase.end_conditions if place == last else (),
-        terminal_cost=phase.terminal_cost if place == last else S.Zero,
+        start=phase.start if index == 0 else free,
+        end=phase.end if index == last else free,
+        end_conditions=phase.end_conditions if index == last else (),
+        terminal_cost=phase.terminal_cost if index == last else S.Zero,
     )
 
 
@@ -77,7 +77,7 @@ class _Layout:
         return (*self.interval, *self.controls, *(slack for slack, _ in self.slacks))
 
     def lacking(self, present: set[str]) -> tuple[int, ...]:
-        """The places inside an interval of what is not present there."""
+        """The indices inside an interval of what is not present there."""
         return tuple(i for i, unknown in enumerate(self.inside) if unknown.name not in present)
 
 
@@ -100,7 +100,7 @@ class _Chain:
             node=layout.node,
             interval=layout.interval,
             slacks=tuple(slack for slack, _ in layout.slacks),
-            slack_multipliers=tuple(_place(layout.interval, name) for _, name in layout.slacks),
+            slack_multipliers=tuple(_index(layout.interval, name) for _, name in layout.slacks),
             left_symbols=symbols([u.name for u in layout.node], "_k"),
             right_symbols=symbols([u.name for u in layout.node], "_k1"),
             interval_symbols=layout.symbols[: len(layout.interval)],
@@ -148,20 +148,20 @@ class _Chain:
         """What conditions on integrals over all phases but the last add to the end, which the last one alone has."""
         return Add(*(end_share(program.integrals).element for program in self.programs[:-1]))
 
-    def _scales(self, place: int) -> dict[Symbol, Expr]:
+    def _scales(self, index: int) -> dict[Symbol, Expr]:
         """How step and time of the chain give those of a phase."""
         durations = [phase.duration for phase in self.model.phases]
-        place %= len(durations)
-        begin, time = Add(*durations[:place]), self.model.time
-        return {STEP: durations[place] * STEP, time: begin + durations[place] * (time - place)}
+        index %= len(durations)
+        begin, time = Add(*durations[:index]), self.model.time
+        return {STEP: durations[index] * STEP, time: begin + durations[index] * (time - index)}
 
-    def _phase(self, place: int) -> Phase:
-        raw, switch, model = self.programs[place], self.switches[place], self.model.phases[place]
+    def _phase(self, index: int) -> Phase:
+        raw, switch, model = self.programs[index], self.switches[index], self.model.phases[index]
         controls = {u.name for u in model.controls}
         present = {u.name for u in (*raw.interval, *raw.slacks)} | controls
         element = raw.element - _filling(only_at_ends(raw), "_k")
         element += _filling(self.layout.from_end, "_k") + _filling(self.layout.from_start, "_k1")
-        scales = self._scales(place)
+        scales = self._scales(index)
         own_unknowns = {u.name: u for u in (*raw.node, *raw.interval, *raw.controls, *raw.slacks)}
         guesses = [(u.name, value) for u, value in zip(raw.interval, raw.stage_guess, strict=False)]
         guesses += [(u.name, value) for u, value in zip(raw.controls, raw.control_guess, strict=True)]
@@ -171,8 +171,8 @@ class _Chain:
             switch=None if switch is None or switch.is_idle else self._switch(switch, element, raw, present, scales),
             node=tuple(own_unknowns.get(u.name, u) for u in self.layout.node),
             inside=tuple(own_unknowns.get(u.name, u) for u in self.layout.inside),
-            jumping=() if switch is None else tuple(_place(self.layout.node, name) for name in switch.jumping),
-            given=() if switch is None else tuple(_place(self.layout.node, name) for name in switch.given),
+            jumping=() if switch is None else tuple(_index(self.layout.node, name) for name in switch.jumping),
+            given=() if switch is None else tuple(_index(self.layout.node, name) for name in switch.given),
             broken=() if switch is None else switch.broken,
             node_guess=raw.node_guess,
             inside_guess=self._placed((name, value) for name, value in guesses if name in present),
@@ -183,7 +183,7 @@ class _Chain:
         )
 
     def _placed(self, guesses: Iterable[tuple[str, Expr]]) -> tuple[tuple[int, Expr], ...]:
-        return tuple((_place(self.layout.inside, name), value) for name, value in guesses)
+        return tuple((_index(self.layout.inside, name), value) for name, value in guesses)
 
     def _element(self, element: Expr, cost: Expr, present: set[str], scales: Mapping[Symbol, Expr]) -> IntervalElement:
         lacking = self.layout.lacking(present)
@@ -197,11 +197,11 @@ class _Chain:
         element, cost = (part.xreplace(dict(switch.values)) for part in (element, raw.cost))
         return self._element(element + switch.element, cost + switch.cost, present | own, scales)
 
-    def _end(self, place: int, end: EndElement, filling: Expr, foreign: Sequence[Unknown]) -> EndElement:
+    def _end(self, index: int, end: EndElement, filling: Expr, foreign: Sequence[Unknown]) -> EndElement:
         """An end in the layout of the chain; what only the other end has is pinned, and no filling is taken back."""
-        names, scales = [u.name for u in self.layout.node], self._scales(place)
+        names, scales = [u.name for u in self.layout.node], self._scales(index)
         # An inequality on coordinates gives a phase unknowns at a start or end that it does not have in the chain.
-        moved = {i: names.index(u.name) for i, u in enumerate(self.programs[place].node) if u.name in names}
+        moved = {i: names.index(u.name) for i, u in enumerate(self.programs[index].node) if u.name in names}
         pins = {moved[i]: value for i, value in end.pins if i in moved}
         pins |= {names.index(unknown.name): S.Zero for unknown in foreign}
         return replace(
@@ -246,7 +246,7 @@ def _union(unknowns: Sequence[Unknown], added: Sequence[Unknown]) -> tuple[Unkno
     return tuple(ordered)
 
 
-def _place(unknowns: Sequence[Unknown], name: str) -> int:
+def _index(unknowns: Sequence[Unknown], name: str) -> int:
     return next(i for i, unknown in enumerate(unknowns) if unknown.name == name)
 
 

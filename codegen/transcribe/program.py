@@ -84,7 +84,7 @@ class IntegralEquation:
 class IntervalElement:
     """The share of an interval in the Lagrangian of the optimisation problem, and its discrete cost.
 
-    `lacking` are the places, among the unknowns of an interval (without its nodes), of those that this one does not
+    `lacking` are the indices, among the unknowns of an interval (without its nodes), of those that this one does not
     have: x^2/2 in `element` makes them vanish.
     """
 
@@ -100,10 +100,10 @@ class Phase:
     `switch` is the share of the first interval where that differs from the others, because the phase follows another.
     The symbols t and h run from the phase's number to the next; `duration` is already inside. `node` and `inside`
     (interval, controls, slacks) are the program's unknowns with the bounds of this phase. At the switch before the
-    phase, `jumping` are places in a node of what changes, so that bounds of this phase do not hold before, and `given`
+    phase, `jumping` are indices in a node of what changes, so that bounds of this phase do not hold before, and `given`
     of what has a prescribed value and needs no bounds; `broken` names what has another value after it. Guesses are
     expressions of the time of the whole problem: of a node's primal unknowns in their order, and of unknowns of an
-    interval, or of the first one, as pairs (place, value).
+    interval, or of the first one, as pairs (index, value).
     """
 
     duration: Expr
@@ -135,7 +135,7 @@ class ControlProgram:
     `controlled` says where controls live: on the interval, at its stages (all of the first, then of the next), or at
     nodes (nodal).
     The last `path_multipliers` of `interval` are those of path conditions. A slack belongs to the unknown of
-    `interval` at the same place of `slack_multipliers`, and is not negative.
+    `interval` at the same index of `slack_multipliers`, and is not negative.
 
     `shared` unknowns belong to no node: first the `own` ones of each body (its coordinates at the end where bodies
     are coupled, or at both ends of a periodic motion), named in `shared_symbols` once for any body, then those of the
@@ -147,7 +147,7 @@ class ControlProgram:
 
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
     unknowns that is already inside `element`.
-    `only_at_ends` are places in a node of unknowns that only the first or last node has; elsewhere they are zero.
+    `only_at_ends` are indices in a node of unknowns that only the first or last node has; elsewhere they are zero.
     Where there are `phases`, intervals of equal number for each follow each other in one chain; `element`, `cost`,
     bounds, guesses and equations are then those of the first.
     `equations` are the discrete equations for people to read, the guesses are expressions of time, duration and

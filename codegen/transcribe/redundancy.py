@@ -34,9 +34,9 @@ System = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class IndependentCouplings:
-    """Which couplings are to be `kept` (places in `Model.couplings`), and why the others are not.
+    """Which couplings are to be `kept` (indices in `Model.couplings`), and why the others are not.
 
-    `dropped` gives the place of each other coupling and the names of those that it follows from; no names where its
+    `dropped` gives the index of each other coupling and the names of those that it follows from; no names where its
     gradient vanishes. When the couplings are not `consistent`, no configuration was found where all of them hold;
     `violated` then names the one that is farthest from holding, and dependence was judged at the configuration where
     they are nearest to it.
@@ -85,8 +85,8 @@ def independent_couplings(model: Model) -> IndependentCouplings:
     kept, dropped = max(sorted_rows, key=lambda rows: len(rows[0]))
     first = len(equations.names) - len(model.couplings)
     found = IndependentCouplings(
-        tuple(place - first for place in kept if place >= first),
-        tuple((place - first, names) for place, names in dropped if place >= first),
+        tuple(index - first for index in kept if index >= first),
+        tuple((index - first, names) for index, names in dropped if index >= first),
     )
     if least <= _HOLDS:
         return found
@@ -104,19 +104,17 @@ def _equations(model: Model) -> _Equations:
     values = _values_at_end(model)
     for body in range(model.bodies):
         values |= {model.body: float(body)} if model.body is not None else {}
-        places: dict[sympy.Symbol, sympy.Expr] = {}
+        substitution: dict[sympy.Symbol, sympy.Expr] = {}
         for index, symbol in enumerate(moving):
             if symbol not in present and (body, index) not in own:
                 continue
             number = expressions.rounded_at(fixed[symbol], values) if symbol in fixed else None
-            places[symbol] = own.get((body, index), sympy.Dummy(f"{symbol}_{body}", real=True))
+            substitution[symbol] = own.get((body, index), sympy.Dummy(f"{symbol}_{body}", real=True))
             if number is None:
-                guess[places[symbol]] = _guessed_end(model, index, values)
+                guess[substitution[symbol]] = _guessed_end(model, index, values)
             else:
-                places[symbol] = sympy.Float(number)
-        equations += [
-            (f"{condition.name} of body {body}", condition.expression.xreplace(places)) for condition in conditions
-        ]
+                substitution[symbol] = sympy.Float(number)
+        equations += [(f"{g.name} of body {body}", g.expression.xreplace(substitution)) for g in conditions]
     equations += [(condition.name, condition.expression) for condition in model.couplings]
     guess |= {parameter.symbol: values[parameter.symbol] for parameter in model.free_parameters}
     inside = {symbol for _, expression in equations for symbol in expression.free_symbols}
@@ -158,16 +156,16 @@ def _system(equations: _Equations) -> System:
     functions = [_with_slopes(kind) for kind in kinds]
     groups = [[instance for instance in instances if instance.kind == kind] for kind in range(len(kinds))]
     rows = [np.array([instance.row for instance in group]) for group in groups]
-    places = [np.array([instance.places for instance in group], dtype=int).T for group in groups]
+    indices = [np.array([instance.indices for instance in group], dtype=int).T for group in groups]
 
     def system(point: Array) -> tuple[Array, Array]:
         residuals, jacobian = np.zeros(size[0]), np.zeros(size)
-        for function, row, read in zip(functions, rows, places, strict=True):
+        for function, row, read in zip(functions, rows, indices, strict=True):
             with np.errstate(all="ignore"):
                 value, *slopes = function(*point[read])
             np.add.at(residuals, row, value)
-            for place, slope in zip(read, slopes, strict=True):
-                np.add.at(jacobian, (row, place), slope)
+            for index, slope in zip(read, slopes, strict=True):
+                np.add.at(jacobian, (row, index), slope)
         return residuals, jacobian
 
     return system
@@ -250,19 +248,19 @@ def _sorted_rows(
     dropped: list[tuple[int, tuple[str, ...]]] = []
     basis = np.empty((0, jacobian.shape[1]))
     _, rows = _scaled(np.zeros(len(jacobian)), jacobian)
-    for place, row in enumerate(rows):
+    for index, row in enumerate(rows):
         rest = row - basis.T @ (basis @ row)
         rest -= basis.T @ (basis @ rest)
         length = float(np.linalg.norm(rest))
         if length > _DEPENDENT:
             basis = np.vstack([basis, rest / length])
-            kept.append(place)
+            kept.append(index)
         else:
-            dropped.append((place, _sources(titles, kept, rows[kept], row)))
+            dropped.append((index, _sources(titles, kept, rows[kept], row)))
     return tuple(kept), tuple(dropped)
 
 
 def _sources(titles: Sequence[str], kept: Sequence[int], rows: Array, row: Array) -> tuple[str, ...]:
     """The kept equations whose gradients combine to the given row."""
     weights = np.linalg.lstsq(rows.T, row, rcond=None)[0]
-    return tuple(titles[place] for place, weight in zip(kept, weights, strict=True) if abs(weight) > _NAMED)
+    return tuple(titles[index] for index, weight in zip(kept, weights, strict=True) if abs(weight) > _NAMED)

@@ -1,4 +1,4 @@
-"""Names of unknowns in a chain of phases: the same name where phases may share a place, others where they may not."""
+"""Names of unknowns in a chain of phases: the same name where phases may share an index, others where they may not."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Slots:
         self.names = names
         self._numbered, self._named = dict[tuple[str, bool], list[str]](), dict[tuple[str, Symbol], str]()
 
-    def numbered(self, stem: str, equality: bool, place: int) -> str:
-        """The name that belongs to equality, or inequality, number `place` of an interval."""
+    def numbered(self, stem: str, equality: bool, index: int) -> str:
+        """The name that belongs to equality, or inequality, number `index` of an interval."""
         found = self._numbered.setdefault((stem, equality), [])
-        while len(found) <= place:
+        while len(found) <= index:
             found.append(self.names.numbered(stem))
-        return found[place]
+        return found[index]
 
     def named(self, stem: str, quantity: Symbol) -> str:
         """The name of an interval's unknown that belongs to a quantity."""
@@ -67,13 +67,13 @@ def only_at_ends(program: ControlProgram) -> list[Unknown]:
 
 def at_start(program: ControlProgram) -> list[Unknown]:
     """Those that the first node has."""
-    pinned = {place for place, _ in program.start.pins}
+    pinned = {index for index, _ in program.start.pins}
     return [program.node[i] for i in program.only_at_ends if i not in pinned]
 
 
 def at_end(program: ControlProgram) -> list[Unknown]:
     """Those that the last node has."""
-    pinned = {place for place, _ in program.end.pins}
+    pinned = {index for index, _ in program.end.pins}
     return [program.node[i] for i in program.only_at_ends if i not in pinned]
 
 
@@ -89,39 +89,40 @@ def _new_end_names(programs: Sequence[ControlProgram], names: Names) -> dict[str
 
 def _numbered(program: ControlProgram, slots: Slots) -> dict[str, str]:
     """Names for the multipliers and slacks of path conditions, the same in all phases."""
-    inequalities = {program.interval[place].name: slack for slack, place in slack_pairs(program)}
+    inequalities = {program.interval[index].name: slack for slack, index in slack_pairs(program)}
     equalities = [u.name for u in _numbered_multipliers(program) if u.name not in inequalities]
-    new = {name: slots.numbered("y", True, place) for place, name in enumerate(equalities)}
-    for place, (name, slack) in enumerate(inequalities.items()):
-        new |= {name: slots.numbered("y", False, place), slack.name: slots.numbered("s", False, place)}
+    new = {name: slots.numbered("y", True, index) for index, name in enumerate(equalities)}
+    for index, (name, slack) in enumerate(inequalities.items()):
+        new |= {name: slots.numbered("y", False, index), slack.name: slots.numbered("s", False, index)}
     return new
 
 
 def slack_pairs(program: ControlProgram) -> list[tuple[Unknown, int]]:
-    """Slacks of intervals with the places of their multipliers."""
+    """Slacks of intervals with the indices of their multipliers."""
     return list(zip(program.slacks, program.slack_multipliers, strict=True))
 
 
 def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
     """The program with other names for some unknowns."""
-    places = {s: t for end in ("_k", "_k1") for s, t in zip(symbols(new, end), symbols(new.values(), end), strict=True)}
+    pairs = [zip(symbols(new, end), symbols(new.values(), end), strict=True) for end in ("_k", "_k1")]
+    substitution = {s: t for pair in pairs for s, t in pair}
 
     def unknowns(old: Iterable[Unknown]) -> tuple[Unknown, ...]:
         return tuple(replace(unknown, name=new.get(unknown.name, unknown.name)) for unknown in old)
 
     def put(old: Iterable[Symbol]) -> tuple[Symbol, ...]:
-        return tuple(places.get(symbol, symbol) for symbol in old)
+        return tuple(substitution.get(symbol, symbol) for symbol in old)
 
     def written(old: Iterable[tuple[str, Expr]]) -> tuple[tuple[str, Expr], ...]:
         # The left side of an inequality names its slack.
         names = {f"-{slack}": f"-{name}" for slack, name in new.items()}
         parts = [(left.partition(" "), value) for left, value in old]
-        return tuple((names.get(head, head) + blank + rest, v.xreplace(places)) for (head, blank, rest), v in parts)
+        return tuple((names.get(a, a) + blank + rest, v.xreplace(substitution)) for (a, blank, rest), v in parts)
 
     def end(old: EndElement) -> EndElement:
         decided = tuple((new.get(name, name), condition) for name, condition in old.decided)
         conditions = written(old.conditions)
-        return replace(old, element=old.element.xreplace(places), conditions=conditions, decided=decided)
+        return replace(old, element=old.element.xreplace(substitution), conditions=conditions, decided=decided)
 
     return replace(
         program,
@@ -132,7 +133,7 @@ def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
         right_symbols=put(program.right_symbols),
         interval_symbols=put(program.interval_symbols),
         slack_symbols=put(program.slack_symbols),
-        element=program.element.xreplace(places),
+        element=program.element.xreplace(substitution),
         equations=written(program.equations),
         start=end(program.start),
         end=end(program.end),

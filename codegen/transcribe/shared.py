@@ -99,10 +99,10 @@ def _independent(model: Model) -> tuple[Condition, ...]:
     found = independent_couplings(model)
     if not found.consistent:
         return model.couplings
-    for place, others in found.dropped:
+    for index, others in found.dropped:
         if not others:
             raise BoundaryError(
-                f"the condition {model.couplings[place]} between bodies has no slope where it holds",
+                f"the condition {model.couplings[index]} between bodies has no slope where it holds",
                 "write it without its square, or leave it out",
             )
     return tuple(model.couplings[i] for i in found.kept)

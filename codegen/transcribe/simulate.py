@@ -135,7 +135,7 @@ def _differences(interval: VariationalInterval) -> list[tuple[Symbol, Symbol, Ex
     """Right nodes and inner points, the left node, and the time between them."""
     left = interval.q.left
     outer = [(q1, q, STEP) for q1, q in zip(interval.q.right, left, strict=True)]
-    inside = enumerate(zip(interval.inner, interval.inner_places, strict=True))
+    inside = enumerate(zip(interval.inner, interval.inner_abscissae, strict=True))
     return outer + [(q, left[i % len(left)], c * STEP) for i, (q, c) in inside]
 
 
@@ -168,7 +168,7 @@ def _solved_for_velocities(
 ) -> Elimination:
     """Eliminate from the position-momentum form, with q_k1 = q_k + h v_k put in before anything is evaluated.
 
-    Inner points become q_k + c h v, c being their place.
+    Inner points become q_k + c h v, c being their abscissa.
     """
     dimension = len(model.coordinates)
     arriving = interval.right_momentum
@@ -178,7 +178,7 @@ def _solved_for_velocities(
     arrival: dict[Symbol, Expr] = {
         q1: q + STEP * v for q1, q, v in zip(interval.q.right, interval.q.left, velocities, strict=False)
     }
-    inside = zip(interval.inner, interval.inner_places, velocities[dimension:], strict=True)
+    inside = zip(interval.inner, interval.inner_abscissae, velocities[dimension:], strict=True)
     for i, (q, c, v) in enumerate(inside):
         arrival[q] = interval.q.left[i % dimension] + c * STEP * v
 
@@ -202,11 +202,11 @@ def _euler_guesses(
 ) -> dict[Symbol, Expr]:
     """Start every stage and the right node from explicit Euler steps that begin at the left node."""
     rates = dict(zip(left, rates_of_change(phase, left), strict=True))
-    places = scheme.step().places
+    abscissae = scheme.step().abscissae
     guesses = dict[Symbol, Expr]()
     for y in unknowns:
         stage = re.search(r"_stage(\d+)$", y.name)
-        c = places[int(stage[1]) - 1] if stage else places[-1]
+        c = abscissae[int(stage[1]) - 1] if stage else abscissae[-1]
         name = y.name[: stage.start()] if stage else y.name.removesuffix("_k1")
         x = next(x for x in left if x.name == f"{name}_k")
         guesses[y] = x + sympy.expand(c * STEP) * rates[x]

@@ -77,7 +77,7 @@ class Transition:
         self.left = dict(zip((u.name for u in programs[number].node), programs[number].left_symbols, strict=True))
         self.quantities = (*self.before.coordinates, *self.before.rates)
         self.matched = self._matched() if self.variational else set()
-        self.place = self._place()
+        self.substitution = self._substitution()
 
     def conditions(self) -> tuple[Condition, ...]:
         """What holds before the jump: values, conditions, and inequalities of the later phase that are new here."""
@@ -95,7 +95,7 @@ class Transition:
         return (*values, *self.before.end_conditions, *begun)
 
     def _matched(self) -> set[int]:
-        """Places of the momenta that differ before and after, or that something at the switch depends on."""
+        """Indices of the momenta that differ before and after, or that something at the switch depends on."""
         before = momenta(self.before)
         after = [p.subs(self.jump, simultaneous=True) for p in momenta(self.after)]
         rates = self.before.rates
@@ -109,24 +109,24 @@ class Transition:
                 return matched
             matched |= further
 
-    def _place(self) -> dict[Symbol, Expr]:
+    def _substitution(self) -> dict[Symbol, Expr]:
         """Where coordinates and rates before the jump are found in the interval."""
-        place: dict[Symbol, Expr] = {q: self.left[q.name] for q in self.before.coordinates}
+        substitution: dict[Symbol, Expr] = {q: self.left[q.name] for q in self.before.coordinates}
         for i, rate in enumerate(self.before.rates):
             if self.variational:
                 if i in self.matched:
-                    (place[rate],) = symbols([self.slots.named("switch", rate)], "_k")
+                    (substitution[rate],) = symbols([self.slots.named("switch", rate)], "_k")
             elif self.before.form == "hamiltonian":
-                place[rate] = self.left[rate.name]
+                substitution[rate] = self.left[rate.name]
             else:
                 phase = self.programs[0].model
                 node = {s: self.left[s.name] for s in (*phase.coordinates, *phase.rates)}
-                place[rate] = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
-        return place
+                substitution[rate] = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
+        return substitution
 
     def at(self, expression: Expr) -> Expr:
         """An expression in coordinates and rates before the jump."""
-        return expression.subs(self.place, simultaneous=True)
+        return expression.subs(self.substitution, simultaneous=True)
 
     def jumped(self, symbol: Symbol) -> Expr:
         """A coordinate or rate after the jump."""
@@ -134,7 +134,8 @@ class Transition:
 
     def after_jump(self, expression: Expr) -> Expr:
         """An expression in coordinates and rates after the jump."""
-        return expression.subs({s: self.jumped(s) for s in self.quantities if s in self.place}, simultaneous=True)
+        after = {s: self.jumped(s) for s in self.quantities if s in self.substitution}
+        return expression.subs(after, simultaneous=True)
 
 
 def momenta(model: Model) -> list[Expr]:
@@ -200,11 +201,11 @@ def _matched_momenta(transition: Transition) -> Switch:
     )
 
 
-def _rate_guess(model: Model, place: int) -> Expr:
+def _rate_guess(model: Model, index: int) -> Expr:
     """A velocity along the guessed motion, or the guess of a momentum."""
     if model.form == "lagrangian":
-        return sympy.diff(coordinate_guess(model)[place], model.time)
-    return momentum_guess(model)[place]
+        return sympy.diff(coordinate_guess(model)[index], model.time)
+    return momentum_guess(model)[index]
 
 
 def _conditioned(transition: Transition, motion: Switch, names: Names) -> Switch:

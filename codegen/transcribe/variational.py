@@ -21,7 +21,7 @@ from codegen.transcribe.boundary import with_symbolic_boundaries
 from codegen.transcribe.forms import in_velocities
 from codegen.transcribe.guesses import coordinate_guess
 from codegen.transcribe.holonomic import Constraints
-from codegen.transcribe.momentum_ends import EndConditions, matched_places, momentum_end
+from codegen.transcribe.momentum_ends import EndConditions, matched_indices, momentum_end
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.periodic import (
     Periodic,
@@ -50,13 +50,13 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
     literal = {value.symbol: value.value for value in boundary_values}
     optimised = {own.symbol for own in shared.all}
     start, end = (momentum_end(model, e, constraints, literal, optimised, names) for e in ends)
-    start_places, end_places = (matched_places(model, e, constraints) for e in ends)
-    by_momentum = {place for place, _, _ in periodic.momenta}
+    start_indices, end_indices = (matched_indices(model, e, constraints) for e in ends)
+    by_momentum = {index for index, _, _ in periodic.momenta}
     return assemble(
         model,
         _motion(model, scheme, controls, constraints),
         boundary_values,
-        constraints.nodal_terms((start_places, end_places), by_momentum) + equalities,
+        constraints.nodal_terms((start_indices, end_indices), by_momentum) + equalities,
         start,
         end,
         shared,

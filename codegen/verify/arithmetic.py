@@ -108,11 +108,11 @@ def _by_digits(function: Callable[[Any], Any]) -> Function:
         values = _complex(x)
         found = np.empty(values.shape, values.dtype)
         known: dict[Any, tuple[Any, Any]] = {}
-        for place, value in np.ndenumerate(values):
+        for index, value in np.ndenumerate(values):
             if value.real not in known:
                 known[value.real] = _value_and_slope(function, value.real)
             height, slope = known[value.real]
-            found[place] = height + 1j * (slope * value.imag)
+            found[index] = height + 1j * (slope * value.imag)
         return found
 
     return continued

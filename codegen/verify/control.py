@@ -59,7 +59,7 @@ def _intervals(
             scalar=element.element,
             beside=element.cost,
             unknowns=program.element_symbols,
-            places=tuple(range(len(program.element_symbols))),
+            indices=tuple(range(len(program.element_symbols))),
             pattern=pattern,
             gradient=f"{stem}_gradient",
             hessian=f"{stem}_hessian",
@@ -78,12 +78,12 @@ def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple
     def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
         block: dict[tuple[int, int], Any] = {}
         kernel(values[STEP], [values[s] for s in others], block)
-        for place, pair in enumerate(pairs):
-            filled[place] = block.get(pair, filled[place])
+        for index, pair in enumerate(pairs):
+            filled[index] = block.get(pair, filled[index])
 
     block = replace(
         share,
-        places=tuple(range(first, first + size)),
+        indices=tuple(range(first, first + size)),
         pattern=tuple((first + row, first + column) for row, column in pairs),
         hessian="control_hessian",
         call_hessian=call,
@@ -110,13 +110,13 @@ def _ends(program: ControlProgram, module: Mapping[str, Any], guessed: GuessedPo
         def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any], node: Sequence[Symbol] = node) -> Any:
             return kernel([values[s] for s in node], values[time], [values[s] for s in others], filled)
 
-        unknowns, pinned = (*node, *program.shared_symbols), {place for place, _ in end.pins}
+        unknowns, pinned = (*node, *program.shared_symbols), {index for index, _ in end.pins}
         share = Share(
             name=f"the {name}",
             scalar=end.element,
             beside=end.cost,
             unknowns=unknowns,
-            places=tuple(place for place in range(len(unknowns)) if place not in pinned),
+            indices=tuple(index for index in range(len(unknowns)) if index not in pinned),
             pattern=_pattern(module, f"{name.upper()}_"),
             gradient=f"{name}_gradient",
             hessian=f"{name}_hessian",

@@ -14,7 +14,7 @@ from codegen.verify.points import random_points
 from codegen.verify.shares import Share, ShareComparison
 
 _DRAWN = 30
-_TABLES = ("COUPLING_KINDS", "COUPLING_ROWS", "COUPLING_COUNTS", "COUPLING_PLACES")
+_TABLES = ("COUPLING_KINDS", "COUPLING_ROWS", "COUPLING_COUNTS", "COUPLING_INDICES")
 _KERNEL = "coupling_term"
 
 
@@ -25,7 +25,7 @@ def verify_couplings(program: ControlProgram, text: Text) -> None:
     module = text.interpreted(*_TABLES)
     terms = list(zip(*(module[table].tolist() for table in _TABLES), strict=True))
     for number, coupling in enumerate(program.couplings):
-        own = [(kind, places[:count]) for kind, row, count, places in terms if row == number]
+        own = [(kind, indices[:count]) for kind, row, count, indices in terms if row == number]
         share = _share(program, coupling, own)
         symbols = list(dict.fromkeys([*share.unknowns, *parameters(program)]))
         points = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
@@ -35,39 +35,39 @@ def verify_couplings(program: ControlProgram, text: Text) -> None:
 def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[int, Sequence[int]]]) -> Share:
     """A condition as a scalar of the shared unknowns that it reads, or that its terms read."""
     every, others = shared_symbols(program), parameters(program)
-    named = {place for _, places in terms for place in places}
-    read = [place for place, symbol in enumerate(every) if place in named or coupling.expression.has(symbol)]
-    local, size = {place: i for i, place in enumerate(read)}, len(read)
+    named = {index for _, indices in terms for index in indices}
+    read = [index for index, symbol in enumerate(every) if index in named or coupling.expression.has(symbol)]
+    local, size = {index: i for i, index in enumerate(read)}, len(read)
     pattern = tuple((row, column) for row in range(size) for column in range(row + 1))
     entry = {pair: i for i, pair in enumerate(pattern)}
 
     def call_gradient(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
         total: Any = 0
-        for kind, places in terms:
-            slopes = [0] * len(places)
-            inputs, beside = [values[every[place]] for place in places], [values[s] for s in others]
-            total = kernel(kind, inputs, beside, slopes, [0] * len(places) ** 2) + total
-            for place, slope in zip(places, slopes, strict=True):
-                filled[local[place]] = slope + filled[local[place]]
+        for kind, indices in terms:
+            slopes = [0] * len(indices)
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            total = kernel(kind, inputs, beside, slopes, [0] * len(indices) ** 2) + total
+            for index, slope in zip(indices, slopes, strict=True):
+                filled[local[index]] = slope + filled[local[index]]
         return total
 
     def call_hessian(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
-        for kind, places in terms:
-            curvatures = [0] * len(places) ** 2
-            inputs, beside = [values[every[place]] for place in places], [values[s] for s in others]
-            kernel(kind, inputs, beside, [0] * len(places), curvatures)
-            for a, row in enumerate(places):
-                for b, column in enumerate(places):
+        for kind, indices in terms:
+            curvatures = [0] * len(indices) ** 2
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, beside, [0] * len(indices), curvatures)
+            for a, row in enumerate(indices):
+                for b, column in enumerate(indices):
                     if local[column] <= local[row]:
                         i = entry[local[row], local[column]]
-                        filled[i] = curvatures[a * len(places) + b] + filled[i]
+                        filled[i] = curvatures[a * len(indices) + b] + filled[i]
 
     return Share(
         name=f"the condition {coupling.multiplier.meaning}",
         scalar=coupling.expression,
         beside=coupling.expression,
-        unknowns=tuple(every[place] for place in read),
-        places=tuple(range(size)),
+        unknowns=tuple(every[index] for index in read),
+        indices=tuple(range(size)),
         pattern=pattern,
         gradient=_KERNEL,
         hessian=_KERNEL,
@@ -79,7 +79,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
 
 def shared_symbols(program: ControlProgram) -> list[Symbol]:
     """A symbol for every shared unknown: of each body in turn, then of the whole problem."""
-    symbols = [Symbol(f"_shared_{place}", real=True) for place in range(program.bodies * program.own)]
+    symbols = [Symbol(f"_shared_{index}", real=True) for index in range(program.bodies * program.own)]
     for symbol, body, j in program.coupling_symbols:
         symbols[body * program.own + j] = symbol
     return [*symbols, *program.shared_symbols[program.own :]]

@@ -73,8 +73,8 @@ def _applied(function: Any, *arguments: Any) -> Sized:
     value, size, little = function(*values), mpmath.mpf(0), mpmath.mpf(10) ** -30
     if not isinstance(value, mpmath.mpf) or not mpmath.isfinite(value):
         raise ValueError("no real value")
-    for place, argument in enumerate(given):
-        moved = [*values[:place], argument.value + little * argument.size, *values[place + 1 :]]
+    for index, argument in enumerate(given):
+        moved = [*values[:index], argument.value + little * argument.size, *values[index + 1 :]]
         size += abs(mpmath.re(function(*moved)) - value) / little
     return Sized(value, abs(value) + size)
 

@@ -21,7 +21,7 @@ from codegen.verify.tape import Arithmetic
 class Text:
     """The text of a module, of which parts are executed without compiling them to machine code.
 
-    Functions that look `tables` up have those themselves in their places when kernels are executed.
+    Functions that look `tables` up have those themselves in their indices when kernels are executed.
     """
 
     def __init__(self, text: str, tables: Sequence[TableData] = ()) -> None:

@@ -81,10 +81,10 @@ def _require_equal(quantity: str, emitted: Array, right: Array, part: float) -> 
         return
     odd = ~(abs(emitted - right) <= part * abs(right).max(initial=0.0))
     if odd.any():
-        place = tuple(int(i) for i in np.argwhere(odd)[0])
+        index = tuple(int(i) for i in np.argwhere(odd)[0])
         raise VerificationError(
-            f"the emitted code gives {float(emitted[place]):.8g} for {quantity}{list(place) or ''}, where "
-            f"{float(right[place]):.8g} is right",
+            f"the emitted code gives {float(emitted[index]):.8g} for {quantity}{list(index) or ''}, where "
+            f"{float(right[index]):.8g} is right",
             "this is a defect of codegen, and nothing was written; please report it with the problem file",
         )
 
@@ -122,7 +122,7 @@ class _Exact:
                 total = total + self.both.evaluate(both, self.numbers)[0]
         return total
 
-    def _symbols(self, place: Any, states: Array, own: Array, particle: int) -> dict[Symbol, Any]:
+    def _symbols(self, symbols: Any, states: Array, own: Array, particle: int) -> dict[Symbol, Any]:
         moving = [states[:, :, part, particle, k] for part in range(2) for k in range(states.shape[-1])]
-        values = dict(zip(place.moving, moving, strict=True))
-        return values | dict(zip(place.own, own[particle].astype(np.clongdouble), strict=True))
+        values = dict(zip(symbols.moving, moving, strict=True))
+        return values | dict(zip(symbols.own, own[particle].astype(np.clongdouble), strict=True))

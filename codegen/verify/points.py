@@ -70,10 +70,10 @@ class GuessedPoints:
         """Values on three intervals between two parts of the chain; `others` are what the parameters hold."""
         count = self.grid.steps
         first, last = int(within[0] * count), max(int(within[0] * count), round(within[1] * count) - 1)
-        places = sorted({first, (first + last) // 2, last})
-        rows = [place * self.module["STRIDE"] for place in places for _ in _MOVED]
+        intervals = sorted({first, (first + last) // 2, last})
+        rows = [interval * self.module["STRIDE"] for interval in intervals for _ in _MOVED]
         values = self._moved(rows, local, others)
-        t = np.array([(place + _BESIDE) * self.grid.h for place in places for _ in _MOVED])
+        t = np.array([(interval + _BESIDE) * self.grid.h for interval in intervals for _ in _MOVED])
         return values | {_TIME: t, STEP: np.full(t.size, self.grid.h)}
 
     def at_node(self, last: bool, local: Sequence[Symbol], others: Sequence[Symbol]) -> Values:
@@ -87,10 +87,10 @@ class GuessedPoints:
         moved = np.tile(_MOVED, len(rows) // len(_MOVED))
         values: Values = {}
         for offset, symbol in enumerate(local):
-            places = np.array(rows) + offset
-            at = self.unknowns[places]
+            indices = np.array(rows) + offset
+            at = self.unknowns[indices]
             noise = self.generator.uniform(-1.0, 1.0, at.size)
-            multiplier = self.grid.is_multiplier[places[0]]
+            multiplier = self.grid.is_multiplier[indices[0]]
             values[symbol] = noise if multiplier else at + moved * noise * self._size(offset)
         shared = len(others) - self.module.get("SHARED", 0)
         for column, symbol in enumerate(others):
@@ -127,5 +127,5 @@ def finite_points(tape: Evaluated, candidates: Sequence[Values]) -> tuple[Values
         size = len(next(iter(values.values())))
         finite = np.logical_and.reduce([np.isfinite(np.broadcast_to(array, size)) for array in results])
         found.append((values, np.flatnonzero(finite)[:_KEPT]))
-    count = sum(len(places) for _, places in found)
-    return {s: np.concatenate([values[s][places] for values, places in found]) for s in candidates[0]}, count
+    count = sum(len(indices) for _, indices in found)
+    return {s: np.concatenate([values[s][indices] for values, indices in found]) for s in candidates[0]}, count

@@ -28,7 +28,7 @@ Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
 class Share:
     """A scalar, what the kernel of its gradient returns beside it, and the two kernels as they are called.
 
-    `returned` says what is beside. `places` are those of the unknowns whose derivatives are emitted; `pattern` has
+    `returned` says what is beside. `indices` are those of the unknowns whose derivatives are emitted; `pattern` has
     pairs of unknowns.
     """
 
@@ -36,7 +36,7 @@ class Share:
     scalar: Expr
     beside: Expr
     unknowns: tuple[Symbol, ...]
-    places: tuple[int, ...]
+    indices: tuple[int, ...]
     pattern: tuple[tuple[int, int], ...]
     gradient: str
     hessian: str
@@ -52,8 +52,8 @@ class ShareComparison:
         self.share, self.text = share, text
         self.tape = Tape([share.scalar, share.beside])
         self.points, self.count = finite_points(self.tape, candidates)
-        rows = (p for p in share.places)
-        self.pairs = [(row, column) for row in rows for column in share.places if column <= row]
+        rows = (p for p in share.indices)
+        self.pairs = [(row, column) for row in rows for column in share.indices if column <= row]
         self._evaluations: dict[Any, tuple[Any, ...]] = {}
         self._sized: dict[tuple[str, int], tuple[list[Any], Any]] = {}
 
@@ -64,8 +64,8 @@ class ShareComparison:
         share = self.share
         self._judge([f"{share.returned} {share.name}"], 0, lambda entry: [])
         of, unknowns = f"of {share.name}'s share of the Lagrangian by", share.unknowns
-        names = [f"the derivative {of} {unknowns[place]}" for place in share.places]
-        self._judge(names, 1, lambda entry: [share.places[entry]])
+        names = [f"the derivative {of} {unknowns[index]}" for index in share.indices]
+        self._judge(names, 1, lambda entry: [share.indices[entry]])
         names = [f"the second derivative {of} {unknowns[row]} and {unknowns[column]}" for row, column in self.pairs]
         self._judge(names, 2, lambda entry: list(self.pairs[entry]))
 
@@ -80,13 +80,13 @@ class ShareComparison:
 
     def _evaluate(self, kind: Any) -> tuple[Any, ...]:
         share, numbers, step = self.share, complex_numbers(kind), step_of(kind)
-        size, chosen = len(share.unknowns), list(share.places)
+        size, chosen = len(share.unknowns), list(share.indices)
         shape = self.count, size
         plain = {symbol: array.astype(kind)[:, None] for symbol, array in self.points.items()}
         moved = dict(plain)
-        for place, symbol in enumerate(share.unknowns):
+        for index, symbol in enumerate(share.unknowns):
             moved[symbol] = np.tile(plain[symbol], (1, size))
-            moved[symbol][:, place] += 1j * step
+            moved[symbol][:, index] += 1j * step
         scalar, beside = (np.broadcast_to(value, shape) for value in self.tape.evaluate(moved, numbers))
         gradient: list[Any] = [kind(0)] * size
         kernels = self.text.kernels((share.gradient, share.hessian), numbers)
@@ -107,9 +107,9 @@ class ShareComparison:
 
     def _opinion(self, order: int, by: list[int], point: int) -> tuple[Sized, Any, Any]:
         at = {symbol: float(array[point]) for symbol, array in self.points.items()}
-        place = 0 if order else 1
+        index = 0 if order else 1
         names = [self.share.unknowns[i] for i in by]
-        exact, error = difference(lambda values: self.tape.evaluate(values, EXACT)[place], at, names)
+        exact, error = difference(lambda values: self.tape.evaluate(values, EXACT)[index], at, names)
         return self._with_digits(order, by, point, at), exact, error
 
     def _with_digits(self, order: int, by: list[int], point: int, at: Mapping[Symbol, float]) -> Sized:

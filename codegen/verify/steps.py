@@ -111,9 +111,9 @@ class _Kernels:
             step, numbers = step_of(kind), complex_numbers(kind)
             given = {symbol: array.astype(kind)[:, None] for symbol, array in points.items()}
             moved = dict(given)
-            for place, y in enumerate(unknowns):
+            for index, y in enumerate(unknowns):
                 moved[y] = np.tile(given[y], (1, size))
-                moved[y][:, place] += 1j * step
+                moved[y][:, index] += 1j * step
             exact = [np.broadcast_to(np.asarray(value, kind), (count, size)) for value in read.evaluate(moved, numbers)]
             heights = np.stack([value[:, 0].real for value in exact], axis=1)
             slopes = np.concatenate([value.imag / step for value in exact], axis=1)

@@ -1,4 +1,4 @@
-"""Look-ups of tables as a text has them, at numbers and places of its own, against the tables themselves."""
+"""Look-ups of tables as a text has them, at numbers and indices of its own, against the tables themselves."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Tape:
     """The parts of some expressions, each after those that it is made of."""
 
     def __init__(self, expressions: Sequence[Expr]) -> None:
-        self.places: dict[Basic, int] = {}
+        self.indices: dict[Basic, int] = {}
         self.parts: list[tuple[Basic, tuple[int, ...]]] = []
         self.results = [self._placed(sympy.sympify(e)) for e in expressions]
 
@@ -45,22 +45,22 @@ class Tape:
         waiting = [root]
         while waiting:
             part = waiting[-1]
-            missing = [] if part in self.places else [a for a in part.args if a not in self.places]
+            missing = [] if part in self.indices else [a for a in part.args if a not in self.indices]
             if missing:
                 waiting += missing
                 continue
             waiting.pop()
-            if part not in self.places:
-                self.places[part] = len(self.parts)
-                self.parts.append((part, tuple(self.places[a] for a in part.args)))
-        return self.places[root]
+            if part not in self.indices:
+                self.indices[part] = len(self.parts)
+                self.parts.append((part, tuple(self.indices[a] for a in part.args)))
+        return self.indices[root]
 
     def evaluate(self, values: Mapping[Symbol, Any], arithmetic: Arithmetic) -> list[Any]:
         """The values of the expressions, given those of their symbols."""
         known: list[Any] = []
-        for part, places in self.parts:
-            known.append(_value(part, [known[place] for place in places], values, arithmetic))
-        return [known[place] for place in self.results]
+        for part, indices in self.parts:
+            known.append(_value(part, [known[index] for index in indices], values, arithmetic))
+        return [known[index] for index in self.results]
 
 
 def _value(part: Basic, given: list[Any], values: Mapping[Symbol, Any], a: Arithmetic) -> Any:

@@ -91,9 +91,9 @@ def test_permuted_pattern(prepared, damaged):
     context = prepared("linear_pendulum")
     columns = [int(c) for c in context.module.HESSIAN_COLUMNS]
     rows = [int(r) for r in context.module.HESSIAN_ROWS]
-    place = next(i for i in range(1, len(rows)) if rows[i] == rows[i - 1] and columns[i] - columns[i - 1] > 1)
+    index = next(i for i in range(1, len(rows)) if rows[i] == rows[i - 1] and columns[i] - columns[i - 1] > 1)
     permuted = [*columns]
-    permuted[place - 1] += 1  # the entry moves to a neighbouring column
+    permuted[index - 1] += 1  # the entry moves to a neighbouring column
     damage = damaged(context, f"HESSIAN_COLUMNS = np.array({columns}", f"HESSIAN_COLUMNS = np.array({permuted}")
     missing, needless = failures("sparsity", damage)
     assert "not emitted: d2l/d" in missing.detail

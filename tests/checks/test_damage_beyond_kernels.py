@@ -38,7 +38,7 @@ def test_value_of_a_coupling(prepared, damaged):
 def test_places_of_a_coupling(prepared, damaged):
     """One side of the polygon would connect craft 0 and 2 instead of 0 and 1."""
     context = prepared("hovercraft")
-    damage = damaged(context, "COUPLING_PLACES = np.array([[0, 2]", "COUPLING_PLACES = np.array([[0, 4]")
+    damage = damaged(context, "COUPLING_INDICES = np.array([[0, 2]", "COUPLING_INDICES = np.array([[0, 4]")
     found = failures("derivatives", damage)
     assert {failure.subject for failure in found} > {"coupling_term", "slopes of coupling_term"}
     assert all("condition of nu_1" in failure.detail for failure in found)
@@ -46,9 +46,9 @@ def test_places_of_a_coupling(prepared, damaged):
 
 def test_coupling_that_reads_beyond_the_shared_unknowns(prepared, damaged):
     context = prepared("hovercraft")
-    damage = damaged(context, "COUPLING_PLACES = np.array([[0, 2]", "COUPLING_PLACES = np.array([[0, 6]")
+    damage = damaged(context, "COUPLING_INDICES = np.array([[0, 2]", "COUPLING_INDICES = np.array([[0, 6]")
     (failure,) = failures("layout", damage)
-    assert "COUPLING_PLACES is" in failure.detail
+    assert "COUPLING_INDICES is" in failure.detail
     assert "below 6" in failure.detail
 
 
@@ -65,7 +65,7 @@ def test_coupling_that_is_told_too_few_unknowns(prepared, damaged):
     ("old", "new"),
     [
         ("END_SHARED = np.array([0, 1]", "END_SHARED = np.array([1, 0]"),
-        ("END_SHARED_PLACES = np.array([0, 1]", "END_SHARED_PLACES = np.array([0, 2]"),
+        ("END_TIED = np.array([0, 1]", "END_TIED = np.array([0, 2]"),
         ("END_PINNED = np.array([0, 1, 2]", "END_PINNED = np.array([0, 2]"),
         ("OWN = 2", "OWN = 1"),
         ("SHARED = 2", "SHARED = 3"),
@@ -89,7 +89,7 @@ def test_gradient_by_shared_unknowns_that_is_lost(prepared, damaged):
     """The equations of motion of the last interval act on where a craft ends."""
     context = prepared("hovercraft")
     loop = re.search(
-        r"( +)for i in range\(END_SHARED\.size\):\n +root\[root_place\(body, END_SHARED\[i\]\)\] \+=.*",
+        r"( +)for i in range\(END_SHARED\.size\):\n +root\[root_index\(body, END_SHARED\[i\]\)\] \+=.*",
         text_from(context, "release_tied"),
     )
     found = failures("assembly", damaged(context, loop[0], loop[0].replace("+=", "-=")))
@@ -172,10 +172,10 @@ def test_bound_that_is_left_out(prepared, damaged):
 @pytest.mark.parametrize("table", ["SLACKS", "SLACK_MULTIPLIERS"])
 def test_tables_of_slacks(prepared, damaged, table):
     context = prepared("low_thrust")
-    (place,) = map(int, getattr(context.module, table))
-    damage = damaged(context, f"{table} = np.array([{place}]", f"{table} = np.array([{place - 1}]")
+    (index,) = map(int, getattr(context.module, table))
+    damage = damaged(context, f"{table} = np.array([{index}]", f"{table} = np.array([{index - 1}]")
     (failure,) = failures("layout", damage)
-    assert f"{table} is [{place - 1}], expected [{place}]" in failure.detail
+    assert f"{table} is [{index - 1}], expected [{index}]" in failure.detail
 
 
 # ---- The linear system ----

@@ -116,11 +116,11 @@ def test_optimality_conditions_are_relative_to_large_multipliers(interpreted):
     """Multipliers of 470 on average make 4.7 times the tolerance of 1e-10, and ten times that is let pass."""
     module, request = interpreted("two_stage_rocket"), Run(5, scaling="none")
     attempt = newton(module, request)
-    place = module.multiplier_unknowns(module.make_grid(5))[10]
+    index = module.multiplier_unknowns(module.make_grid(5))[10]
 
     def with_multiplier_off_by(change):
         unknowns = attempt.unknowns.copy()
-        unknowns[place] += change
+        unknowns[index] += change
         return control_result(module, "newton", request, replace(attempt, unknowns=unknowns))
 
     slope = with_multiplier_off_by(1.0).stationarity

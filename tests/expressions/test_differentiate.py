@@ -69,7 +69,7 @@ def assert_number(found, wanted) -> None:
 def test_derivatives_are_those_of_the_tree(scalar):
     found, point = second_derivatives(scalar, UNKNOWNS), {s: sympy.Float(v, DIGITS) for s, v in POINT.items()}
     first = evaluated(found.gradient, POINT)
-    second = dict(zip(found.places, evaluated(found.hessian, POINT), strict=True))
+    second = dict(zip(found.indices, evaluated(found.hessian, POINT), strict=True))
     for i, x in enumerate(UNKNOWNS):
         slope = sympy.diff(scalar, x)
         assert_number(first[i], slope.xreplace(point).evalf(DIGITS))
@@ -86,7 +86,7 @@ def test_derivatives_of_functions_with_branches(scalar):
     slopes, curvatures = gradient(function, numbers, range(3)), second_differences(function, numbers, pairs)
     found = second_derivatives(scalar, UNKNOWNS)
     first = evaluated(found.gradient, POINT)
-    second = dict(zip(found.places, evaluated(found.hessian, POINT), strict=True))
+    second = dict(zip(found.indices, evaluated(found.hessian, POINT), strict=True))
     for value, wanted in zip(first, slopes, strict=True):
         assert_number(value, wanted)
     for pair in pairs:
@@ -105,20 +105,20 @@ def test_assignments_read_only_what_stands_before_them_and_entries_without_unkno
             assigned.add(symbol)
         for value in program.values:
             assert value.free_symbols <= {*UNKNOWNS, P} | assigned
-    for (i, j), value in zip(found.places, found.hessian.values, strict=True):
+    for (i, j), value in zip(found.indices, found.hessian.values, strict=True):
         if sympy.diff(scalar, UNKNOWNS[i], UNKNOWNS[j]).free_symbols <= {P}:
             assert value.free_symbols <= {P} or not value.free_symbols - {P} <= set(UNKNOWNS)
 
 
 def test_entries_that_cancel_are_left_out():
     scalar = sin(X + Y) - sin(X) * cos(Y) - cos(X) * sin(Y) + X * Z
-    assert second_derivatives(scalar, UNKNOWNS).places == ((2, 0),)
+    assert second_derivatives(scalar, UNKNOWNS).indices == ((2, 0),)
 
 
 def test_constant_entries_are_written_in_parameters_alone():
     scalar = P * (X**2 + Y) ** 2 + P**2 * Z * (X - 3 * Y) + Z**2 / P
     found = second_derivatives(scalar, UNKNOWNS)
-    entries = dict(zip(found.places, found.hessian.values, strict=True))
+    entries = dict(zip(found.indices, found.hessian.values, strict=True))
     assert entries[2, 0] == P**2
     assert entries[2, 1] == -3 * P**2
     assert entries[2, 2] == 2 / P
@@ -171,7 +171,7 @@ def test_a_deep_expression_takes_neither_long_nor_many_operations():
         curvature = (at(x + step, y) - 2 * at(x, y) + at(x - step, y)) / step**2
     point = {X: 0.3, Y: 0.2}
     assert_number(evaluated(found.gradient, point)[0], slope)
-    assert_number(evaluated(found.hessian, point)[found.places.index((0, 0))], curvature)
+    assert_number(evaluated(found.hessian, point)[found.indices.index((0, 0))], curvature)
 
 
 @pytest.mark.parametrize("method", ["variational", "hamiltonian"])
@@ -186,9 +186,9 @@ def test_element_of_a_chain_of_three_pendulums(method):
     scalar = function_of(symbols_, [program.element])
     (point,) = random_points([program.element], symbols_, program.model.default_values, count=1)
     numbers = [point[symbol] for symbol in symbols_]
-    places = range(len(found.unknowns))
-    pairs = [(i, j) for i in places for j in range(i + 1)]
-    slopes, curvatures = gradient(scalar, numbers, places), second_differences(scalar, numbers, pairs)
+    indices = range(len(found.unknowns))
+    pairs = [(i, j) for i in indices for j in range(i + 1)]
+    slopes, curvatures = gradient(scalar, numbers, indices), second_differences(scalar, numbers, pairs)
     entries = {(row, column): value for row, column, value in found.hessian}
     assert len(entries) == len(found.hessian)
     first = evaluated(StraightLine(found.gradient_assignments, found.gradient), point)

@@ -6,17 +6,17 @@ from sympy import acos, sqrt, symbols
 from codegen.expressions.terms import sorted_terms
 
 a, b, c, d = QUANTITIES = symbols("a b c d", real=True)
-PLACES = {symbol: place for place, symbol in enumerate(QUANTITIES)}
+INDICES = {symbol: index for index, symbol in enumerate(QUANTITIES)}
 
 
 def kinds_and_values(conditions, point):
     """The number of kinds, and every condition's value as the sum of its instances'."""
-    kinds, instances = sorted_terms(conditions, PLACES)
+    kinds, instances = sorted_terms(conditions, INDICES)
     values = [sympy.S.Zero] * len(conditions)
     for instance in instances:
         kind = kinds[instance.kind]
         values[instance.row] += kind.expression.subs(
-            dict(zip(kind.arguments, (point[place] for place in instance.places), strict=True)), simultaneous=True
+            dict(zip(kind.arguments, (point[index] for index in instance.indices), strict=True)), simultaneous=True
         )
     return len(kinds), values
 

@@ -75,8 +75,8 @@ def factor_kkt(
     matrix[np.diag_indices_from(matrix)] += np.where(grid.free, diagonal, 1.0)
     if not np.isfinite(matrix).all():
         return None
-    system[0], system[1], place = dgetrf(matrix)
-    if place:
+    system[0], system[1], index = dgetrf(matrix)
+    if index:
         return None
     scale = 1.0 / np.sqrt(np.abs(matrix).max(axis=0))
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(scale, scale))
@@ -211,24 +211,24 @@ def transcribe(motion: Motion, steps: int) -> Dense:
     local = [*states, *multipliers, *controls, *slacks, *right, *shared]
     stride, node = len(local) - len(right) - len(shared), len(states)
     size = stride * steps + node + len(shared)
-    places = np.arange(steps)[:, None] * stride + np.arange(len(local))
+    indices = np.arange(steps)[:, None] * stride + np.arange(len(local))
     if shared:
-        places[:, -1] = size - 1
-    pairs = (places[:, :, None] * size + places[:, None, :]).ravel()
+        indices[:, -1] = size - 1
+    pairs = (indices[:, :, None] * size + indices[:, None, :]).ravel()
     element = cost + sum(y * r for y, r in zip(multipliers, residuals, strict=True))
     ends = [*range(size - len(shared) - node, size - len(shared)), *range(size - len(shared), size)]
     first, second = _derivatives(element, cost, local)
     end_first, end_second = _derivatives(motion.terminal, motion.terminal, [*states, *shared])
 
     def lagrangian(x: Vector) -> tuple[float, Vector]:
-        values = first(x[places])
-        gradient = np.bincount(places.ravel(), values[:, 1:].ravel(), size)
+        values = first(x[indices])
+        gradient = np.bincount(indices.ravel(), values[:, 1:].ravel(), size)
         last = end_first(x[None, ends])[0]
         gradient[ends] += last[1:]
         return float(values[:, 0].sum() + last[0]), gradient
 
     def hessian(x: Vector) -> Vector:
-        matrix = np.bincount(pairs, second(x[places]).ravel(), size * size).reshape(size, size)
+        matrix = np.bincount(pairs, second(x[indices]).ravel(), size * size).reshape(size, size)
         matrix[np.ix_(ends, ends)] += end_second(x[None, ends])[0]
         return matrix
 

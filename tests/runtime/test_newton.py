@@ -192,9 +192,9 @@ def test_infeasible_is_a_minimum_of_the_violation(equations: Any, inequalities: 
     assert point.residual == pytest.approx(least, rel=1e-5)  # the barrier keeps a distance to the bound
     jacobian = dense_problem.kkt_matrix(grid, point.unknowns)[np.ix_(grid.is_multiplier, ~grid.is_multiplier)]
     residual = dense_problem.evaluate(grid, point.unknowns).gradient[grid.is_multiplier]
-    pull, place = jacobian.T @ residual, point.unknowns[~grid.is_multiplier]
+    pull, found = jacobian.T @ residual, point.unknowns[~grid.is_multiplier]
     lower, upper = grid.lower[~grid.is_multiplier], grid.upper[~grid.is_multiplier]
-    assert np.abs(place - np.clip(place - pull, lower, upper)).max() <= 1e-3
+    assert np.abs(found - np.clip(found - pull, lower, upper)).max() <= 1e-3
 
 
 def test_non_finite() -> None:
@@ -238,10 +238,10 @@ def test_warm_start_takes_fewer_iterations() -> None:
 
 
 def test_unknowns_stay_inside_in_spite_of_rounding() -> None:
-    place, side = np.array([0, 0]), np.array([1.0, -1.0])
+    indices, side = np.array([0, 0]), np.array([1.0, -1.0])
     trial, distance = np.empty(1), np.empty(2)
     for step in (-1.0, 1.0):  # from 2 to either bound, 1 or 3
-        barrier.move(np.array([2.0]), np.array([step]), 1.0, place, side, np.ones(2), trial, distance)
+        barrier.move(np.array([2.0]), np.array([step]), 1.0, indices, side, np.ones(2), trial, distance)
         assert trial[0] == 2.0 + step
         assert (distance > 0.0).all()
 

@@ -115,8 +115,8 @@ def test_jacobian_of_a_long_step_is_that_of_its_residual() -> None:
 def test_a_jacobian_leaves_out_what_vanishes_and_keeps_what_is_small() -> None:
     x, y, a = sympy.symbols("x y a", real=True)
     values = (sympy.sin(x) ** 2 + sympy.cos(x) ** 2 + a * y, sympy.exp(-(a**2) - 900) * x)
-    program, places = differentiate.jacobian(values, (x, y), (a,))
-    assert places == ((0, 1), (1, 0))
+    program, indices = differentiate.jacobian(values, (x, y), (a,))
+    assert indices == ((0, 1), (1, 0))
     assert program.values[2] == a
     assert sympy.simplify(program.values[3] - sympy.exp(-(a**2) - 900)) == 0
 

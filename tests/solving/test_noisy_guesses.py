@@ -18,9 +18,9 @@ def hovercraft():
 def noisy(module, grid, seed: int):
     """The problem's guess with noise of a tenth on everything that is not given."""
     guess = module.initial_guess(grid)
-    places = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
-    size = np.abs(guess[places])
-    guess[places] += 0.1 * np.random.default_rng(seed).standard_normal(size.size) * (size + 0.1 * size.max())
+    indices = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
+    size = np.abs(guess[indices])
+    guess[indices] += 0.1 * np.random.default_rng(seed).standard_normal(size.size) * (size + 0.1 * size.max())
     return module.with_pinned_values(grid, guess)
 
 

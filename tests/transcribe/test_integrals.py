@@ -47,7 +47,7 @@ def solved(problem: Control | Phases, steps: int, **choices: str):
 
 def multipliers(module, solution) -> list[float]:
     first = solution.unknowns.size - module.ROOT
-    return [float(solution.unknowns[first + place]) for _, place in module.metadata["integrals"]]
+    return [float(solution.unknowns[first + index]) for _, index in module.metadata["integrals"]]
 
 
 @pytest.mark.parametrize("form", ["lagrangian", "hamiltonian", "dynamics"])

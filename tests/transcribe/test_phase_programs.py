@@ -133,9 +133,9 @@ def test_unknowns_of_both_ends_and_of_switches_have_different_names():
     assert len(all_names) == len(set(all_names))
     assert len(program.only_at_ends) == 4
     for end, own in ((program.start, program.start.slacks), (program.end, program.end.slacks)):
-        pinned = [place for place, _ in end.pins]
+        pinned = [index for index, _ in end.pins]
         assert len(pinned) == len(set(pinned))
-        assert not set(pinned) & {place for pair in own for place in pair}
+        assert not set(pinned) & {index for pair in own for index in pair}
 
 
 def bouncing(jump: bool, masses: tuple = (1, 1)) -> Phases:
@@ -182,7 +182,7 @@ def test_momenta_are_matched_together_where_velocities_couple_them():
     )
     assert names(program_of(phases).interval) == ["switch_da", "switch_db", "pi_a", "pi_b"]
     hamiltonian = program_of(phases, method="hamiltonian")
-    assert {hamiltonian.node[place].name for place in hamiltonian.phases[1].jumping} == {"p_a", "p_b"}
+    assert {hamiltonian.node[index].name for index in hamiltonian.phases[1].jumping} == {"p_a", "p_b"}
 
 
 def test_controls_on_nodes_are_refused():

@@ -99,7 +99,7 @@ DEFECTS = {
     "sign of a gradient": ("interval_gradient", r"gradient\[1\] = (.*?)(  #|\n)", r"gradient[1] = -(\1)\2"),
     "factor in a Hessian": ("interval_hessian", r"hessian\[3\] = (.*?)(  #|\n)", r"hessian[3] = 1.000001*(\1)\2"),
     "dropped entry": ("interval_hessian", r"hessian\[4\] = (.*?)(  #|\n)", r"hessian[4] = 0.0\2"),
-    "wrong place": ("interval_hessian", r"hessian\[2\] = ", "hessian[3] = "),
+    "wrong index": ("interval_hessian", r"hessian\[2\] = ", "hessian[3] = "),
     "term missing": ("interval_gradient", r"gradient\[5\] = .*? [+-] ", "gradient[5] = "),
     "wrong exponent": ("interval_gradient", r"\*\*2", "**3"),
     "wrong parameter": ("interval_gradient", r"parameters\[0\]", "parameters[1]"),
@@ -249,9 +249,9 @@ def test_planted_defect_of_conditions_between_bodies_is_found(of_hovercraft, nam
 def test_a_term_that_reads_another_unknown_is_found(of_hovercraft):
     program, text = of_hovercraft
     verify.verify(program, text)
-    assert "COUPLING_PLACES = np.array([[0, 2], " in text
+    assert "COUPLING_INDICES = np.array([[0, 2], " in text
     with pytest.raises(VerificationError, match="the condition"):
-        verify.verify(program, text.replace("PLACES = np.array([[0, 2], ", "PLACES = np.array([[0, 3], "))
+        verify.verify(program, text.replace("INDICES = np.array([[0, 2], ", "INDICES = np.array([[0, 3], "))
 
 
 FLAT = {
@@ -266,7 +266,7 @@ FLAT = {
 @pytest.mark.parametrize("name", FLAT)
 def test_entries_lost_because_they_are_small_elsewhere_are_found(name, monkeypatch):
     """With a test for zero by size, entries go missing where the motion is, and no module is written."""
-    term, place = FLAT[name]
+    term, far = FLAT[name]
     x, v = states("x v")
     u = control("u")
     model = normalise(
@@ -274,8 +274,8 @@ def test_entries_lost_because_they_are_small_elsewhere_are_found(name, monkeypat
             dynamics={x: v, v: u + term(x) * v},
             cost=u**2,
             duration=1,
-            start={x: place, v: 0},
-            end={x: place + 0.1, v: 0},
+            start={x: far, v: 0},
+            end={x: far + 0.1, v: 0},
             steps=8,
         )
     )

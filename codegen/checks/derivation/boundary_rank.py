@@ -94,26 +94,26 @@ def _couplings(context: Context) -> Iterator[Finding]:
         return
     kept = f"{len(found.kept)} of {len(names)} are independent" + ("" if found.dropped else ", none is redundant")
     yield Finding("boundary rank", subject, True, kept)
-    for place, others in found.dropped:
+    for index, others in found.dropped:
         sources = "; ".join(map(shortened, others))
         detail = f"redundant, and left out: it follows from {sources}" if others else "redundant: it says nothing"
-        missed = _missed(context, place)
+        missed = _missed(context, index)
         passed = solution.status != "solved" or missed <= _HOLDS
         if not passed:
             detail = f"left out as redundant, but the solution violates it by {missed:.2g}; start from a better guess"
-        name = shortened(names[place])
-        subject = name if name == names[place] else f"number {place + 1}, {name}"  # the beginning may be that of others
+        name = shortened(names[index])
+        subject = name if name == names[index] else f"number {index + 1}, {name}"  # the beginning may be that of others
         yield Finding("boundary rank", subject, passed, detail)
 
 
-def _missed(context: Context, place: int) -> float:
+def _missed(context: Context, index: int) -> float:
     """By how much the solution violates a condition between bodies."""
     model, solution = context.model, context.solution
     free = dict(zip((p.symbol for p in model.free_parameters), free_values(context.module, solution), strict=True))
     width = len(model.coordinates)
     values = model.default_values | free
     values |= {v.symbol: float(solution.q[-1, v.body * width + v.coordinate]) for v in model.end_values}
-    number = expressions.rounded_at(model.couplings[place].expression, values)
+    number = expressions.rounded_at(model.couplings[index].expression, values)
     return abs(number) if number is not None else float("inf")
 
 
@@ -159,8 +159,8 @@ def _named(program: ControlProgram, intervals: int, null: Any, rows: Any, touche
     conditions = dict[str, None]()
     for body in range(program.bodies):
         for where, end, k in (("start", program.start, 0), ("end", program.end, flat.steps)):
-            places = flat.node(body, k)
-            conditions |= _conditions(program, where, end, weights[places] > bound, touched[places] > bound)
+            indices = flat.node(body, k)
+            conditions |= _conditions(program, where, end, weights[indices] > bound, touched[indices] > bound)
     listed = ", ".join(conditions) or "no boundary condition"
     involved = "; ".join(equations)
     return f"redundant or unreachable: one of {listed} ({involved} depend on each other); leave one of them free"
@@ -170,12 +170,12 @@ def _conditions(program: ControlProgram, where: str, end: EndElement, takes_part
     """Prescribed positions (or momenta) whose column a null vector meets, and velocities whose equation it holds."""
     values = {value.symbol: value for value in program.boundary_values}
     found = dict[str, None]()
-    for place, value in end.pins:
-        if value in values and touched[place]:
+    for index, value in end.pins:
+        if value in values and touched[index]:
             found[f"{where} {values[value].quantity}"] = None
     symbols = program.left_symbols if where == "start" else program.right_symbols
-    for place, unknown in enumerate(program.node):
-        if unknown.multiplier and takes_part[place]:
-            condition = end.element.diff(symbols[place])
+    for index, unknown in enumerate(program.node):
+        if unknown.multiplier and takes_part[index]:
+            condition = end.element.diff(symbols[index])
             found |= {f"{where} {values[s].quantity}": None for s in values if s in condition.free_symbols}
     return found

@@ -115,21 +115,21 @@ def weight_of_node(scheme: DiscreteLagrangian) -> Expr:
     def basis(own: Expr, c: Expr) -> Expr:
         return sympy.prod([(c - node) / (own - node) for node in scheme.nodes if node != own])
 
-    shares = (basis(own, point.place) * point.weight for point in scheme.points for own in (S.Zero, S.One))
+    shares = (basis(own, point.abscissa) * point.weight for point in scheme.points for own in (S.Zero, S.One))
     return sympy.expand(sympy.Add(*shares))
 
 
 def inner_motion(model: Model, scheme: DiscreteLagrangian, before: bool) -> dict[Symbol, Expr]:
     """Inner points of the interval after a node at time t, or before it, on q(t + s) = q + s v + s^2 a/2."""
-    place: dict[Symbol, Expr] = {}
+    substitution: dict[Symbol, Expr] = {}
     for i, c in enumerate(scheme.nodes[1:-1], start=1):
         s = STEP * (c - 1 if before else c)
         motion = zip(model.coordinates, model.rates, _accelerations(model), strict=True)
-        place |= {
+        substitution |= {
             site: x + s * w + s**2 * b / 2
             for site, (x, w, b) in zip(at_nodes(model.coordinates, f"_stage{i}"), motion, strict=True)
         }
-    return place
+    return substitution
 
 
 def _nodal(
@@ -187,14 +187,14 @@ def _stepwise(
         equations = [equation for _, equation in program.equations]
     else:
         equations = [in_time(program, equation) for name, equation in program.equations if name == "0"]
-    size, places = len(states), scheme.step().places
-    place: dict[Symbol, Expr] = constant_controls(program)
-    suffixes = ("_k", *(f"_stage{n}" for n in range(1, len(places))), "_k1")
-    for suffix, c in zip(suffixes, (S.Zero, *places), strict=True):
+    size, abscissae = len(states), scheme.step().abscissae
+    substitution: dict[Symbol, Expr] = constant_controls(program)
+    suffixes = ("_k", *(f"_stage{n}" for n in range(1, len(abscissae))), "_k1")
+    for suffix, c in zip(suffixes, (S.Zero, *abscissae), strict=True):
         sites = zip(at_nodes(states, suffix), states, rates, strict=True)
-        place |= {site: x + c * STEP * rate for site, x, rate in sites}
+        substitution |= {site: x + c * STEP * rate for site, x, rate in sites}
     leading = equations if scheme.is_chain else equations[-size:]
-    return [sum(leading[i::size], S.Zero).xreplace(place).xreplace(equal) for i in range(size)]
+    return [sum(leading[i::size], S.Zero).xreplace(substitution).xreplace(equal) for i in range(size)]
 
 
 def _flow(model: Model, rates: Sequence[Symbol]) -> list[Expr]:

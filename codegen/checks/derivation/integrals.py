@@ -27,14 +27,14 @@ def check(context: Context) -> Iterator[Finding]:
         yield does_not_apply("integrals", "there are no conditions on integrals")
         return
     program, model = context.control, context.control.model
-    place, rates = _smooth_motion(context, program)
+    substitution, rates = _smooth_motion(context, program)
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
     symbols += [free.symbol for free in model.free_parameters]
-    symbols += sorted({s for value in place.values() for s in value.free_symbols} - {*symbols, STEP}, key=str)
+    symbols += sorted({s for value in substitution.values() for s in value.free_symbols} - {*symbols, STEP}, key=str)
     symbols = list(dict.fromkeys(symbols))
     written = dict(program.equations)
     for number, integral in enumerate(model.integrals, start=1):
-        integrand, quadrature = integral.expression, in_time(program, written[f"Gd_{number}"]).xreplace(place)
+        integrand, quadrature = integral.expression, in_time(program, written[f"Gd_{number}"]).xreplace(substitution)
         share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integrand])
         gap = mpmath.mpf(0)
         with mpmath.workdps(DIGITS):
@@ -50,15 +50,16 @@ def check(context: Context) -> Iterator[Finding]:
 
 def _smooth_motion(context: Context, program: ControlProgram) -> tuple[dict[Symbol, Expr], list[Symbol]]:
     """Values of the unknowns of an interval on a motion with constant rates and controls, and the symbols of rates."""
-    model, place = program.model, dict[Symbol, Expr]()
+    model, substitution = program.model, dict[Symbol, Expr]()
     if program.method == "variational":
         states, rates = model.coordinates, list(model.rates)
-        place |= inner_motion(model, repeated(context.scheme)[1].discrete_lagrangian(), before=False)
+        substitution |= inner_motion(model, repeated(context.scheme)[1].discrete_lagrangian(), before=False)
     else:
         states = (*model.coordinates, *model.rates)
         rates = [Symbol(f"rate_{x}", real=True) for x in states]
         stages = {x.name: x for x in states}
-        place |= {s: stages[s.name.rpartition("_stage")[0]] for s in program.interval_symbols if "_stage" in s.name}
-    place |= dict(zip(at_nodes(states, "_k"), states, strict=True))
-    place |= {site: x + STEP * v for site, x, v in zip(at_nodes(states, "_k1"), states, rates, strict=True)}
-    return place | constant_controls(program), rates
+        inner = [s for s in program.interval_symbols if "_stage" in s.name]
+        substitution |= {s: stages[s.name.rpartition("_stage")[0]] for s in inner}
+    substitution |= dict(zip(at_nodes(states, "_k"), states, strict=True))
+    substitution |= {site: x + STEP * v for site, x, v in zip(at_nodes(states, "_k1"), states, rates, strict=True)}
+    return substitution | constant_controls(program), rates

@@ -63,11 +63,12 @@ def _constraint_impulses(program: ControlProgram | StepProgram, model: Model) ->
     """What holonomic constraints add in half an interval: h/2 G^T kappa at its left and at its right node."""
     impulses = []
     for suffix, instant in (("_k", model.time), ("_k1", model.time + STEP)):
-        place = dict(zip(model.coordinates, at_nodes(model.coordinates, suffix), strict=True)) | {model.time: instant}
+        here = at_nodes(model.coordinates, suffix)
+        substitution = dict(zip(model.coordinates, here, strict=True)) | {model.time: instant}
         pairs = list(zip(constraint_multipliers(program, suffix), model.holonomic, strict=True))
         impulses.append(
             [
-                sum((STEP / 2 * y * sympy.diff(c, q).xreplace(place) for y, c in pairs), sympy.S.Zero)
+                sum((STEP / 2 * y * sympy.diff(c, q).xreplace(substitution) for y, c in pairs), sympy.S.Zero)
                 for q in model.coordinates
             ]
         )

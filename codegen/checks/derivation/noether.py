@@ -49,8 +49,8 @@ def momentum_change(model: Model, scheme: Scheme, i: int) -> Expr:
     if scheme.variational:
         interval = variational_interval(legendre.lagrangian_form(model), scheme)
         inner = interval.inner[i :: len(model.coordinates)]
-        places = (interval.q.left[i], interval.q.right[i], *inner)
-        return sum((sympy.diff(interval.lagrangian, q) for q in places), sympy.S.Zero)
+        positions = (interval.q.left[i], interval.q.right[i], *inner)
+        return sum((sympy.diff(interval.lagrangian, q) for q in positions), sympy.S.Zero)
     step, dimension = one_step_interval(legendre.hamiltonian_form(model), scheme), len(model.coordinates)
     equations = step.equations if scheme.is_chain else step.equations[-2 * dimension :]
     return sum(equations[dimension + i :: 2 * dimension], sympy.S.Zero) - (step.p.right[i] - step.p.left[i])

@@ -17,25 +17,25 @@ def phase_contexts(context: Context) -> list[tuple[str, Context]]:
     if not context.model.phases:
         return [("", context)]
     models = enumerate(context.model.phases)
-    alone = [(model, phase_alone(context.control, context.model, place)) for place, model in models]
+    alone = [(model, phase_alone(context.control, context.model, index)) for index, model in models]
     return [
         (f"phase {number}: ", replace(context, model=model, program=program))
         for number, (model, program) in enumerate(alone, start=1)
     ]
 
 
-def phase_alone(program: ControlProgram, chain: Model, place: int) -> ControlProgram:
+def phase_alone(program: ControlProgram, chain: Model, index: int) -> ControlProgram:
     """The later intervals of a phase, with t and h as times of the whole problem again."""
-    phase, durations = program.phases[place], [model.duration for model in chain.phases]
-    begin, time = Add(*durations[:place]), chain.time
-    scales = {STEP: STEP / durations[place], time: place + (time - begin) / durations[place]}
+    phase, durations = program.phases[index], [model.duration for model in chain.phases]
+    begin, time = Add(*durations[:index]), chain.time
+    scales = {STEP: STEP / durations[index], time: index + (time - begin) / durations[index]}
 
     def in_time(expression: Expr) -> Expr:
         return expression.xreplace(scales)
 
     return replace(
         program,
-        model=chain.phases[place],
+        model=chain.phases[index],
         element=in_time(phase.regular.element),
         cost=in_time(phase.regular.cost),
         equations=tuple((name, in_time(value)) for name, value in phase.equations),

@@ -89,9 +89,9 @@ def _departure(context: Context, program: ControlProgram, before: Numbers, numbe
     values = {symbol.name: value for symbol, value in after.items()} | momenta
     flat = FlatVector(program, solution.t.size - 1)
     unknowns = solution.unknowns[flat.element(0, node)]
-    for place, unknown in enumerate(program.node):
+    for index, unknown in enumerate(program.node):
         if not unknown.multiplier:
-            unknowns[place] = values.get(unknown.name, unknowns[place])
+            unknowns[index] = values.get(unknown.name, unknowns[index])
     step = float(solution.t[node + 1] - solution.t[node])
     given = module.make_grid((solution.t.size - 1) // len(program.phases)).parameters[0]
     others = [*given[: len(other_symbols(program)) - 2], float(solution.t[node]), step]

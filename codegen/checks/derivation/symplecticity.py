@@ -75,8 +75,8 @@ def generic_model_without_forces() -> Model:
 def has_symplectic_table(table: Tableau) -> bool:
     """Whether a table satisfies the condition for partitioned methods (HLW, theorem VI.4.6)."""
     b, a, c = table.weights, table.positions, table.momenta
-    places = range(len(b))
-    return all(sympy.expand(b[i] * c[i][j] + b[j] * a[j][i] - b[i] * b[j]) == 0 for i in places for j in places)
+    indices = range(len(b))
+    return all(sympy.expand(b[i] * c[i][j] + b[j] * a[j][i] - b[i] * b[j]) == 0 for i in indices for j in indices)
 
 
 def is_proved(step: StepEquations) -> bool:

@@ -36,10 +36,10 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Share:
-    """A function of unknowns at some places of the flat vector, then of given numbers."""
+    """A function of unknowns at some indices of the flat vector, then of given numbers."""
 
     function: Function
-    places: NDArray[np.int64]
+    indices: NDArray[np.int64]
     given: tuple[float, ...]
 
 
@@ -63,7 +63,7 @@ def check(context: Context) -> Iterator[Finding]:
     turned = _scattered(
         shares,
         flat,
-        lambda share: directional(share.function, _numbers(share, unknowns), list(direction[share.places])),
+        lambda share: directional(share.function, _numbers(share, unknowns), list(direction[share.indices])),
     )
     second.compare([f"row of {names[i]}" for i in free], (matrix @ direction)[free], [turned[i] for i in free])
     yield second.finding("KKT matrix", "120-digit second differences along a random direction")
@@ -92,8 +92,8 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, paramet
     symbols, every = shared_symbols(program), np.arange(flat.first_shared, flat.first_coupling)
     for i, coupling in enumerate(program.couplings):
         multiplier = Symbol(f"_{coupling.multiplier.name}", real=True)
-        places = np.append(every, flat.first_coupling + i)
-        yield _Share(function(multiplier * coupling.expression, (*symbols, multiplier)), places, given(0, 0.0))
+        indices = np.append(every, flat.first_coupling + i)
+        yield _Share(function(multiplier * coupling.expression, (*symbols, multiplier)), indices, given(0, 0.0))
 
 
 def _duration(context: Context) -> float:
@@ -103,16 +103,16 @@ def _duration(context: Context) -> float:
 
 
 def _numbers(share: _Share, unknowns: Vector) -> list[float]:
-    return [*unknowns[share.places], *share.given]
+    return [*unknowns[share.indices], *share.given]
 
 
 def _scattered(shares: list[_Share], flat: FlatVector, derivative: Callable[[_Share], list[Any]]) -> list[Any]:
-    """Sum of the derivatives of all shares at their places; of an unknown that equals a shared one, at the latter."""
+    """Sum of the derivatives of all shares at their indices; of an unknown that equals a shared one, at the latter."""
     total, representatives = [mpmath.mpf(0)] * flat.size, flat.representatives()
     with mpmath.workdps(DIGITS):
         for share in shares:
-            for place, value in zip(representatives[share.places], derivative(share), strict=True):
-                total[place] += value
+            for index, value in zip(representatives[share.indices], derivative(share), strict=True):
+                total[index] += value
     return total
 
 
@@ -126,7 +126,7 @@ def _trial_point(module: Any, grid: Any, flat: FlatVector, shares: list[_Share])
         unknowns = module.with_pinned_values(grid, unknowns)
 
         def slopes(share: Any, unknowns: Any = unknowns) -> Any:
-            return gradient(share.function, _numbers(share, unknowns), range(share.places.size))
+            return gradient(share.function, _numbers(share, unknowns), range(share.indices.size))
 
         try:
             exact = _scattered(shares, flat, slopes)

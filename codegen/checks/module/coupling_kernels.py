@@ -71,11 +71,11 @@ def _assembled(module: Any, shared: list[float], parameters: Any, count: int) ->
     """Values (conditions,), slopes (conditions, shared) and curvatures (conditions, shared, shared) from the terms."""
     values, size = np.array(shared), len(shared)
     total, slope, curvature = np.zeros(count), np.zeros((count, size)), np.zeros((count, size, size))
-    for kind, row, read, places in zip(
-        module.COUPLING_KINDS, module.COUPLING_ROWS, module.COUPLING_COUNTS, module.COUPLING_PLACES, strict=True
+    for kind, row, read, indices in zip(
+        module.COUPLING_KINDS, module.COUPLING_ROWS, module.COUPLING_COUNTS, module.COUPLING_INDICES, strict=True
     ):
-        here = places[:read]
-        width = len(places)
+        here = indices[:read]
+        width = len(indices)
         first, second = np.zeros(width), np.zeros(width * width)
         inputs = np.zeros(width)
         inputs[:read] = values[here]

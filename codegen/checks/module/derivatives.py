@@ -53,7 +53,7 @@ def check(context: Context) -> Iterator[Finding]:
 def _interval(context: Context, program: ControlProgram, stem: str, share: IntervalElement) -> Iterator[Finding]:
     unknowns = program.element_symbols
     symbols = [*unknowns, *other_symbols(program)]
-    scalar, places = function_of(symbols, [share.element]), range(len(unknowns))
+    scalar, indices = function_of(symbols, [share.element]), range(len(unknowns))
     cost = function_of(symbols, [share.cost])
     first, second, steps, block = Agreement(), Agreement(), Agreement(), Agreement()
     analytic = not share.element.has(*_NOT_ANALYTIC)
@@ -69,7 +69,7 @@ def _interval(context: Context, program: ControlProgram, stem: str, share: Inter
         found = getattr(module, f"{stem}_gradient")(x, t, h, parameters, emitted)
         getattr(module, f"{stem}_hessian")(x, t, h, parameters, entries)
         with mpmath.workdps(DIGITS):
-            first.compare(names, emitted, gradient(scalar, numbers, places))
+            first.compare(names, emitted, gradient(scalar, numbers, indices))
             first.compare(["Cd"], [found], cost(*map(mpmath.mpf, numbers)))
             exact = second_differences(scalar, numbers, pattern)
             wanted = [exact[pair] for pair in pattern]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from codegen.transcribe.program import ControlProgram, IntervalElement, Unknown
 
-Places = NDArray[np.int64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class FlatVector:
         """What interval k adds to the Lagrangian of the optimisation problem."""
         if not self.program.phases:
             return self.program.interval_elements[0]
-        place, within = divmod(k, self.phase_steps)
-        phase = self.program.phases[place]
+        index, within = divmod(k, self.phase_steps)
+        phase = self.program.phases[index]
         return phase.elements[0] if within == 0 else phase.regular
 
     @property
@@ -68,28 +68,28 @@ class FlatVector:
         """The number of all unknowns."""
         return self.first_coupling + len(self.program.couplings)
 
-    def node(self, body: int, k: int) -> Places:
-        """Places of the unknowns of a node."""
+    def node(self, body: int, k: int) -> Indices:
+        """Indices of the unknowns of a node."""
         return body * self.chain + k * len(self.inside) + np.arange(len(self.program.node))
 
-    def interval(self, body: int, k: int) -> Places:
-        """Places of the unknowns between two nodes: stages, multipliers, controls, slacks."""
+    def interval(self, body: int, k: int) -> Indices:
+        """Indices of the unknowns between two nodes: stages, multipliers, controls, slacks."""
         first = body * self.chain + k * len(self.inside)
         return first + np.arange(len(self.program.node), len(self.inside))
 
-    def shared(self, body: int) -> Places:
-        """Places of the shared unknowns of a body: its own, then those of the whole problem."""
+    def shared(self, body: int) -> Indices:
+        """Indices of the shared unknowns of a body: its own, then those of the whole problem."""
         program = self.program
         common = self.first_shared + program.bodies * program.own
         own = self.first_shared + body * program.own + np.arange(program.own)
         return np.concatenate([own, common + np.arange(len(program.shared) - program.own)])
 
-    def element(self, body: int, k: int) -> Places:
-        """Places of all unknowns on which an interval's share of the Lagrangian may depend."""
+    def element(self, body: int, k: int) -> Indices:
+        """Indices of all unknowns on which an interval's share of the Lagrangian may depend."""
         return np.concatenate([self.node(body, k), self.interval(body, k), self.node(body, k + 1), self.shared(body)])
 
-    def end(self, body: int, where: str) -> Places:
-        """Places of all unknowns on which an end's share of the Lagrangian may depend."""
+    def end(self, body: int, where: str) -> Indices:
+        """Indices of all unknowns on which an end's share of the Lagrangian may depend."""
         return np.concatenate([self.node(body, 0 if where == "start" else self.steps), self.shared(body)])
 
     def multipliers(self) -> NDArray[np.bool_]:
@@ -113,14 +113,14 @@ class FlatVector:
                 free[self.node(body, k)[[*(i for i, _ in end.pins), *(i for i, _, _ in end.shared)]]] = False
         return free
 
-    def representatives(self) -> Places:
-        """For every unknown its own place, or that of the shared unknown that it equals up to an offset."""
-        places = np.arange(self.size)
+    def representatives(self) -> Indices:
+        """For every unknown its own index, or that of the shared unknown that it equals up to an offset."""
+        indices = np.arange(self.size)
         for body in range(self.program.bodies):
             for k, end in ((0, self.program.start), (self.steps, self.program.end)):
-                for place, j, _ in end.shared:
-                    places[self.node(body, k)[place]] = self.shared(body)[j]
-        return places
+                for index, j, _ in end.shared:
+                    indices[self.node(body, k)[index]] = self.shared(body)[j]
+        return indices
 
     def names(self) -> list[str]:
         """What to call every unknown, as in `lambda_x at node 3 of body 0`."""
@@ -133,11 +133,11 @@ class FlatVector:
     def _listed(self, attribute: str) -> list[str]:
         program = self.program
         several = program.bodies > 1
-        with_place = attribute == "name"
+        with_whereabouts = attribute == "name"
 
         def told(unknown: Unknown, where: str, body: int) -> str:
             text = str(getattr(unknown, attribute))
-            return f"{text}{where}{f' of body {body}' if several else ''}" if with_place else text
+            return f"{text}{where}{f' of body {body}' if several else ''}" if with_whereabouts else text
 
         listed = []
         for body in range(program.bodies):

@@ -77,10 +77,10 @@ def _pinned(context: Context, program: ControlProgram) -> Finding:
         known = {v.symbol: _number(v.value, program, body) for v in program.boundary_values}
         for k, end in ((0, program.start), (flat.steps, program.end)):
             node, shared = flat.node(body, k), flat.shared(body)
-            for place, value in end.pins:
-                wanted[node[place]] = _number(value, program, body, known)
-            for place, j, offset in end.shared:
-                wanted[node[place]] = before[shared[j]] + _number(offset, program, body, known)
+            for index, value in end.pins:
+                wanted[node[index]] = _number(value, program, body, known)
+            for index, j, offset in end.shared:
+                wanted[node[index]] = before[shared[j]] + _number(offset, program, body, known)
     found, names = module.with_pinned_values(grid, before), flat.names()
     wrong = [
         f"{names[i]} is given {found[i]:.12g}, expected {wanted[i]:.12g}"
@@ -102,13 +102,13 @@ def _bounds(context: Context, program: ControlProgram) -> Finding:
     lower, upper = np.full(flat.size, -np.inf), np.full(flat.size, np.inf)
     written = _written(context.model, program)
 
-    def put(places: NDArray[np.intp], unknowns: Sequence[Unknown], body: int, given: _Limits) -> None:
-        for place, unknown in zip(places, unknowns, strict=True):
+    def put(indices: NDArray[np.intp], unknowns: Sequence[Unknown], body: int, given: _Limits) -> None:
+        for index, unknown in zip(indices, unknowns, strict=True):
             least, greatest = given.get(unknown.name, (None, None))
             if least is not None:
-                lower[place] = max(lower[place], _number(least, program, body))
+                lower[index] = max(lower[index], _number(least, program, body))
             if greatest is not None:
-                upper[place] = min(upper[place], _number(greatest, program, body))
+                upper[index] = min(upper[index], _number(greatest, program, body))
 
     for body in range(program.bodies):
         for k in range(flat.steps + 1):
@@ -127,8 +127,8 @@ def _bounds(context: Context, program: ControlProgram) -> Finding:
         node = flat.node(0, number * flat.phase_steps)
         put(node, program.node, 0, _continued(context.model, number, written[number]))
         given = {symbol.name for symbol in prescribed(context.model.phases[number - 1], "end")}
-        places = node[[i for i, unknown in enumerate(program.node) if unknown.name in given]]
-        lower[places], upper[places] = -np.inf, np.inf
+        indices = node[[i for i, unknown in enumerate(program.node) if unknown.name in given]]
+        lower[indices], upper[indices] = -np.inf, np.inf
     lower[~flat.free()], upper[~flat.free()] = -np.inf, np.inf
     return _compared_bounds(module, flat, lower, upper)
 
@@ -141,12 +141,12 @@ def _release(
     bounds: tuple[Values, Values],
 ) -> None:
     """Take away the bounds of what is determined at an end; slacks keep one that they cannot reach."""
-    slacks = {slack.name: place for slack, place in zip(program.slacks, interval[-len(program.slacks) :], strict=False)}
-    at_node = {unknown.name: place for unknown, place in zip(program.node, node, strict=True)}
+    slacks = {slack.name: index for slack, index in zip(program.slacks, interval[-len(program.slacks) :], strict=False)}
+    at_node = {unknown.name: index for unknown, index in zip(program.node, node, strict=True)}
     for name, _ in end.decided:
         is_slack = name in slacks or name in [program.node[i].name for i, _ in end.slacks]
-        place = slacks[name] if name in slacks else at_node[name]
-        bounds[0][place], bounds[1][place] = -1.0 if is_slack else -np.inf, np.inf
+        index = slacks[name] if name in slacks else at_node[name]
+        bounds[0][index], bounds[1][index] = -1.0 if is_slack else -np.inf, np.inf
 
 
 def _written(model: Model, program: ControlProgram) -> list[_Limits]:

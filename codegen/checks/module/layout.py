@@ -106,9 +106,9 @@ def _tables(program: ControlProgram) -> dict[str, list[Any]]:
         "ONLY_AT_ENDS": list(program.only_at_ends),
     }
     for name, end in (("START", program.start), ("END", program.end)):
-        tables[f"{name}_PINNED"] = sorted([*(place for place, _ in end.pins), *(place for place, _, _ in end.shared)])
+        tables[f"{name}_PINNED"] = sorted([*(index for index, _ in end.pins), *(index for index, _, _ in end.shared)])
         if program.start.shared or program.end.shared:
-            tables[f"{name}_SHARED_PLACES"] = [place for place, _, _ in end.shared]
+            tables[f"{name}_TIED"] = [index for index, _, _ in end.shared]
             tables[f"{name}_SHARED"] = [j for _, j, _ in end.shared]
     if program.method == "variational":
         n = len(program.model.coordinates)
@@ -117,7 +117,7 @@ def _tables(program: ControlProgram) -> dict[str, list[Any]]:
         node = len(program.node)
         first = node + len(program.interval) + len(program.controls)
         tables["SLACKS"] = list(range(first, first + len(program.slacks)))
-        tables["SLACK_MULTIPLIERS"] = [node + place for place in program.slack_multipliers]
+        tables["SLACK_MULTIPLIERS"] = [node + index for index in program.slack_multipliers]
     if program.phases:
         inside = range(len(program.interval) + len(program.controls) + len(program.slacks))
         tables["PHASE_LACKS"] = [[i in phase.regular.lacking for i in inside] for phase in program.phases]
@@ -142,14 +142,14 @@ def _differing_couplings(module: Any, program: ControlProgram) -> str:
     if not program.couplings:
         return ""
     kinds, rows, counts = (_indices(module, f"COUPLING_{name}") for name in ("KINDS", "ROWS", "COUNTS"))
-    places = _indices(module, "COUPLING_PLACES")
+    indices = _indices(module, "COUPLING_INDICES")
     available = sum(hasattr(module, f"coupling_{kind}") for kind in range(kinds.size))
     unknowns = _sizes(program)["ROOT"] - len(program.couplings)
     limits = (
         ("KINDS", kinds, available),
         ("ROWS", rows, len(program.couplings)),
-        ("COUNTS", counts, places.shape[-1] + 1),
-        ("PLACES", places, unknowns),
+        ("COUNTS", counts, indices.shape[-1] + 1),
+        ("INDICES", indices, unknowns),
     )
     for name, table, size in limits:
         if table.shape[0] != kinds.size or np.any(table < 0) or np.any(table >= size):
@@ -209,10 +209,10 @@ def _run_couplings(module: Any, program: ControlProgram, given: Any) -> str:
     symbols = shared_symbols(program)
     (point,) = random_points(conditions, [*symbols, *other_symbols(program)], program.model.default_values, count=1)
     values = np.array([point[symbol] for symbol in symbols])
-    tables = module.COUPLING_KINDS, module.COUPLING_COUNTS, module.COUPLING_PLACES
-    for kind, count, places in zip(*tables, strict=True):
+    tables = module.COUPLING_KINDS, module.COUPLING_COUNTS, module.COUPLING_INDICES
+    for kind, count, indices in zip(*tables, strict=True):
         shapes: dict[str, Any] = {"slopes": (count,), "curvatures": (count * count,)}
-        problem = _run(module, f"coupling_{kind}", (values[places[:count]], given), **shapes)
+        problem = _run(module, f"coupling_{kind}", (values[indices[:count]], given), **shapes)
         if problem:
             return problem
     return ""

@@ -27,7 +27,7 @@ def check(context: Context) -> Iterator[Finding]:
         ("start", program.start, program.left_symbols),
         ("end", program.end, program.right_symbols),
     ):
-        pinned = {place for place, _ in end.pins}
+        pinned = {index for index, _ in end.pins}
         likely = near_end(context, program, name)[:2]
         yield from _compared(context, program, name, [end.element], (*node, *program.shared_symbols), pinned, likely)
 
@@ -44,7 +44,7 @@ def _compared(
     """Shares of the Lagrangian that have one pattern; what is pinned counts as a number there."""
     symbols = [*unknowns, *other_symbols(program)]
     emitted = pattern_of(context.module, name)
-    free = [place for place in range(len(unknowns)) if place not in pinned]
+    free = [index for index in range(len(unknowns)) if index not in pinned]
     missing, occupied = set[Pair](), set[Pair]()
     defaults, seed = program.model.default_values, 7
     points = random_points(scalars, symbols, defaults, len(likely) + 1, seed, likely)

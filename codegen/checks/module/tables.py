@@ -30,7 +30,9 @@ def check(context: Context) -> Iterator[Finding]:
         emitted = np.array(context.module.TABLES[shape.name])
         given = f"{' and '.join(str(size) for size in shape.sizes)} breakpoints"
         same = np.array_equal(emitted, table.numbers)
-        yield Finding("tables", f"{shape.name}: numbers", same, given if same else f"others than those of {table.source}")
+        yield Finding(
+            "tables", f"{shape.name}: numbers", same, given if same else f"others than those of {table.source}"
+        )
         generator = np.random.default_rng(7)
         at = [generator.uniform(axis[0], axis[-1], _POINTS) for axis in table.axes]
         found = _looked_up(getattr(context.module, function_name(shape)), parameters, at)
@@ -38,7 +40,9 @@ def check(context: Context) -> Iterator[Finding]:
         for order, values in zip(ORDERS[len(at)], found.T, strict=True):
             if sum(order) <= 2:
                 exact = references(order, at)
-                worst = max(worst, float(np.abs(values - exact).max() / max(1e-300, np.abs(exact).max(), _size(table, order))))
+                worst = max(
+                    worst, float(np.abs(values - exact).max() / max(1e-300, np.abs(exact).max(), _size(table, order)))
+                )
         detail = f"value and derivatives differ from scipy's spline by {worst:.1g} of their sizes"
         yield Finding("tables", f"{shape.name}: {shape.kind}", worst <= _LIMIT, detail)
 
@@ -80,6 +84,6 @@ def _of_lines(axes: Sequence[Any], values: Any, order: Sequence[int], at: Sequen
         lengths = lengths * (axis[cell + 1] - axis[cell]) ** o
     total = np.zeros_like(at[0])
     for corner in product(*ends):
-        signs, places = zip(*corner, strict=True)
-        total += np.prod(signs) * interpolant(np.stack(places, axis=1))
+        signs, indices = zip(*corner, strict=True)
+        total += np.prod(signs) * interpolant(np.stack(indices, axis=1))
     return total / lengths

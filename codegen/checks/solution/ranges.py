@@ -36,4 +36,4 @@ def near_end(context: Context, program: ControlProgram, end: str) -> list[dict[S
 def _points(values: Values, program: ControlProgram) -> list[dict[Symbol, float]]:
     named = with_time(values, program.model.time)
     count = len(next(iter(named.values())))
-    return [{s: float(array[place]) for s, array in named.items()} for place in _PREFERRED if place < count]
+    return [{s: float(array[index]) for s, array in named.items()} for index in _PREFERRED if index < count]

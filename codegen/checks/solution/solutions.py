@@ -36,12 +36,12 @@ def integral_of_cost(model: Model, module: Any, solution: Any) -> float:
     for body in range(model.bodies):
         q, u = (of_body(v, len(s), body) for v, s in ((solution.q, model.coordinates), (solution.u, model.controls)))
         slopes = np.diff(q, axis=0) / h[:, None]
-        for weight, place in ((1, 0.0), (4, 0.5), (1, 1.0)):
-            q_here, u_here = ((1.0 - place) * v[:-1] + place * v[1:] for v in (q, u))
+        for weight, abscissa in ((1, 0.0), (4, 0.5), (1, 1.0)):
+            q_here, u_here = ((1.0 - abscissa) * v[:-1] + abscissa * v[1:] for v in (q, u))
             rates = slopes if model.form == "lagrangian" else np.empty((h.size, 0))
             if model.form == "hamiltonian":
                 p = of_body(solution.p, len(model.rates), body)
-                rates = (1.0 - place) * p[:-1] + place * p[1:]
-            values = function(*q_here.T, *rates.T, *u_here.T, solution.t[:-1] + place * h, *constants)
+                rates = (1.0 - abscissa) * p[:-1] + abscissa * p[1:]
+            values = function(*q_here.T, *rates.T, *u_here.T, solution.t[:-1] + abscissa * h, *constants)
             total += weight / 6.0 * float(np.sum(h * values))
     return total

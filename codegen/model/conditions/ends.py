@@ -102,8 +102,8 @@ class AtEnd(AtStart):
 
 
 def _distinct(model: Model) -> list[Condition]:
-    places = distinct([c.expression for c in model.couplings], [value.symbol for value in model.end_values])
-    return [model.couplings[place] for place in places]
+    indices = distinct([c.expression for c in model.couplings], [value.symbol for value in model.end_values])
+    return [model.couplings[index] for index in indices]
 
 
 def _with_values(fixed: Mapping[sympy.Symbol, Expr], points: Points) -> Points:

@@ -38,9 +38,9 @@ class Periodic(Kind):
             shifts = list(checked_mapping("periodic", periodic, "symbol: shift").items())
         else:
             shifts = [(symbol, 0) for symbol in checked_sequence("periodic", periodic, "symbol")]
-        for place, (symbol, shift) in enumerate(shifts):
+        for index, (symbol, shift) in enumerate(shifts):
             require_declared("periodic", "lists", symbol)
-            if symbol in [other for other, _ in shifts[:place]]:
+            if symbol in [other for other, _ in shifts[:index]]:
                 raise ExpressionError(f"periodic lists {symbol} twice", "list it once")
             yield entry_of("periodic", f"shift of {symbol}", shift, symbol)
 

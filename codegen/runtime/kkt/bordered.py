@@ -13,7 +13,7 @@ from codegen.runtime.stand_ins.example import (
 )  # fmt: skip
 from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body, fill_parts
 from codegen.runtime.unknowns.layout import multiplier_unknowns
-from codegen.runtime.unknowns.shared import read_shared, root_place
+from codegen.runtime.unknowns.shared import read_shared, root_index
 from codegen.runtime.kkt.substitution import backward, forward
 from codegen.runtime.kkt.symmetric import eliminate_rows, solve_backward, solve_forward, solve_pivots, subtract_products
 
@@ -63,9 +63,9 @@ def factor(
         subtract_products(upper[body, steps * BLOCK :], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
         for i in range(SHARED):
             for j in range(SHARED):
-                root[root_place(body, i), root_place(body, j)] += left[min(i, j), max(i, j)]
+                root[root_index(body, i), root_index(body, j)] += left[min(i, j), max(i, j)]
             if CARRIED:
-                root_right[root_place(body, i)] += left[i, SHARED]
+                root_right[root_index(body, i)] += left[i, SHARED]
     for i in range(ROOT):
         root[i, i] += diagonal[diagonal.size - ROOT + i]
     if COUPLINGS:
@@ -109,7 +109,7 @@ def substitute(
                 release_tied(right[body], 0, steps * BLOCK, body, shared)
             forward(upper[body], inverse[body], order[body], steps, right[body], last[body])
             for i in range(SHARED):
-                shared[root_place(body, i)] += right[body, steps * BLOCK + NODE + i] + last[body, LAST + i]
+                shared[root_index(body, i)] += right[body, steps * BLOCK + NODE + i] + last[body, LAST + i]
     solve_forward(root_upper, root_order, *root_upper.shape, shared)
     solve_pivots(root_inverse, root_order, ROOT, shared)
     solve_backward(root_upper, root_order, *root_upper.shape, shared)
@@ -118,7 +118,7 @@ def substitute(
     for body in range(BODIES):
         slopes, solution = gradient[body * chain : (body + 1) * chain], step[body * chain : (body + 1) * chain]
         for i in range(SHARED):
-            last[body, LAST + i] = right[body, steps * BLOCK + NODE + i] = shared[root_place(body, i)]
+            last[body, LAST + i] = right[body, steps * BLOCK + NODE + i] = shared[root_index(body, i)]
         if CARRIED:
             last[body, LAST + SHARED] = -1.0 if carried else 0.0
         backward(upper[body], order[body], steps, carried, last[body], right[body])

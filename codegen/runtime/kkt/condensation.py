@@ -14,15 +14,15 @@ from codegen.runtime.kkt.symmetric import subtract_row
 def sort_entries():
     """Sort the entries of an interval's Hessian by how many of their two unknowns are eliminated: none, one or both.
 
-    Each kind is a list of arrays (place in the list of entries, row, column); rows and columns are those of the
+    Each kind is a list of arrays (index in the list of entries, row, column); rows and columns are those of the
     element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT + SHARED) >= BLOCK) & (np.arange(ELEMENT + SHARED) < STRIDE)
-    place = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
+    index = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
     kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
-    rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
-    columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
+    rows = index[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
+    columns = index[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
     # Indices without a sign need no test for what counts from the end.
     tables = [table.astype(np.uint64) for table in (np.arange(kinds.size), rows, columns)]
     return [[table[kinds == n] for table in tables] for n in range(3)]

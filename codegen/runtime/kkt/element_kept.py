@@ -7,8 +7,8 @@ from codegen.runtime.kkt.elements import BORDER, TAIL
 from codegen.runtime.stand_ins.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS
 
 # Indices without a sign need no test for what counts from the end.
-PLACE_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER).astype(np.uint64)
-PLACE_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER).astype(np.uint64)
+ELEMENT_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER).astype(np.uint64)
+ELEMENT_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER).astype(np.uint64)
 
 
 def allocate_condensed(grid):
@@ -25,8 +25,8 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Put an interval's `hessian` (HESSIAN_ROWS.size,) into `element` (ROWS, WIDTH), which is zero elsewhere."""
-    for j in range(PLACE_ROWS.size):
-        element[PLACE_ROWS[j], PLACE_COLUMNS[j]] = element[PLACE_COLUMNS[j], PLACE_ROWS[j]] = hessian[j]
+    for j in range(ELEMENT_ROWS.size):
+        element[ELEMENT_ROWS[j], ELEMENT_COLUMNS[j]] = element[ELEMENT_COLUMNS[j], ELEMENT_ROWS[j]] = hessian[j]
     return True
 
 

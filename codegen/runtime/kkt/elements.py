@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    CARRIED, CONDENSED, END_PINNED, END_SHARED, END_SHARED_PLACES, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE,
-    ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED, START_SHARED_PLACES,
+    CARRIED, CONDENSED, END_PINNED, END_SHARED, END_TIED, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE,
+    ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED, START_TIED,
     STRIDE, TIED,
 )  # fmt: skip
 from codegen.runtime.unknowns.equal_ends import release_tied_rows
@@ -53,22 +53,22 @@ def pin_ends(k, steps, diagonal, element):
             element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
     if k == 0:
         if TIED:
-            release_tied_rows(START_SHARED_PLACES, START_SHARED, 0, TAIL, element)
+            release_tied_rows(START_TIED, START_SHARED, 0, TAIL, element)
         for i in START_PINNED:
             pin(i, element)
     if k == steps - 1:
         if TIED:
-            release_tied_rows(END_SHARED_PLACES, END_SHARED, BLOCK, TAIL, element)
+            release_tied_rows(END_TIED, END_SHARED, BLOCK, TAIL, element)
         for i in END_PINNED:
             pin(BLOCK + i, element)
 
 
 @njit(error_model="numpy")
-def pin(place, element):
+def pin(index, element):
     """Make a row and column of `element` (ROWS, WIDTH) that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
-        element[place, i] = 0.0
-        element[i, place] = 0.0
-    element[place, place] = 1.0
+        element[index, i] = 0.0
+        element[i, index] = 0.0
+    element[index, index] = 1.0
     if CARRIED:
-        element[place, RIGHT] = 0.0
+        element[index, RIGHT] = 0.0

@@ -9,7 +9,7 @@ from codegen.runtime.stand_ins.example import (
     BODIES, ELEMENT, END_HESSIAN_COLUMNS, END_HESSIAN_ROWS, NODE, ROOT, SCALED, SHARED, START_HESSIAN_COLUMNS,
     START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
 )  # fmt: skip
-from codegen.runtime.unknowns.shared import global_place, root_place
+from codegen.runtime.unknowns.shared import global_index, root_index
 from codegen.runtime.optimise.steepness import add_entry
 
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
@@ -48,7 +48,7 @@ def add_end_hessian(entries, rows, columns, first, weight, parts, element):
 
 @njit(error_model="numpy", inline="always")
 def end_unknown(local):
-    """The place of an end's unknown in an element: of its node, or a shared one."""
+    """The index of an end's unknown in an element: of its node, or a shared one."""
     return local if local < NODE else ELEMENT + local - NODE
 
 
@@ -93,8 +93,8 @@ def add_terms(unknowns, body, first, entries, rows, columns, sums):
     for j in range(entries.size):
         row, column = first + rows[j], first + columns[j]
         if SHARED:
-            row = global_place(rows[j], NODE, first, body, unknowns.size)
-            column = global_place(columns[j], NODE, first, body, unknowns.size)
+            row = global_index(rows[j], NODE, first, body, unknowns.size)
+            column = global_index(columns[j], NODE, first, body, unknowns.size)
         sums[row] += abs(entries[j] * unknowns[column])
         if row != column:
             sums[column] += abs(entries[j] * unknowns[row])
@@ -120,8 +120,8 @@ if SCALED:
         for j in range(entries.size):
             row, column = first + rows[j], first + columns[j]
             if SHARED:
-                row = global_place(rows[j], NODE, first, body, vector.size)
-                column = global_place(columns[j], NODE, first, body, vector.size)
+                row = global_index(rows[j], NODE, first, body, vector.size)
+                column = global_index(columns[j], NODE, first, body, vector.size)
             product[row] += entries[j] * vector[column]
             if row != column:
                 product[column] += entries[j] * vector[row]
@@ -138,7 +138,7 @@ def end_entries(grid, unknowns):
         end_hessian(unknowns[last : last + NODE], grid.steps * grid.h, grid.parameters[body], at_end)
         from_start, from_end = first + np.arange(NODE), last + np.arange(NODE)
         if SHARED:
-            root = unknowns.size - ROOT + np.array([root_place(body, j) for j in range(SHARED)])
+            root = unknowns.size - ROOT + np.array([root_index(body, j) for j in range(SHARED)])
             from_start, from_end = np.concatenate([from_start, root]), np.concatenate([from_end, root])
         rows += [from_start[START_HESSIAN_ROWS], from_end[END_HESSIAN_ROWS]]
         columns += [from_start[START_HESSIAN_COLUMNS], from_end[END_HESSIAN_COLUMNS]]

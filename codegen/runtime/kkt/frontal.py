@@ -27,7 +27,7 @@ from codegen.runtime.stand_ins.example import (
     BODIES, CARRIED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE, ROOT, SCALED, SHARED, STRIDE,
     interval_hessian,
 )  # fmt: skip
-from codegen.runtime.unknowns.shared import root_place
+from codegen.runtime.unknowns.shared import root_index
 from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
 
 REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
@@ -45,7 +45,7 @@ def allocate_factors(grid):
     A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
     upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
     The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
-    pivots already. Places and the inverse of the pivots are zeros, so that solving without factors, as compilation
+    pivots already. Indices and the inverse of the pivots are zeros, so that solving without factors, as compilation
     does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
@@ -134,8 +134,8 @@ def fill_parts(sizes, forces, parts):
         for i in range(ELEMENT):
             parts[i] = np.sqrt(sizes[i] * forces[i])
         for i in range(SHARED):
-            place = sizes.size - ROOT + root_place(0, i)
-            parts[ELEMENT + i] = np.sqrt(sizes[place] * forces[place])
+            index = sizes.size - ROOT + root_index(0, i)
+            parts[ELEMENT + i] = np.sqrt(sizes[index] * forces[index])
 
 
 @njit(error_model="numpy")

@@ -19,7 +19,7 @@ from codegen.runtime.stand_ins.example import (
 )  # fmt: skip
 from codegen.runtime.unknowns.equal_ends import add_tied
 from codegen.runtime.unknowns.layout import free_unknowns
-from codegen.runtime.unknowns.shared import global_place, read_shared
+from codegen.runtime.unknowns.shared import global_index, read_shared
 
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
 LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
@@ -39,8 +39,8 @@ def multiply_kkt(unknowns, steps, h, parameters, vector, product):
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 if SHARED:
-                    row = global_place(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
-                    column = global_place(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
+                    row = global_index(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
+                    column = global_index(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
                 product[row] += hessian[j] * vector[column]
                 if row != column:
                     product[column] += hessian[j] * vector[row]

@@ -31,22 +31,22 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
             paired = False
             continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
-        row, place = order[c], c
+        row, position = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
         for k in range(c + 1, count):
             if abs(matrix[row, order[k]]) > beside:
-                beside, place = abs(matrix[row, order[k]]), k
+                beside, position = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
-            other, largest = order[place], 0.0
+            other, largest = order[position], 0.0
             for k in range(c, count):
-                if k != place:
+                if k != position:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
-                order[place], order[to] = order[to], order[place]
+                order[position], order[to] = order[to], order[position]
         row = order[c]
         if not paired and not abs(matrix[row, row]) > 1e-300:  # its reciprocal would overflow
             return -1
@@ -60,7 +60,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row that comes at place c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
+    """Eliminate the row at position c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -83,7 +83,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows at places c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
+    """Eliminate the rows at positions c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b

@@ -1,7 +1,7 @@
 """The logarithmic barrier of bounds on unknowns: distances to the bounds, their duals, and what Newton's method needs.
 
-Every finite bound is one entry of flat arrays: `place` of its unknown x, its `value` b, and `side` s, which is 1 for a
-lower and -1 for an upper bound. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
+Every finite bound is one entry of flat arrays: in `indices` that of its unknown x, its `value` b, and its `side` s,
+1 for a lower and -1 for an upper bound. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
 gradient - s z = 0 and z d = mu. Eliminating the change of z = mu / d - z - (z / d) s dx from Newton's equations leaves
 z / d on the diagonal and gradient - mu s / d on the right; see equations (11) and (13) of Waechter and Biegler (2006).
 Distances are moved along with the unknowns instead of being computed anew, because close to a bound rounding would
@@ -22,9 +22,9 @@ PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these 
 
 
 class Bounds(NamedTuple):
-    """Places, values, sides and magnitudes, one or more, of all finite bounds."""
+    """Indices, values, sides and magnitudes, one or more, of all finite bounds."""
 
-    place: np.ndarray
+    indices: np.ndarray
     value: np.ndarray
     side: np.ndarray
     magnitude: np.ndarray
@@ -65,7 +65,7 @@ def push_inside(lower, upper, unknowns, push):
 
 
 @njit(cache=True, error_model="numpy")
-def move(unknowns, step, length, place, side, distance, trial, moved):
+def move(unknowns, step, length, indices, side, distance, trial, moved):
     """Fill `trial` with unknowns + length * step, and `moved` with its distances; return the sum of their logarithms.
 
     Rounding must not make a distance vanish.
@@ -73,23 +73,23 @@ def move(unknowns, step, length, place, side, distance, trial, moved):
     for i in range(unknowns.size):
         trial[i] = unknowns[i] + length * step[i]
     logarithms = 0.0
-    for j in range(place.size):
-        d = distance[j] + side[j] * (length * step[place[j]])
+    for j in range(indices.size):
+        d = distance[j] + side[j] * (length * step[indices[j]])
         moved[j] = d if d > 1e-16 * distance[j] else 1e-16 * distance[j]
         logarithms += np.log(moved[j])
     return logarithms
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, side, distance, duals):
+def measure_optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals):
     """Max-norm of the stationarity, sum of complementarities z d, least and largest z d, and sizes.
 
     The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
     total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
-    for j in range(place.size):
-        stationary[place[j]] -= side[j] * duals[j]
+    for j in range(indices.size):
+        stationary[indices[j]] -= side[j] * duals[j]
         product = duals[j] * distance[j]
         lowest, highest = min(lowest, product), max(highest, product)
         total += product
@@ -102,30 +102,30 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, side, distance,
         else:
             stationarity = max(stationarity, abs(stationary[i]))
             largest = max(largest, abs(unknowns[i]))
-    mean = (multipliers + size) / max(count + place.size, 1)
-    return stationarity, total, lowest, highest, mean, size / max(place.size, 1), largest
+    mean = (multipliers + size) / max(count + indices.size, 1)
+    return stationarity, total, lowest, highest, mean, size / max(indices.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")
-def add_barrier(gradient, is_multiplier, place, side, distance, duals, mu, shift, dual_shift, right, diagonal):
+def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, shift, dual_shift, right, diagonal):
     """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
     for i in range(gradient.size):
         right[i] = gradient[i]
         diagonal[i] = -dual_shift if is_multiplier[i] else shift
-    for j in range(place.size):
-        right[place[j]] -= mu * side[j] / distance[j]
-        diagonal[place[j]] += duals[j] / distance[j]
+    for j in range(indices.size):
+        right[indices[j]] -= mu * side[j] / distance[j]
+        diagonal[indices[j]] += duals[j] / distance[j]
 
 
 @njit(cache=True, error_model="numpy")
-def measure_step(unknowns, gradient, step, is_multiplier, place, side, distance, duals, mu, tau, dual_step):
+def measure_step(unknowns, gradient, step, is_multiplier, indices, side, distance, duals, mu, tau, dual_step):
     """Fill `dual_step`; return the slope along the step, and its longest primal and dual lengths.
 
     They keep 1 - tau of every distance and of every dual (15).
     """
     primal, dual = 1.0, 1.0
-    for j in range(place.size):
-        change = side[j] * step[place[j]]
+    for j in range(indices.size):
+        change = side[j] * step[indices[j]]
         dual_step[j] = (mu - duals[j] * change) / distance[j] - duals[j]
         if -change * primal > tau * distance[j]:
             primal = -tau * distance[j] / change

@@ -126,7 +126,7 @@ def begin(search, unknowns, attempt):
     unknowns = push_inside(*search.box, unknowns, attempt.push)
     if TIED:
         unknowns = with_tied_values(search.grid, unknowns)  # nodes move with the shared unknowns that they equal
-    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(mu) * bounds.magnitude
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu) * bounds.magnitude
     duals = central_duals(mu, distance) if attempt is WARM else np.ones(distance.size)
     return Iterate(evaluate(search.grid, unknowns), mu, distance, np.log(distance).sum(), duals)
 
@@ -144,7 +144,7 @@ def with_multipliers(search, iterate):
     grid, bounds, system, *_ = search
     point, step = iterate.point, np.empty_like(iterate.point.unknowns)
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
-    np.subtract.at(gradient, bounds.place, bounds.side * iterate.duals)
+    np.subtract.at(gradient, bounds.indices, bounds.side * iterate.duals)
     diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
     if factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient) is None:
         return iterate
@@ -159,7 +159,7 @@ def measured_iterate(search, iterate):
     """The iterate with the duals of bounds taking part in its stationarity, and with what is measured."""
     point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
     measured = measure_optimality(
-        point.gradient, point.unknowns, is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals
+        point.gradient, point.unknowns, is_multiplier, bounds.indices, bounds.side, iterate.distance, iterate.duals
     )
     error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
     # Building the tuples anew takes a third of the time of replacing fields.
@@ -184,7 +184,7 @@ def is_acceptable(grid, iterate, tolerance):
 
 def is_closed(search, iterate, tolerance):
     """Whether the gap is at most one tolerance for every bound, which is as good as rounding allows."""
-    return iterate.measured.gap <= tolerance * search.bounds.place.size
+    return iterate.measured.gap <= tolerance * search.bounds.indices.size
 
 
 def barrier_error(point, measured, mu):
@@ -218,7 +218,7 @@ def tightened(search, iterate, mu):
     if not outside.any():
         return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
     unknowns = iterate.point.unknowns.copy()
-    unknowns[bounds.place[outside]] += bounds.side[outside] * (least - distance)[outside]
+    unknowns[bounds.indices[outside]] += bounds.side[outside] * (least - distance)[outside]
     distance[outside] = least[outside]
     if TIED:
         unknowns = with_tied_values(search.grid, unknowns)
@@ -228,14 +228,14 @@ def tightened(search, iterate, mu):
 def barrier_curvature(search, iterate):
     """What the barrier adds to the Hessian's diagonal (unknowns,)."""
     curvature = np.zeros(iterate.point.unknowns.size)
-    np.add.at(curvature, search.bounds.place, iterate.duals / iterate.distance)
+    np.add.at(curvature, search.bounds.indices, iterate.duals / iterate.distance)
     return curvature
 
 
 def newton_system(search, iterate, gradient, shift, dual_shift):
     """Right-hand side and diagonal (unknowns,) of Newton's equations (13), given the gradient of the Lagrangian."""
     bounds, right, diagonal = search.bounds, np.empty(gradient.size), np.empty(gradient.size)
-    barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
     add_barrier(gradient, search.grid.is_multiplier, *barrier, shift, dual_shift, right, diagonal)
     return right, diagonal
 
@@ -253,7 +253,7 @@ def found(before, shift, least, singular):
 def step_along(search, iterate, gradient, primal, shift, refined):
     """The step with a primal part, a barrier gradient and a shift: its dual part, slope and longest lengths."""
     bounds, dual = search.bounds, np.empty(iterate.duals.size)
-    barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
     measured = measure_step(
         iterate.point.unknowns, gradient, primal, search.grid.is_multiplier, *barrier, max(0.99, 1.0 - iterate.mu), dual
     )
@@ -268,8 +268,8 @@ def merit(iterate):
 def moved(search, iterate, primal, length):
     """The iterate after a primal step of some length, with the duals where they were."""
     unknowns, bounds = iterate.point.unknowns, search.bounds
-    trial, distance = np.empty(unknowns.size), np.empty(bounds.place.size)
-    logarithms = move(unknowns, primal, length, bounds.place, bounds.side, iterate.distance, trial, distance)
+    trial, distance = np.empty(unknowns.size), np.empty(bounds.indices.size)
+    logarithms = move(unknowns, primal, length, bounds.indices, bounds.side, iterate.distance, trial, distance)
     return Iterate(evaluate(search.grid, trial), iterate.mu, distance, logarithms, iterate.duals)
 
 

@@ -24,7 +24,7 @@ from codegen.runtime.stand_ins.example import (
 )
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.unknowns.point import evaluate
-from codegen.runtime.unknowns.shared import read_shared, root_place
+from codegen.runtime.unknowns.shared import read_shared, root_index
 from codegen.runtime.unknowns.equal_ends import shared_representatives
 
 
@@ -67,7 +67,7 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
     offsets = (chain * np.arange(BODIES)[:, None] + STRIDE * np.arange(grid.steps)).reshape(-1, 1)
     row, column, value = offsets + HESSIAN_ROWS, offsets + HESSIAN_COLUMNS, values
     if SHARED:
-        shared = unknowns.size - ROOT + np.array([[root_place(b, j) for j in range(SHARED)] for b in range(BODIES)])
+        shared = unknowns.size - ROOT + np.array([[root_index(b, j) for j in range(SHARED)] for b in range(BODIES)])
         shared = np.repeat(shared, grid.steps, axis=0)
         row[:, HESSIAN_ROWS >= ELEMENT] = shared[:, HESSIAN_ROWS[HESSIAN_ROWS >= ELEMENT] - ELEMENT]
         column[:, HESSIAN_COLUMNS >= ELEMENT] = shared[:, HESSIAN_COLUMNS[HESSIAN_COLUMNS >= ELEMENT] - ELEMENT]

@@ -43,7 +43,7 @@ def on_bounds(search, iterate):
         unknowns = with_tied_values(grid, unknowns)
     moves = (unknowns != iterate.point.unknowns).any()
     point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
-    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.place, bounds.side, *barrier)
+    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.indices, bounds.side, *barrier)
     return point._replace(stationarity=measured[0], error=max(point.residual, measured[0]))
 
 
@@ -54,10 +54,10 @@ def last_step(search, iterate):
     that complementarities stay as they are.
     """
     grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns.copy()
-    distance = bounds.side * (unknowns[bounds.place] - bounds.value)
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
     relaxed = iterate.distance - distance
     close = np.flatnonzero(distance < relaxed)
-    unknowns[bounds.place[close]] += (bounds.side * relaxed)[close]
+    unknowns[bounds.indices[close]] += (bounds.side * relaxed)[close]
     distance[close] = iterate.distance[close]
     if TIED:
         unknowns = with_tied_values(grid, unknowns)

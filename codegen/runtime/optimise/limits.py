@@ -36,14 +36,14 @@ def prescribed_beyond(grid, unknowns):
     if grid.steps == 1:
         return ""
     units, (lower, upper) = units_of(grid), bounds_of(grid)
-    place, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
-    if place < 0:
+    index, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
+    if index < 0:
         return ""
-    local = place % (grid.steps * STRIDE + NODE)
+    local = index % (grid.steps * STRIDE + NODE)
     end, i = END_NAMES[local >= STRIDE], local % STRIDE
     if i < NODE:
-        limits = f"{units[place] * lower[inner]:g} to {units[place] * upper[inner]:g}"
-        return f"{metadata['node'][i]} is prescribed as {unknowns[place]:g} at the {end}, beyond its bounds {limits}"
+        limits = f"{units[index] * lower[inner]:g} to {units[index] * upper[inner]:g}"
+        return f"{metadata['node'][i]} is prescribed as {unknowns[index]:g} at the {end}, beyond its bounds {limits}"
     name = metadata["interval"][i - NODE]
     condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
     return f"what is prescribed at the {end} violates {condition}"
@@ -51,21 +51,21 @@ def prescribed_beyond(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def first_beyond(unknowns, units, lower, upper, steps):
-    """Places of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
+    """Indices of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
 
-    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both places are -1
+    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both indices are -1
     where there is no such unknown.
     """
     for body in range(BODIES):
         for i in range(STRIDE):
             start = body * (steps * STRIDE + NODE) + i
             end = start + (steps if i < NODE else steps - 1) * STRIDE
-            for place, inner in ((start, start + STRIDE), (end, end - STRIDE)):
-                value, least, greatest = unknowns[place] / units[place], lower[inner], upper[inner]
+            for index, inner in ((start, start + STRIDE), (end, end - STRIDE)):
+                value, least, greatest = unknowns[index] / units[index], lower[inner], upper[inner]
                 margin = 1e-9 * max(1.0, abs(value)) if i < NODE else LEAST_SLACK
-                is_below = lower[place] < least and value < least - margin
-                is_above = upper[place] > greatest and value > greatest + margin
-                is_given = lower[place] == -np.inf and upper[place] == np.inf
+                is_below = lower[index] < least and value < least - margin
+                is_above = upper[index] > greatest and value > greatest + margin
+                is_given = lower[index] == -np.inf and upper[index] == np.inf
                 if (i < NODE and is_given and (is_below or is_above)) or (i >= NODE and is_below):
-                    return place, inner
+                    return index, inner
     return -1, -1

@@ -87,22 +87,22 @@ def worst_row(grid, point):
     return row_text(grid, point, int(np.argmax(size)))
 
 
-def row_text(grid, point, place):
+def row_text(grid, point, index):
     """Name and value of a row of the optimality conditions."""
-    value = point.gradient[place]
-    if grid.is_multiplier[place]:
-        return f"{equation_name(grid, point.unknowns, place)} is off by {value:.1e}"
-    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)} is {value:.1e}"
+    value = point.gradient[index]
+    if grid.is_multiplier[index]:
+        return f"{equation_name(grid, point.unknowns, index)} is off by {value:.1e}"
+    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)} is {value:.1e}"
 
 
 def violated(grid, point):
-    """The equations that are off most, each at its worst place, and the bounds that stand against them."""
+    """The equations that are off most, each where it is worst, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
+    text = ", ".join(row_text(grid, point, index) for index in leading(grid, point.gradient, rows))
     if INEQUALITIES:
         names = {}
-        for place in columns[at_limits(grid, point.unknowns)[columns]]:
-            name = local_name(grid, place)
+        for index in columns[at_limits(grid, point.unknowns)[columns]]:
+            name = local_name(grid, index)
             meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
             names[shortened(meaning.removesuffix(" of an interval"))] = None
         if names:
@@ -115,9 +115,9 @@ def violated(grid, point):
 def dependent(grid, point):
     """The equations with the largest multipliers, or the count where no multiplier is large."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    places = leading(grid, point.unknowns, rows)
-    if places and abs(point.unknowns[places[0]]) > 1e3:
-        names = " and ".join(equation_name(grid, point.unknowns, place) for place in places)
+    indices = leading(grid, point.unknowns, rows)
+    if indices and abs(point.unknowns[indices[0]]) > 1e3:
+        names = " and ".join(equation_name(grid, point.unknowns, index) for index in indices)
         return f"equations depend on each other, or have no slope where they hold: {names}"
     if rows.size > columns.size:
         return f"there are {rows.size} equations for {columns.size} unknowns"
@@ -125,17 +125,17 @@ def dependent(grid, point):
 
 
 def leading(grid, values, rows):
-    """Places of the largest values among some rows, one for each name, as long as they are comparable.
+    """Indices of the largest values among some rows, one for each name, as long as they are comparable.
 
     The first of them come first where they are as large as each other but for a thousandth.
     """
-    size, places = np.abs(values[rows]), {}
+    size, indices = np.abs(values[rows]), {}
     order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
-    for place in order:
-        if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
+    for index in order:
+        if abs(values[index]) < 1e-3 * abs(values[order[0]]) or len(indices) == NAMED:
             break
-        places.setdefault(local_name(grid, place), int(place))
-    return list(places.values())
+        indices.setdefault(local_name(grid, index), int(index))
+    return list(indices.values())
 
 
 def run_away(grid, guess, point):
@@ -144,11 +144,11 @@ def run_away(grid, guess, point):
         return f"a duration has become {least_duration(grid, point.unknowns):.1e}, and needs a lower bound"
     growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
     shared = growth.size - ROOT
-    place = int(np.argmax(growth))
+    index = int(np.argmax(growth))
     if growth[shared:].max(initial=0.0) > GROWTH:
-        place = shared + int(np.argmax(growth[shared:]))
-    if growth[place] > GROWTH:
-        return f"{unknown_name(grid, point.unknowns, place)} has grown to {point.unknowns[place]:.1e}"
+        index = shared + int(np.argmax(growth[shared:]))
+    if growth[index] > GROWTH:
+        return f"{unknown_name(grid, point.unknowns, index)} has grown to {point.unknowns[index]:.1e}"
     return f"the cost falls for ever along {falling_unknown(grid, point)}"
 
 
@@ -162,11 +162,11 @@ def not_finite(grid, point):
     """The first derivative, share of the cost or second derivative that is infinite or NaN, and its kernel."""
     bad = np.flatnonzero(~np.isfinite(point.gradient))
     if bad.size:
-        place = int(bad[0])
-        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)}"
-        if grid.is_multiplier[place]:
-            text = equation_name(grid, point.unknowns, place)
-        return f"{text} is {point.gradient[place]} (kernel {kernel_name(grid, place)})"
+        index = int(bad[0])
+        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)}"
+        if grid.is_multiplier[index]:
+            text = equation_name(grid, point.unknowns, index)
+        return f"{text} is {point.gradient[index]} (kernel {kernel_name(grid, index)})"
     if not np.isfinite(point.cost):
         return cost_not_finite(grid, point)
     for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
@@ -201,30 +201,30 @@ def interval_costs(unknowns, steps, h, parameters, costs):
             costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
 
 
-def kernel_name(grid, place):
+def kernel_name(grid, index):
     """The kernels whose values add up to a row."""
     chain = grid.steps * STRIDE + NODE
-    if place >= grid.is_multiplier.size - COUPLINGS:
+    if index >= grid.is_multiplier.size - COUPLINGS:
         return "coupling_term"
-    local = place % chain
-    if place >= BODIES * chain or NODE <= local < chain - NODE:
+    local = index % chain
+    if index >= BODIES * chain or NODE <= local < chain - NODE:
         return "interval_gradient"
     return f"interval_gradient or {'start' if local < NODE else 'end'}_gradient"
 
 
-def unknown_name(grid, unknowns, place):
+def unknown_name(grid, unknowns, index):
     """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
-    name = local_name(grid, place)
+    name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, "")
-    where = whereabouts(grid, unknowns, place)
+    where = whereabouts(grid, unknowns, index)
     return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
-def equation_name(grid, unknowns, place):
+def equation_name(grid, unknowns, index):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
-    name = local_name(grid, place)
+    name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    return placed(meaning, whereabouts(grid, unknowns, place))
+    return placed(meaning, whereabouts(grid, unknowns, index))
 
 
 def placed(meaning, where):
@@ -248,20 +248,20 @@ def shortened(text):
     return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
-def local_name(grid, place):
+def local_name(grid, index):
     """The name of an unknown without its place, or of a shared one with its body."""
     chain = grid.steps * STRIDE + NODE
-    if SHARED and place >= BODIES * chain:
-        return metadata["shared"][place - BODIES * chain]
-    return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+    if SHARED and index >= BODIES * chain:
+        return metadata["shared"][index - BODIES * chain]
+    return (*metadata["node"], *metadata["interval"])[index % chain % STRIDE]
 
 
-def whereabouts(grid, unknowns, place):
+def whereabouts(grid, unknowns, index):
     """Node or interval, time and body of an unknown."""
     chain = grid.steps * STRIDE + NODE
-    if place >= BODIES * chain:
+    if index >= BODIES * chain:
         return ""
-    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
+    body, (k, local) = index // chain, divmod(index % chain, STRIDE)
     kind = "at node" if local < NODE else "on interval"
     t = duration_of(grid, unknowns) * k / grid.steps
     if PHASES:

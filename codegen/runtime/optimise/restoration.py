@@ -80,7 +80,7 @@ def restoration_error(search, current, pull):
     """Error of the optimality conditions of the least violation."""
     if INEQUALITIES:
         stationary, bounds = pull.copy(), search.bounds
-        np.subtract.at(stationary, bounds.place, bounds.side * current.duals)
+        np.subtract.at(stationary, bounds.indices, bounds.side * current.duals)
         return max(np.abs(stationary).max(), np.max(current.duals * current.distance, initial=0.0))
     else:
         return np.abs(pull).max()

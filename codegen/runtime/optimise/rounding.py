@@ -15,7 +15,7 @@ from codegen.runtime.stand_ins.example import (
     STRIDE,
     interval_hessian,
 )
-from codegen.runtime.unknowns.shared import global_place, read_shared
+from codegen.runtime.unknowns.shared import global_index, read_shared
 
 UNIT_ROUNDOFF = 2.2e-16
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
@@ -42,8 +42,8 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 if SHARED:
-                    row = global_place(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
-                    column = global_place(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
+                    row = global_index(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
+                    column = global_index(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])

@@ -153,7 +153,7 @@ if INEQUALITIES:
 
 @lru_cache(maxsize=4)
 def kinds_of(steps):
-    """The kind of every unknown: its place in a node with the interval after it, then the shared ones."""
+    """The kind of every unknown: its index in a node with the interval after it, then the shared ones."""
     chain = np.tile(np.arange(steps * STRIDE + NODE) % STRIDE, BODIES)
     if SHARED:
         own, common = np.tile(np.arange(OWN), BODIES), np.arange(OWN, SHARED + COUPLINGS)

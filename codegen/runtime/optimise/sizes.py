@@ -21,11 +21,11 @@ from codegen.runtime.unknowns.coupling import add_coupling_matrix
 from codegen.runtime.stand_ins.example import (
     COUPLINGS,
     END_SHARED,
-    END_SHARED_PLACES,
+    END_TIED,
     ROOT,
     SHARED,
     START_SHARED,
-    START_SHARED_PLACES,
+    START_TIED,
     STRIDE,
     TIED,
     metadata,
@@ -146,9 +146,9 @@ if TIED:
         """Give unknowns at the ends and the shared ones that they equal one size, the largest."""
         for _ in range(SHARED):
             for i in range(START_SHARED.size):
-                level(START_SHARED_PLACES[i], STRIDE + START_SHARED[i], size)
+                level(START_TIED[i], STRIDE + START_SHARED[i], size)
             for i in range(END_SHARED.size):
-                level(END_SHARED_PLACES[i], STRIDE + END_SHARED[i], size)
+                level(END_TIED[i], STRIDE + END_SHARED[i], size)
 
     @njit(error_model="numpy")
     def level(one, other, size):

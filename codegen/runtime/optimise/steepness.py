@@ -29,7 +29,7 @@ CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 KINDS = STRIDE + SHARED + COUPLINGS
 # The kind of each unknown of an element, its time in lengths of an interval, and which kinds are multipliers.
 KIND = np.concatenate([np.arange(STRIDE), np.arange(NODE), STRIDE + np.arange(SHARED)])
-PLACE = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
+ABSCISSA = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
 KIND_IS_MULTIPLIER = np.concatenate(
     [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
 )
@@ -81,7 +81,7 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
                     if not IS_AT_ENDS[KIND[row]]:
                         add_entry(KIND[row], KIND[column], stride * abs(hessian[j]), tables)
                 elif not LOCAL_IS_MULTIPLIER[column]:
-                    ahead = PLACE[column] - PLACE[row]
+                    ahead = ABSCISSA[column] - ABSCISSA[row]
                     moments[row, KIND[column], 0] += hessian[j]
                     moments[row, KIND[column], 1] += hessian[j] * ahead
                     moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0

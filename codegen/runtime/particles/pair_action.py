@@ -1,6 +1,6 @@
 """The discrete action as a minimisation: places q_1 ... q_N-1 and one momentum P_k on each interval.
 
-Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1 with c = PLACE.
+Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1 with c = ABSCISSA.
 Unknowns are one vector: inner places, then momenta. At a minimum the multipliers are 2 P_k, and the conditions for
 the places are the scheme's equations for momenta.
 """
@@ -8,7 +8,7 @@ the places are the scheme's equations for momenta.
 import numpy as np
 
 from codegen.runtime.stand_ins.example_pairs import (
-    PLACE,
+    ABSCISSA,
     hamiltonian,
     hamiltonian_gradient,
     hamiltonian_hessian,
@@ -28,7 +28,7 @@ def action_states(case, unknowns):
     between = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
     places = np.concatenate([case.start[None], between, case.target[None]])
     momenta = unknowns[inner:].reshape(case.steps, *case.start.shape)
-    return places, np.stack([(1.0 - PLACE) * places[:-1] + PLACE * places[1:], momenta], axis=1)
+    return places, np.stack([(1.0 - ABSCISSA) * places[:-1] + ABSCISSA * places[1:], momenta], axis=1)
 
 
 def action_cost(case, unknowns):
@@ -49,8 +49,8 @@ def action_cost_gradient(case, unknowns):
     """Its gradient by the unknowns, in the shape of those."""
     gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
     at_nodes = np.zeros((case.steps + 1, *case.start.shape))
-    at_nodes[:-1] += (1.0 - PLACE) * gradients[:, 0]
-    at_nodes[1:] += PLACE * gradients[:, 0]
+    at_nodes[:-1] += (1.0 - ABSCISSA) * gradients[:, 0]
+    at_nodes[1:] += ABSCISSA * gradients[:, 0]
     return np.concatenate([at_nodes[1:-1].ravel(), gradients[:, 1].ravel()])
 
 
@@ -86,9 +86,9 @@ def action_jacobian(case, unknowns):
         rows = matrix[size * k : size * (k + 1)]
         left, right, momenta = action_columns(case, k)
         if left is not None:
-            rows[:, left] -= np.eye(size) + h * (1.0 - PLACE) * hessian[size:, :size]
+            rows[:, left] -= np.eye(size) + h * (1.0 - ABSCISSA) * hessian[size:, :size]
         if right is not None:
-            rows[:, right] += np.eye(size) - h * PLACE * hessian[size:, :size]
+            rows[:, right] += np.eye(size) - h * ABSCISSA * hessian[size:, :size]
         rows[:, momenta] -= h * hessian[size:, size:]
     return matrix
 
@@ -114,12 +114,12 @@ def action_hessian(case, unknowns, multipliers):
         block[size:, :size] = block[:size, size:].T
         left, right, momenta = action_columns(case, k)
         matrix[momenta, momenta] += block[size:, size:]
-        for columns, weight in ((left, 1.0 - PLACE), (right, PLACE)):
+        for columns, weight in ((left, 1.0 - ABSCISSA), (right, ABSCISSA)):
             if columns is None or weight == 0.0:
                 continue
             matrix[columns, momenta] += weight * block[:size, size:]
             matrix[momenta, columns] += weight * block[size:, :size]
-            for others, other_weight in ((left, 1.0 - PLACE), (right, PLACE)):
+            for others, other_weight in ((left, 1.0 - ABSCISSA), (right, ABSCISSA)):
                 if others is not None:
                     matrix[columns, others] += weight * other_weight * block[:size, :size]
     return matrix
@@ -129,5 +129,5 @@ def action_path(case, unknowns):
     """The states at the nodes, shape (N + 1, 2, n, d): p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
     places, states = action_states(case, unknowns)
     slopes = case.duration / case.steps * action_gradients(case, states)[:, 0]
-    momenta = np.concatenate([states[:1, 1] + (1.0 - PLACE) * slopes[:1], states[:, 1] - PLACE * slopes])
+    momenta = np.concatenate([states[:1, 1] + (1.0 - ABSCISSA) * slopes[:1], states[:, 1] - ABSCISSA * slopes])
     return np.stack([places, momenta], axis=1)

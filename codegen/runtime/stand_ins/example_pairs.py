@@ -13,7 +13,7 @@ SUBSTEPS = ((1.0, 0.0, 0.0),)
 ROWS = ((0.0, 0.0), (0.5, 0.0))
 WEIGHTS = (0.0, 1.0)
 COST_WEIGHTS = (1.0,)
-PLACE = 0.0
+ABSCISSA = 0.0
 GROUP = 4
 
 

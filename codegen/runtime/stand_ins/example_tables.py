@@ -12,7 +12,7 @@ RANGED, RANGES, RANGE_NAMES = 1, np.array([[4, 6]]), ("x of table cube",)
 
 @njit(error_model="numpy")
 def interval_inputs(x, t, h, parameters, inputs):
-    """The place in the middle."""
+    """The index in the middle."""
     inputs[0, 0] = inputs[0, 1] = (x[0] + x[3]) / 2
 
 

@@ -115,8 +115,8 @@ def describe(grid, steps, iterations, outcome):
         effort = f" with {iterations / steps:.2f} iterations each" if iterations else ""
         return "solved", f"all {steps} steps were made{effort}"
     status, remedy = FAILURES[outcome]
-    place = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
-    return status, f"{status} in {place}: {remedy}"
+    where = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
+    return status, f"{status} in {where}: {remedy}"
 
 
 def path_residual(grid, path):

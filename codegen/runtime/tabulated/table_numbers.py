@@ -1,4 +1,4 @@
-"""The numbers of tables: those of the module, or others in their places."""
+"""The numbers of tables: those of the module, or others in their indices."""
 
 import numpy as np
 

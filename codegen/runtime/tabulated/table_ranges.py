@@ -18,12 +18,12 @@ INSIDE = 1e-8  # parts of a range by which an input may be outside, which is rou
 
 def tables_beyond(grid, unknowns):
     """Which table is read outside its range, with what value and where, or nothing; `unknowns` in their own units."""
-    place, found = np.zeros(3, np.int64), np.zeros(2)
-    farthest_outside(unknowns, grid.steps, grid.h, grid.parameters, place, found)
+    index, found = np.zeros(3, np.int64), np.zeros(2)
+    farthest_outside(unknowns, grid.steps, grid.h, grid.parameters, index, found)
     value, excess = found
     if not excess > INSIDE:
         return ""
-    body, k, j = map(int, place)
+    body, k, j = map(int, index)
     t = duration_of(grid, unknowns) * k / grid.steps
     if PHASES:
         t = node_times(grid, unknowns)[min(k, grid.steps)]
@@ -34,8 +34,8 @@ def tables_beyond(grid, unknowns):
 
 
 @njit(cache=True, error_model="numpy")
-def farthest_outside(unknowns, steps, h, parameters, place, found):
-    """Note in `place` body, interval and input that is farthest outside, in `found` its value and by how much.
+def farthest_outside(unknowns, steps, h, parameters, index, found):
+    """Note in `index` body, interval and input that is farthest outside, in `found` its value and by how much.
 
     That is in parts of the range. The interval is -1 at the start, N + 1 at the end.
     """
@@ -55,15 +55,15 @@ def farthest_outside(unknowns, steps, h, parameters, place, found):
                 interval_inputs(unknowns[here : here + ELEMENT], k * h, h, own, inputs)
             elif k > steps:
                 end_inputs(unknowns[here - STRIDE : here - STRIDE + NODE], steps * h, own, inputs)
-            note_outside(inputs, own, body, k, place, found)
+            note_outside(inputs, own, body, k, index, found)
 
 
 @njit(error_model="numpy")
-def note_outside(inputs, parameters, body, k, place, found):
+def note_outside(inputs, parameters, body, k, index, found):
     """Keep the input that is farther outside than what was found before."""
     for j in range(RANGED):
         least, greatest = parameters[RANGES[j, 0]], parameters[RANGES[j, 1]]
         for value, excess in ((inputs[j, 0], least - inputs[j, 0]), (inputs[j, 1], inputs[j, 1] - greatest)):
             if excess > found[1] * (greatest - least):
                 found[0], found[1] = value, excess / (greatest - least)
-                place[0], place[1], place[2] = body, k, j
+                index[0], index[1], index[2] = body, k, j

@@ -1,7 +1,7 @@
 """Conditions that tie shared unknowns together: sums of terms, each an instance of one of a few kinds of term.
 
 Row r of the conditions is the sum of its terms; term i of kind COUPLING_KINDS[i] is a function of the shared unknowns
-COUPLING_PLACES[i]. The conditions' share of the Lagrangian is the sum over rows of multiplier times row.
+COUPLING_INDICES[i]. The conditions' share of the Lagrangian is the sum over rows of multiplier times row.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_matrix, zero_vector
 from codegen.runtime.stand_ins.example import (
-    COUPLING_COUNTS, COUPLING_KINDS, COUPLING_PLACES, COUPLING_ROWS, COUPLINGS, ROOT, SCALED, coupling_term,
+    COUPLING_COUNTS, COUPLING_KINDS, COUPLING_INDICES, COUPLING_ROWS, COUPLINGS, ROOT, SCALED, coupling_term,
 )  # fmt: skip
 
 
@@ -17,35 +17,35 @@ from codegen.runtime.stand_ins.example import (
 def add_coupling_gradient(unknowns, parameters, gradient):
     """Add the conditions to `gradient` (n,) by their multipliers, and what they exert to that by shared unknowns."""
     first, multipliers = unknowns.size - ROOT, unknowns.size - COUPLINGS
-    width = COUPLING_PLACES.shape[1]
+    width = COUPLING_INDICES.shape[1]
     values, slopes, curvatures = zero_vector(width), zero_vector(width), zero_vector(width * width)
     for i in range(COUPLING_KINDS.size):
         for a in range(COUPLING_COUNTS[i]):
-            values[a] = unknowns[first + COUPLING_PLACES[i, a]]
+            values[a] = unknowns[first + COUPLING_INDICES[i, a]]
         row = multipliers + COUPLING_ROWS[i]
         gradient[row] += coupling_term(COUPLING_KINDS[i], values, parameters, slopes, curvatures)
         for a in range(COUPLING_COUNTS[i]):
-            gradient[first + COUPLING_PLACES[i, a]] += unknowns[row] * slopes[a]
+            gradient[first + COUPLING_INDICES[i, a]] += unknowns[row] * slopes[a]
 
 
 @njit(cache=True, error_model="numpy")
 def add_coupling_matrix(unknowns, parameters, weight, matrix):
     """Add the second derivatives of the conditions' share to `matrix` (ROOT, ROOT or more); `unknowns` (n,)."""
     first, multipliers = unknowns.size - ROOT, unknowns.size - COUPLINGS
-    width = COUPLING_PLACES.shape[1]
+    width = COUPLING_INDICES.shape[1]
     values, slopes, curvatures = zero_vector(width), zero_vector(width), zero_vector(width * width)
     for i in range(COUPLING_KINDS.size):
         count, row = COUPLING_COUNTS[i], ROOT - COUPLINGS + COUPLING_ROWS[i]
         for a in range(count):
-            values[a] = unknowns[first + COUPLING_PLACES[i, a]]
+            values[a] = unknowns[first + COUPLING_INDICES[i, a]]
         coupling_term(COUPLING_KINDS[i], values, parameters, slopes, curvatures)
         multiplier = weight * unknowns[multipliers + COUPLING_ROWS[i]]
         for a in range(count):
-            place = COUPLING_PLACES[i, a]
-            matrix[row, place] += slopes[a]
-            matrix[place, row] += slopes[a]
+            index = COUPLING_INDICES[i, a]
+            matrix[row, index] += slopes[a]
+            matrix[index, row] += slopes[a]
             for b in range(count):
-                matrix[place, COUPLING_PLACES[i, b]] += multiplier * curvatures[a * count + b]
+                matrix[index, COUPLING_INDICES[i, b]] += multiplier * curvatures[a * count + b]
 
 
 if SCALED:

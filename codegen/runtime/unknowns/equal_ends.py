@@ -4,18 +4,18 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    BODIES, END_SHARED, END_SHARED_PLACES, NODE, ROOT, SCALED, SHARED, START_SHARED, START_SHARED_PLACES, STRIDE,
+    BODIES, END_SHARED, END_TIED, NODE, ROOT, SCALED, SHARED, START_SHARED, START_TIED, STRIDE,
 )  # fmt: skip
-from codegen.runtime.unknowns.shared import root_place
+from codegen.runtime.unknowns.shared import root_index
 
 
 @njit(error_model="numpy", inline="always")
 def release_tied(values, first, last, body, root):
     """Move `values` of what equals a shared unknown to its, in `root` (ROOT,); nodes begin at `first` and `last`."""
     for i in range(START_SHARED.size):
-        root[root_place(body, START_SHARED[i])] += values[first + START_SHARED_PLACES[i]]
+        root[root_index(body, START_SHARED[i])] += values[first + START_TIED[i]]
     for i in range(END_SHARED.size):
-        root[root_place(body, END_SHARED[i])] += values[last + END_SHARED_PLACES[i]]
+        root[root_index(body, END_SHARED[i])] += values[last + END_TIED[i]]
 
 
 if SCALED:
@@ -33,27 +33,27 @@ if SCALED:
 def follow_shared(values, first, last, body, root):
     """Give what equals a shared unknown, in `values`, the value of that unknown, in `root` (ROOT,)."""
     for i in range(START_SHARED.size):
-        values[first + START_SHARED_PLACES[i]] = root[root_place(body, START_SHARED[i])]
+        values[first + START_TIED[i]] = root[root_index(body, START_SHARED[i])]
     for i in range(END_SHARED.size):
-        values[last + END_SHARED_PLACES[i]] = root[root_place(body, END_SHARED[i])]
+        values[last + END_TIED[i]] = root[root_index(body, END_SHARED[i])]
 
 
 @njit(error_model="numpy", inline="always")
-def release_tied_rows(places, shared, first, size, element):
-    """Add the rows and columns of `element` at `places` (c,) to those of `shared` (c,), which begin at `size`."""
-    for i in range(places.size):
-        place, to = first + places[i], size + shared[i]
+def release_tied_rows(indices, shared, first, size, element):
+    """Add the rows and columns of `element` at `indices` (c,) to those of `shared` (c,), which begin at `size`."""
+    for i in range(indices.size):
+        index, to = first + indices[i], size + shared[i]
         for j in range(element.shape[1]):
-            element[to, j] += element[place, j]
+            element[to, j] += element[index, j]
         for j in range(element.shape[0]):
-            element[j, to] += element[j, place]
+            element[j, to] += element[j, index]
 
 
 def shared_representatives(grid, size):
-    """For every unknown its own place, or that of the shared unknown which it equals: (size,)."""
-    places, chain = np.arange(size), grid.steps * STRIDE + NODE
+    """For every unknown its own index, or that of the shared unknown which it equals: (size,)."""
+    indices, chain = np.arange(size), grid.steps * STRIDE + NODE
     for body in range(BODIES):
-        shared = np.array([size - ROOT + root_place(body, j) for j in range(SHARED)])
-        places[body * chain + START_SHARED_PLACES] = shared[START_SHARED]
-        places[(body + 1) * chain - NODE + END_SHARED_PLACES] = shared[END_SHARED]
-    return places
+        shared = np.array([size - ROOT + root_index(body, j) for j in range(SHARED)])
+        indices[body * chain + START_TIED] = shared[START_SHARED]
+        indices[(body + 1) * chain - NODE + END_TIED] = shared[END_SHARED]
+    return indices

@@ -2,19 +2,29 @@
 
 from numba import njit
 
-from codegen.runtime.stand_ins.example import BODIES, COUPLINGS, OWN, PHASES, ROOT, SHARED, TABLED, duration_of, phase_durations
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    COUPLINGS,
+    OWN,
+    PHASES,
+    ROOT,
+    SHARED,
+    TABLED,
+    duration_of,
+    phase_durations,
+)
 
 
 @njit(error_model="numpy", inline="always")
-def root_place(body, j):
-    """Place, among the unknowns that no node owns, of the shared unknown j of a body."""
+def root_index(body, j):
+    """Index, among the unknowns that no node owns, of the shared unknown j of a body."""
     return body * OWN + j if j < OWN else (BODIES - 1) * OWN + j
 
 
 @njit(error_model="numpy", inline="always")
-def global_place(local, own, first, body, size):
-    """Place, among `size` unknowns, of an interval's or an end's, which has `own` from `first` on, then shared ones."""
-    return first + local if local < own else size - ROOT + root_place(body, local - own)
+def global_index(local, own, first, body, size):
+    """Index, among `size` unknowns, of an interval's or an end's, which has `own` from `first` on, then shared ones."""
+    return first + local if local < own else size - ROOT + root_index(body, local - own)
 
 
 @njit(error_model="numpy")
@@ -25,15 +35,15 @@ def read_shared(unknowns, body, parameters):
     if TABLED:
         behind -= TABLED
     for j in range(SHARED):
-        parameters[body, behind + j] = unknowns[first + root_place(body, j)]
+        parameters[body, behind + j] = unknowns[first + root_index(body, j)]
 
 
 @njit(error_model="numpy", inline="always")
-def add_shared(part, place, body, gradient):
-    """Add the entries of `part` from `place` on to `gradient` (n,) by the shared unknowns of a body."""
+def add_shared(part, index, body, gradient):
+    """Add the entries of `part` from `index` on to `gradient` (n,) by the shared unknowns of a body."""
     first = gradient.size - ROOT
     for j in range(SHARED):
-        gradient[first + root_place(body, j)] += part[place + j]
+        gradient[first + root_index(body, j)] += part[index + j]
 
 
 def shared_views(unknowns):

@@ -88,11 +88,11 @@ def impulses(problem: GalleryProblem, q: tuple[ca.SX, ca.SX], u: ca.SX, step: ca
     """The discrete forces f- and f+ of one interval."""
     rate, controls = ca.vertsplit((q[1] - q[0]) / step), ca.vertsplit(u)
     if problem.trapezoidal:
-        places = [(q[0], step * k), (q[1], step * (k + 1))]
+        points = [(q[0], step * k), (q[1], step * (k + 1))]
     else:
-        places = [((q[0] + q[1]) / 2, step * (k + 0.5))] * 2
+        points = [((q[0] + q[1]) / 2, step * (k + 0.5))] * 2
     first, second = (
-        step / 2 * ca.vertcat(*problem.force(ca, ca.vertsplit(place), rate, controls, time)) for place, time in places
+        step / 2 * ca.vertcat(*problem.force(ca, ca.vertsplit(at), rate, controls, time)) for at, time in points
     )
     return first, second
 
@@ -151,12 +151,12 @@ def transcribe(problem: GalleryProblem, steps: int) -> Program:
             constraints.append((ca.vec(c[:, 1:-1]), 0.0, 0.0))
             balance -= reaction
         constraints.append((ca.vec(balance), 0.0, 0.0))
-    for conditions, place, rate in (
+    for conditions, position, rate in (
         (problem.start_conditions, starts, first_rate),
         (problem.end_conditions, ends, last_rate),
     ):
         for body in range(bodies):
-            constraints += conditions(ca, ca.vertsplit(place[:, body]), ca.vertsplit(rate[:, body]))
+            constraints += conditions(ca, ca.vertsplit(position[:, body]), ca.vertsplit(rate[:, body]))
     if has_path(problem):
         constraints.append((ca.vec(rest[-1]), -inf, 0.0))
     constraints += [(c, 0.0, 0.0) for c in problem.couplings(ca, [ca.vertsplit(e) for e in ca.horzsplit(ends)])]
@@ -168,9 +168,9 @@ def transcribe(problem: GalleryProblem, steps: int) -> Program:
     )
 
 
-def columns(matrix: ca.MX, places: NDArray[np.int64]) -> ca.MX:
-    """The columns at the given places, in their order."""
-    return matrix[:, places.ravel().tolist()]
+def columns(matrix: ca.MX, indices: NDArray[np.int64]) -> ca.MX:
+    """The columns at the given indices, in their order."""
+    return matrix[:, indices.ravel().tolist()]
 
 
 def node_sums(first: ca.MX, left: ca.MX, right: ca.MX, last: ca.MX, steps: int, bodies: int) -> ca.MX:
@@ -195,10 +195,10 @@ def bounds_and_guess(problem: GalleryProblem, steps: int, size: tuple[int, ...])
         low, high = np.full((steps + 1, n), -inf), np.full((steps + 1, n), inf)
         for i, (least, greatest) in problem.bounds.items():
             low[:, i], high[:, i] = least, greatest
-        for place, given in ((0, start), (-1, problem.end)):
+        for index, given in ((0, start), (-1, problem.end)):
             for i, value in enumerate(given):
                 if value is not None:
-                    low[place, i] = high[place, i] = at_nodes[place, i] = value
+                    low[index, i] = high[index, i] = at_nodes[index, i] = value
         lower[qs], upper[qs], guess[qs] = low.ravel(), high.ravel(), at_nodes.ravel()
         guess[us] = on_intervals.ravel()
         for i, (least, greatest) in problem.control_bounds.items():
@@ -210,8 +210,8 @@ def bounds_and_guess(problem: GalleryProblem, steps: int, size: tuple[int, ...])
                     if value is not None:
                         lower[offset + i] = upper[offset + i] = guess[offset + i] = value
     for i, (value, least, greatest) in enumerate(problem.free):
-        place = size[0] + size[1] + i
-        guess[place], lower[place], upper[place] = value, least, greatest
+        index = size[0] + size[1] + i
+        guess[index], lower[index], upper[index] = value, least, greatest
     return lower, upper, guess
 
 
@@ -260,9 +260,9 @@ class PreparedGallery:
         The equations are linear in them but for the end conditions, so a few Gauss-Newton steps do.
         """
         result, count = unknowns.copy(), self.program.size[3]
-        places = np.arange(result.size) >= result.size - count
-        places &= self.program.lower < self.program.upper
-        if not places.any():
+        indices = np.arange(result.size) >= result.size - count
+        indices &= self.program.lower < self.program.upper
+        if not indices.any():
             return result
         x, g = self.program.functions["x"], self.program.functions["g"]
         slopes = ca.Function("slopes", [x], [g, ca.jacobian(g, x)])
@@ -270,8 +270,8 @@ class PreparedGallery:
         for _ in range(4):
             value, jacobian = slopes(result)
             defect = (np.asarray(value).ravel() - self.program.constraint_upper)[equalities]
-            matrix = np.asarray(jacobian[:, np.flatnonzero(places).tolist()])[equalities]
-            result[places] -= np.linalg.lstsq(matrix, defect, rcond=None)[0]
+            matrix = np.asarray(jacobian[:, np.flatnonzero(indices).tolist()])[equalities]
+            result[indices] -= np.linalg.lstsq(matrix, defect, rcond=None)[0]
         return result
 
     def cost(self, unknowns: Array) -> float:

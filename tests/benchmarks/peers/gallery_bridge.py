@@ -23,10 +23,10 @@ def perturbed(module: Any, grid: Any, size: float, seed: int) -> Array:
     greatest one. Ends that are copies of perturbed unknowns follow them.
     """
     unknowns = module.initial_guess(grid)
-    places = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
-    magnitude = np.abs(unknowns[places])
+    indices = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
+    magnitude = np.abs(unknowns[indices])
     noise = np.random.default_rng(seed).standard_normal(magnitude.size)
-    unknowns[places] += size * noise * (magnitude + 0.1 * magnitude.max(initial=0.0))
+    unknowns[indices] += size * noise * (magnitude + 0.1 * magnitude.max(initial=0.0))
     completed: Array = module.with_pinned_values(grid, unknowns)
     return completed
 
