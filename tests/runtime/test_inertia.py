@@ -138,6 +138,18 @@ def test_excess_of_negative_eigenvalues(interpreted, name, text, choices, steps,
         assert found == excess or 0 < found < excess
 
 
+@pytest.mark.parametrize(("primal", "multipliers"), [(1.0, 1e-6), (1e3, 1e-4), (1e-2, 1e3)])
+@pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
+def test_multipliers_that_a_node_lacks_are_not_counted(interpreted, name, text, choices, primal, multipliers):
+    """With a shift of the multipliers' diagonal, and whatever the sizes in which they are measured."""
+    module = interpreted(name, text, **choices)
+    grid = module.make_grid(4)
+    sizes = np.where(grid.is_multiplier, multipliers, primal)
+    unknowns = np.where(grid.is_multiplier, 0.0, trial_point(module, grid, 1, 0.2)) / sizes
+    scaled, diagonal = grid._replace(sizes=sizes, forces=sizes), np.where(grid.is_multiplier, -1e-8, 1.0)
+    assert module.factor_kkt(scaled, unknowns, 0.0, diagonal, module.allocate_system(grid)) == 0
+
+
 @pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
 def test_shortest_step_onto_the_linearised_equations(interpreted, name, text, choices):
     """Without the cost the matrix is regular even with multipliers that only the ends of a motion have.

@@ -87,4 +87,4 @@ def test_a_rod_takes_about_as_many_iterations_as_ipopt(rod):
     solution = rod.solve(100)
     assert solution.status == "solved"
     assert solution.cost == pytest.approx(0.03712799148568963, rel=1e-7)
-    assert solution.iterations <= 22
+    assert solution.iterations <= 20

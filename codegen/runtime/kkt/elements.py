@@ -38,8 +38,9 @@ if CARRIED:
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
 if SHARED_MULTIPLIERS:
     LOCAL_IS_MULTIPLIER[STRIDE + NODE :] = SHARED_IS_MULTIPLIER
-# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
+IS_LACKING = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] & (HESSIAN_ROWS == HESSIAN_COLUMNS)
 
 
 @njit(error_model="numpy")

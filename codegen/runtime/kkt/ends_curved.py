@@ -36,7 +36,9 @@ def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, el
 def add_end_hessian(entries, rows, columns, first, weight, parts, element):
     """Add `entries` of an end's Hessian, at as many `rows` and `columns`, mirrored; its node begins at row `first`."""
     for j in range(entries.size):
-        value = entries[j] * parts[end_unknown(rows[j])] * parts[end_unknown(columns[j])]
+        value = entries[j]
+        if not (END_IS_MULTIPLIER[rows[j]] and rows[j] == columns[j]):  # it makes up for the one of `IS_LACKING`
+            value *= parts[end_unknown(rows[j])] * parts[end_unknown(columns[j])]
         if not (END_IS_MULTIPLIER[rows[j]] or END_IS_MULTIPLIER[columns[j]]):
             value *= weight
         row = first + rows[j] if rows[j] < NODE else TAIL + rows[j] - NODE

@@ -20,7 +20,8 @@ from numba import njit
 from codegen.runtime.arrays import clear, copy_part, zero_matrix, zero_vector
 from codegen.runtime.kkt.element_condensed import add_element, allocate_condensed, prepare_condensed
 from codegen.runtime.kkt.elements import (
-    BLOCK, BORDER, COLUMNS, FIRST, INNER, IS_CURVATURE, LOCAL_IS_MULTIPLIER, RIGHT, ROWS, SIZE, TAIL, WIDTH, padded,
+    BLOCK, BORDER, COLUMNS, FIRST, INNER, IS_CURVATURE, IS_LACKING, LOCAL_IS_MULTIPLIER, RIGHT, ROWS, SIZE, TAIL,
+    WIDTH, padded,
 )  # fmt: skip
 from codegen.runtime.kkt.ends_flat import close_element
 from codegen.runtime.stand_ins.example import (
@@ -142,11 +143,12 @@ def fill_parts(sizes, forces, parts):
 def fill_factors(weight, parts, factors):
     """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
 
-    It is the sizes of both unknowns, and the weight where both are primal.
+    It is the sizes of both unknowns, and the weight where both are primal. The one for a multiplier that there is not
+    stays one: a shift of the multipliers' diagonal would turn a smaller one's sign, and so be counted as an equation.
     """
     is_weighted = False
     for j in range(factors.size):
-        factors[j] = parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
+        factors[j] = 1.0 if IS_LACKING[j] else parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
         if IS_CURVATURE[j]:
             factors[j] *= weight
         is_weighted = is_weighted or factors[j] != 1.0

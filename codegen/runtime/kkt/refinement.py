@@ -3,8 +3,10 @@
 The elimination pairs the state of a node with the equation of the interval after it, and so runs the dynamics
 backwards. Where that grows, as dissipative dynamics do over a long time, the factors are those of a matrix that is off
 by far more than rounding, and a step leaves equations unsolved. Refinement with residuals of the matrix itself makes up
-for it. Source: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; the measure of the residual
-is that of Waechter and Biegler (2006), section 3.10.
+for it. Corrections one after the other need not converge with such factors; their best combination, by generalised
+conjugate residuals with the factors to precondition them, does. Sources: Higham (2002), Accuracy and stability of
+numerical algorithms, chapter 12; Eisenstat, Elman and Schultz (1983), Variational iterative methods for nonsymmetric
+systems of linear equations; the measure of the residual is that of Waechter and Biegler (2006), section 3.10.
 """
 
 import numpy as np
@@ -64,23 +66,39 @@ def left_over(grid, unknowns, diagonal, gradient, step):
     return np.where(free_unknowns(grid), product, 0.0)
 
 
-def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine `step` (n,) in place until its residual is small, or falls no more; return whether that was necessary.
+def inaccuracy(grid, gradient, step, left):
+    """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
-    The system is still factored, and the matrix as `factor_kkt` says.
+    Large multipliers, and barriers close to their bounds, take no part in the equations.
     """
-    correction, right = np.empty_like(step), np.abs(gradient).max(initial=0.0)
+    equations, most = grid.is_multiplier, LARGE_STEP * np.abs(gradient).max(initial=0.0)
+    unsolved = relative(left[equations], gradient[equations], step[~equations], most)
+    return max(unsolved, relative(left, gradient, step, most))
+
+
+def relative(left, right, step, most):
+    """The largest of `left`, in parts of the largest of `right` and of `step`, which counts up to `most`."""
+    scale = np.abs(right).max(initial=0.0) + min(np.abs(step).max(initial=0.0), most)
+    return np.abs(left).max(initial=0.0) / max(scale, 1e-300)
+
+
+def refine(grid, unknowns, diagonal, system, gradient, step):
+    """Refine `step` (n,) in place until it is accurate; return whether that was necessary.
+
+    The system is still factored, and the matrix as `factor_kkt` says. Each time, what the factors make of the residual
+    is one more correction, and that sum of all corrections is added which leaves least.
+    """
+    zero, corrections, products = np.zeros_like(step), [], []
     left = left_over(grid, unknowns, diagonal, gradient, step)
-    size = np.abs(left).max(initial=0.0)
     for refinement in range(SOLVED_AGAIN):
-        scale = right + min(np.abs(step).max(initial=0.0), LARGE_STEP * right)
-        if not ACCURATE * scale < size < np.inf:
+        if not ACCURATE < inaccuracy(grid, gradient, step, left) < np.inf:
             return refinement > 0
-        solve_kkt(grid, system, left, correction)
-        better = step + correction
-        left, before = left_over(grid, unknowns, diagonal, gradient, better), size
-        size = np.abs(left).max(initial=0.0)
-        if not size < before:
-            break
-        step[:] = better
+        corrections.append(np.empty_like(step))
+        solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
+        products.append(left_over(grid, unknowns, diagonal, zero, corrections[-1]))
+        if not np.isfinite(products[-1]).all():
+            return True
+        parts, *_ = np.linalg.lstsq(np.array(products).T, -left, rcond=None)
+        step += parts @ np.array(corrections)
+        left = left_over(grid, unknowns, diagonal, gradient, step)
     return True

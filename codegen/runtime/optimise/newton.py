@@ -143,7 +143,8 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
             failed = failed or ended not in LEFT
         escapes += 1
     if status == "saddle point" and escapes == ESCAPES and not failed:
-        status = "solved" if is_solved(search.grid, saddle.point, tolerance) else "stalled"
+        is_over = is_solved(search.grid, saddle.point, tolerance) or is_rounding(search.grid, saddle.point)
+        status = "solved" if is_over else "stalled"
     return status, saddle, total
 
 
@@ -207,8 +208,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and length == 1.0:
-                doubts.doubts += leaves_much(point, step, trial.point)
+            if trial is not None and leaves_much(point, step, length, trial.point):
+                doubts.add()
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0
@@ -223,7 +224,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             if is_rounding(grid, point):
                 if INEQUALITIES and not is_closed(search, iterate, tolerance):
                     return "stalled", iterate, iteration
-                return "solved", iterate, iteration  # rounding has the last word
+                return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
             filtered.add(point.violation, merit(iterate))
             status, trial = restored(search, iterate, 0.9, filtered, log)
             if status != "restored":

@@ -30,7 +30,7 @@ class Watch(NamedTuple):
 
 
 class Doubts:
-    """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
+    """When to measure what steps leave of the linear system: where they leave more of the equations than they should.
 
     Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
     Once one was not, all are measured.
@@ -38,6 +38,10 @@ class Doubts:
 
     def __init__(self):
         self.doubts, self.enough = 0, 1
+
+    def add(self):
+        """Take note of a step that left too much."""
+        self.doubts += 1
 
     def are_enough(self):
         """Whether the next step has to be measured."""
@@ -81,11 +85,14 @@ def regularised_step(search, iterate, before, damping, careful):
     return None
 
 
-def leaves_much(point, step, trial):
-    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
+def leaves_much(point, step, length, trial):
+    """Whether a step of some length has left more than its part of the equations: they are curved, or it is inaccurate.
+
+    Were they linear, 1 - `length` of each would be left.
+    """
     if UNBOUNDED and step.shift.value > 0.0:
         return False  # it is far from a solution, where curvature is the reason
-    return trial.residual > UNSOLVED * point.residual
+    return trial.residual > (1.0 - length + UNSOLVED) * point.residual
 
 
 def damped(damping, step, length, shortened):
