@@ -41,9 +41,7 @@ def chosen(
     return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
 
 
-def origin_of(
-    path: Path, arguments: Mapping[str, str], choices: Choices, files: Iterable[DataFile] = ()
-) -> Origin:
+def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices, files: Iterable[DataFile] = ()) -> Origin:
     """The header's record of where a module comes from; it names no folder, so that any machine makes the same text.
 
     `files` are those that the problem file has read.

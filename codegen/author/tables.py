@@ -20,9 +20,9 @@ from codegen.tables.files import read_table
 class Table:
     """A function of one or two quantities that is given by a file of numbers.
 
-    `thrust = Table("thrust.csv", inputs=("mach", "altitude"), output="thrust")` reads three columns of a file that lies
-    beside the problem file, and `thrust(M, h)` is then used like any function of sympy. Of two inputs the file has a row
-    for every pair of a grid, in any order. In units of the author's.
+    `thrust = Table("thrust.csv", inputs=("mach", "altitude"), output="thrust")` reads three columns of a file that
+    lies beside the problem file, and `thrust(M, h)` is then used like any function of sympy. Of two inputs the file
+    has a row for every pair of a grid, in any order. Units are the author's.
 
     The `kind` is "cubic", a spline with two continuous derivatives; "monotone" (of one input), with one, but without
     overshoot; "linear", which has a kink at every breakpoint, where Newton's method may not converge; or "steps", for

@@ -1,7 +1,7 @@
 """Tables as functions of sympy, with exact derivatives of every order.
 
 To sympy such a function is opaque, so that nothing is known of it but that equal arguments have equal values; its
-numbers are looked up where an expression is evaluated. What kernels read is lowered in `codegen/lower/table_calls.py`.
+numbers are looked up where an expression is evaluated. What kernels call is written in `codegen/lower/lookups.py`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables in kernels: each is looked up once for all its derivatives at a point, before the first line that reads one."""
+"""Tables in kernels: each is looked up once for all derivatives at a point, before the first line that reads one."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def with_lookups(
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Point:
     """A table at a point: the code of the point, the line before which it is looked up, the names of derivatives."""
 
     table: TableData
@@ -59,7 +59,7 @@ class _Lookups:
 
     def __init__(self, taken: Collection[str]) -> None:
         self._taken = set(taken)
-        self._indices: dict[tuple[TableData, tuple[Expr, ...]], _Place] = {}
+        self._points: dict[tuple[TableData, tuple[Expr, ...]], _Point] = {}
 
     def without_tables(self, expression: Expr, line: int) -> Expr:
         """The expression of a line with names in place of tables."""
@@ -70,9 +70,9 @@ class _Lookups:
 
     def _name(self, function: TableFunction, line: int) -> Symbol:
         table, key = function.table, (function.table, function.args)
-        if key not in self._indices:
-            self._indices[key] = _Place(table, ", ".join(map(scalar_code, function.args)), line, {})
-        names = self._indices[key].names
+        if key not in self._points:
+            self._points[key] = _Point(table, ", ".join(map(scalar_code, function.args)), line, {})
+        names = self._points[key].names
         if function.order not in ORDERS[len(function.args)]:
             raise ExpressionError(
                 f"the derived equations have a derivative of table {table.shape.name} beyond the third",
@@ -90,13 +90,13 @@ class _Lookups:
 
     def before(self, line: int) -> Pairs:
         """The look-ups that come before a line, once all lines have been asked for."""
-        return [self._written(index) for index in self._indices.values() if index.line == line]
+        return [self._written(point) for point in self._points.values() if point.line == line]
 
-    def _written(self, index: _Place) -> tuple[str, str]:
-        shape = index.table.shape
-        targets = [str(index.names.get(order, "_")) for order in ORDERS[len(shape.inputs)]]
+    def _written(self, point: _Point) -> tuple[str, str]:
+        shape = point.table.shape
+        targets = [str(point.names.get(order, "_")) for order in ORDERS[len(shape.inputs)]]
         while targets[-1] == "_" and len(targets) > 1:
             targets.pop()
         part = "" if len(targets) == len(ORDERS[len(shape.inputs)]) else f"[:{len(targets)}]"
-        code = f"{function_name(shape)}(parameters, {index.code}){part if len(targets) > 1 else '[0]'}"
+        code = f"{function_name(shape)}(parameters, {point.code}){part if len(targets) > 1 else '[0]'}"
         return ", ".join(targets), code

@@ -16,6 +16,7 @@ from codegen.expressions.table_functions import tables_of
 from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
 from codegen.lower.module import SimulateModule, arguments_of
 from codegen.lower.printer import readable, scalar_code
+from codegen.lower.table_ranges import Input, inputs_kernel, range_constants, ranged_inputs
 from codegen.lower.tables import (
     described_tables,
     table_arguments,
@@ -38,6 +39,7 @@ def _arguments(program: StepProgram) -> tuple[str, ...]:
 def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
     """Write every kernel of an initial value problem as strings."""
     model, tables = program.model, tables_of(program.model)
+    ranged = ranged_inputs(tables, len(model.parameters))
     kernels = (
         *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
         _equations_kernel(program),
@@ -46,6 +48,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
             ("state", "t", "parameters"), _codes(program), (), program.energy,
             straight_line=needed(program.state_assignments, (program.energy,)),
         ),
+        *((_inputs_kernel(program, ranged),) if ranged else ()),
     )  # fmt: skip
     quantity = program.start_values[0].quantity
     return SimulateModule(
@@ -55,10 +58,10 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         description=tuple(_description(program, kernels, described_tables(tables))),
         left_out=tuple(_left_out(program, derivatives)),
         metadata=(*_metadata(program, derivatives, kernels), *table_metadata(tables)),
-        constants=(*_constants(program), *table_constants(tables)),
+        constants=(*_constants(program), *table_constants(tables), *range_constants(ranged)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
-        runtime=(*_runtime(program), *table_runtime(tables)),
-        sizes=_sizes(program, derivatives),
+        runtime=(*table_runtime(tables), *(("table_steps",) if ranged else ()), *_runtime(program)),
+        sizes=(*_sizes(program, derivatives), ("RANGED", len(ranged))),
         arguments=arguments_of(model),
         table_arguments=table_arguments(tables),
         steps=model.steps,
@@ -155,6 +158,15 @@ def _equations_kernel(program: StepProgram) -> Kernel:
         ("state", "interval", *_arguments(program)[1:], "residual"), codes, outputs,
         straight_line=straight.assignments,
     )  # fmt: skip
+
+
+def _inputs_kernel(program: StepProgram, ranged: Sequence[Input]) -> Kernel:
+    """What tells with which inputs a step reads tables."""
+    codes = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
+    codes |= {symbol: code for symbol, code in _codes(program).items() if symbol not in codes}
+    read = [value for _, value in program.equations]
+    arguments = ("state", "interval", *_arguments(program)[1:])
+    return inputs_kernel("step_inputs", "in a step", arguments, codes, ranged, read)
 
 
 def _constants(program: StepProgram) -> list[Line]:

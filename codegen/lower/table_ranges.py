@@ -1,4 +1,4 @@
-"""Where kernels read tables outside of which there is nothing: functions that tell with what inputs, and their ranges."""
+"""Tables with ranges that a solution must not leave: functions that tell with what inputs kernels read them."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from codegen.tables.data import TableData
 DEGREE = 3
 _HERMITE = ((1, 0, -3, 2), (0, 1, -2, 1), (0, 0, 3, -2), (0, 0, -1, 1))
 """Coefficients of 1, s, s^2, s^3 of the cubics that are 1 in the value, then the slope, at s = 0, then at s = 1."""
-_LINEAR = ((1, -1), (0, 1))
+_BASES: dict[str, tuple[tuple[int, ...], ...]] = {"linear": ((1, -1), (0, 1))}
 
 
 def derivative(table: TableData, order: Sequence[int], at: Sequence[Any], real: Callable[[Any], Any]) -> Any:
@@ -45,30 +45,21 @@ def derivative(table: TableData, order: Sequence[int], at: Sequence[Any], real: 
 
 def _part(axis: NDArray[np.float64], table: TableData, order: int, x: Any, real: Callable[[Any], Any]) -> Any:
     """The cell of an input, and the weights, differentiated, of what stands at its ends."""
-    flat, at = np.asarray(real(x), dtype=float), x
-    factor: Any = 1
+    flat, at, factor = np.asarray(real(x), dtype=float), x, None
     if table.shape.outside == "clamp":
-        below, above = flat < axis[0], flat > axis[-1]
-        if flat.ndim:
-            at = np.where(below, axis[0], np.where(above, axis[-1], x))
-            factor = np.where(below | above, 0.0, 1.0) if order else 1
-        elif below or above:
-            at, factor = x * 0 + float(axis[0] if below else axis[-1]), 0 if order else 1
-    cell = np.clip(np.searchsorted(axis, flat, side="right") - 1, 0, axis.size - 2)
-    lengths = np.diff(axis)
-    if not flat.ndim:
-        cell = int(cell)
-    left, length = axis[cell], lengths[cell]
-    if not flat.ndim:
-        left, length = float(left), float(length)
+        inside = (flat >= axis[0]) & (flat <= axis[-1])
+        edge = np.where(flat < axis[0], axis[0], axis[-1])
+        at = np.where(inside, x, edge) if flat.ndim else (x if inside else x * 0 + float(edge))
+        factor = (np.where(inside, 1.0, 0.0) if flat.ndim else int(inside)) if order else None
+    cell: Any = np.clip(np.searchsorted(axis, flat, side="right") - 1, 0, axis.size - 2)
+    left, length = _plain(axis[cell]), _plain(np.diff(axis)[cell])
     s = (at - left) / length
-    basis = _LINEAR if table.shape.kind == "linear" else _HERMITE
-    weights = [_differentiated(polynomial, order, s) * factor for polynomial in basis]
-    for index in range(1, len(weights), 2) if basis is _HERMITE else ():
-        weights[index] = weights[index] * length
+    weights = [_differentiated(polynomial, order, s) for polynomial in _BASES.get(table.shape.kind, _HERMITE)]
+    for number in (1, 3) if len(weights) == len(_HERMITE) else ():
+        weights[number] = weights[number] * length
     for _ in range(order):
         weights = [weight / length for weight in weights]
-    return cell, weights
+    return cell, weights if factor is None else [weight * factor for weight in weights]
 
 
 def _plain(height: Any) -> Any:

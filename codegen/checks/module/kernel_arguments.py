@@ -32,7 +32,7 @@ def pattern_of(module: Any, share: str) -> list[tuple[int, int]]:
 
 
 def parameter_vector(point: Point, program: ControlProgram) -> Any:
-    """A row of `grid.parameters`: parameters, boundary values, behind them the shared unknowns, and numbers of tables."""
+    """A row of `grid.parameters`: parameters, boundary values, shared unknowns, and behind them numbers of tables."""
     boundary = [value.symbol for value in program.boundary_values]
     symbols = (*program.model.parameters, *boundary, *program.shared_symbols)
     return np.array([*(point[s] for s in symbols), *numbers_of(program.model)])

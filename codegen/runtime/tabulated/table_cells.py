@@ -40,7 +40,7 @@ def line(f, f1, x, length):
 
 @njit(error_model="numpy", forceinline=True)
 def within(numbers, first, count, x):
-    """The index nearest to x between the first and the last breakpoint, and 1, or 0 where that is not x itself."""
+    """What is nearest to x between the first and the last breakpoint, and 1, or 0 where that is not x itself."""
     least, greatest = numbers[first], numbers[first + count - 1]
     if x < least:
         return least, 0.0

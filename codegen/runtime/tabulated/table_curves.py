@@ -5,7 +5,7 @@ From `first` on there are `count` breakpoints, then at each of them the value, a
 
 from numba import njit
 
-from codegen.runtime.tabulated.table_cells import cell_of, cubic, line, within
+from codegen.runtime.tabulated.table_cells import cell_of, cubic, line
 
 
 @njit(error_model="numpy", forceinline=True)

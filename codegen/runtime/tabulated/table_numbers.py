@@ -1,4 +1,4 @@
-"""The numbers of tables: those of the module, or others in their indices."""
+"""The numbers of tables: those of the module, or others instead."""
 
 import numpy as np
 

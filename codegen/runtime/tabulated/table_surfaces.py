@@ -15,7 +15,12 @@ def cubic_surface(numbers, first, rows, columns, x, y):
     """Products of cubics; outside the grid the outermost ones go on."""
     i, j = cell_of(numbers, first, rows, x), cell_of(numbers, first + rows, columns, y)
     left, below = numbers[first + i], numbers[first + rows + j]
-    across, up, width, height = x - left, y - below, numbers[first + i + 1] - left, numbers[first + rows + j + 1] - below
+    across, up, width, height = (
+        x - left,
+        y - below,
+        numbers[first + i + 1] - left,
+        numbers[first + rows + j + 1] - below,
+    )
     at = first + rows + columns + 4 * (i * columns + j)
     beyond = at + 4 * columns
     a, a_y, a_yy, a_yyy = cubic(numbers[at], numbers[at + 2], numbers[at + 4], numbers[at + 6], up, height)
@@ -38,7 +43,12 @@ def linear_surface(numbers, first, rows, columns, x, y):
     """Products of straight lines; outside the grid the outermost ones go on."""
     i, j = cell_of(numbers, first, rows, x), cell_of(numbers, first + rows, columns, y)
     left, below = numbers[first + i], numbers[first + rows + j]
-    across, up, width, height = x - left, y - below, numbers[first + i + 1] - left, numbers[first + rows + j + 1] - below
+    across, up, width, height = (
+        x - left,
+        y - below,
+        numbers[first + i + 1] - left,
+        numbers[first + rows + j + 1] - below,
+    )
     at = first + rows + columns + i * columns + j
     a, a_y = line(numbers[at], numbers[at + 1], up, height)
     b, b_y = line(numbers[at + columns], numbers[at + columns + 1], up, height)
