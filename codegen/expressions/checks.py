@@ -41,6 +41,9 @@ _WIDE = 100
 
 def checked(value: Any, what: str) -> sympy.Expr:
     """Sympify a scalar; ExpressionError names `what` when it is no finite real scalar of known functions."""
+    if hasattr(value, "data") and callable(value) and hasattr(value.data, "shape"):
+        call = f"{value.data.shape.name}({', '.join(value.data.shape.inputs)})"
+        raise ExpressionError(f"{what} is a {type(value).__name__}", f"call it, as in {call}")
     if isinstance(value, (str, bool)) or value is None:
         raise ExpressionError(f"{what} is {value!r}", "give a sympy expression or a number")
     try:

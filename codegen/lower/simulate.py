@@ -60,7 +60,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         metadata=(*_metadata(program, derivatives, kernels), *table_metadata(tables)),
         constants=(*_constants(program), *table_constants(tables), *range_constants(ranged)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
-        runtime=(*table_runtime(tables), *(("table_steps",) if ranged else ()), *_runtime(program)),
+        runtime=(*table_runtime(tables), *(("table_steps", "table_left") if ranged else ()), *_runtime(program)),
         sizes=(*_sizes(program, derivatives), ("RANGED", len(ranged))),
         arguments=arguments_of(model),
         table_arguments=table_arguments(tables),

@@ -8,7 +8,7 @@ from codegen.runtime.optimise.tolerances import checked_tolerance
 from codegen.runtime.stand_ins.example_step import PARTS, RANGED, STAGES, STATE, energy, step_equations
 from codegen.runtime.stepping.composition import advance_parts, allocate_parts, parts_residual
 from codegen.runtime.stepping.step_newton import advance, allocate_work
-from codegen.runtime.tabulated.table_steps import LEFT, left_tables, told_range
+from codegen.runtime.tabulated.table_steps import LEFT
 
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
@@ -53,24 +53,6 @@ def step(grid, state, t=0.0):
     else:
         outcome = advance(state, t, grid.h, grid.given, allocate_work(grid.h, grid.given), interval)
     return interval[STAGES:] if outcome >= 0 else np.full(STATE, np.nan)
-
-
-if RANGED:
-
-    def range_left(grid, state, t):
-        """Which input leaves the range of its table in the step from `state` (STATE,) at time t, in words."""
-        interval, inputs, here = np.empty(STAGES + STATE), np.empty((RANGED, 2)), np.array(state)
-        if PARTS:
-            work, lengths, _ = allocate_parts(grid.h, grid.given)
-            for length in lengths:
-                advance(here, t, length, grid.given, work, interval)
-                if left_tables(here, interval, t, length, grid.parameters, inputs) >= 0:
-                    break
-                here, t = interval[STAGES:].copy(), t + length.sum()
-        else:
-            advance(here, t, grid.h, grid.given, allocate_work(grid.h, grid.given), interval)
-            left_tables(here, interval, t, grid.h, grid.parameters, inputs)
-        return told_range(grid.parameters, inputs)
 
 
 @njit(cache=True, error_model="numpy")

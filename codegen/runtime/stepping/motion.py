@@ -12,9 +12,10 @@ from numba import njit
 
 from codegen.runtime.optimise.counts import checked_count, checked_times
 from codegen.runtime.stand_ins.example_step import PARTS, RANGED, STAGES, STATE
-from codegen.runtime.stepping.body_motion import FAILURES, energies, largest_residual, range_left, settings_for
+from codegen.runtime.stepping.body_motion import FAILURES, energies, largest_residual, settings_for
 from codegen.runtime.stepping.composition import advance_parts, allocate_parts
 from codegen.runtime.stepping.step_newton import advance, allocate_work
+from codegen.runtime.tabulated.table_left import range_left
 from codegen.runtime.tabulated.table_steps import LEFT, left_tables
 
 

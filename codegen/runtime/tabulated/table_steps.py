@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.stand_ins.example_tables import RANGE_NAMES, RANGED, RANGES, step_inputs
+from codegen.runtime.stand_ins.example_tables import RANGED, RANGES, step_inputs
 
 LEFT = -4  # what tells that a step has left the range of a table
 INSIDE = 1e-8  # parts of a range by which an input may be outside, which is rounding
@@ -24,12 +24,3 @@ def left_tables(state, interval, t, length, parameters, inputs):
         if inputs[j, 0] < least - margin or inputs[j, 1] > greatest + margin:
             return j
     return -1
-
-
-def told_range(parameters, inputs):
-    """The input that is farthest outside, in words."""
-    ends = parameters[RANGES]
-    excess = np.maximum(ends[:, 0] - inputs[:, 0], inputs[:, 1] - ends[:, 1]) / (ends[:, 1] - ends[:, 0])
-    j = int(np.argmax(excess))
-    value = inputs[j, 0] if inputs[j, 0] < ends[j, 0] else inputs[j, 1]
-    return f"{RANGE_NAMES[j]} is {value:g}, outside {ends[j, 0]:g} to {ends[j, 1]:g}"
