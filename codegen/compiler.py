@@ -28,7 +28,7 @@ from codegen.author.problem_file import split_points
 from codegen.deadline import BUILD, Stages, described, extent
 from codegen.errors import ArgumentError, FileError
 from codegen.naming import Choices, chosen, origin_of
-from codegen.runtime.kept_code import remove_partial_bytecode
+from codegen.runtime.machine_code_cache import remove_partial_bytecode
 
 if TYPE_CHECKING:
     from codegen.lower.module import Module, Origin

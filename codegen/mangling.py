@@ -85,11 +85,11 @@ def renamed(text: str) -> str:
         if token.type == tokenize.NAME and token.string in new:
             (row, begin), (_, end) = token.start, token.end
             lines[row - 1] = lines[row - 1][:begin] + new[token.string] + lines[row - 1][end:]
-    told = re.sub(rf"(\w+?{MARK}){MARK}", lambda found: new[found[1]], "".join(lines))
-    return plain(told)
+    renamed_text = re.sub(rf"(\w+?{MARK}){MARK}", lambda found: new[found[1]], "".join(lines))
+    return plain(renamed_text)
 
 
-def told_arguments(names: Iterable[str]) -> list[str]:
+def renamed_arguments(names: Iterable[str]) -> list[str]:
     """Lines of a module's docstring that tell which arguments are not called as their author called the parameter."""
     marks = [name for name in names if MARK in name]
     listed = ", ".join(f"{name}{MARK} for {name}" for name in marks)

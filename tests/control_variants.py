@@ -98,9 +98,9 @@ def dense_kkt(module: Any, grid: Any, unknowns: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def shifts(module: Any, grid: Any, shift: float, dual_shift: float) -> np.ndarray:
+def shifts(module: Any, grid: Any, shift: float, delta_c: float) -> np.ndarray:
     """A diagonal to be added to the KKT matrix, for free unknowns only."""
-    diagonal = np.where(grid.is_multiplier, -dual_shift, shift)
+    diagonal = np.where(grid.is_multiplier, -delta_c, shift)
     return np.where(module.free_unknowns(grid), diagonal, 0.0)
 
 

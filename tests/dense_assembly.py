@@ -130,7 +130,7 @@ class DenseProblem(DenseLayout):
                 total += float(end_cost(x[indices], self._others(body, k * self.h)))
         return total
 
-    def with_multipliers(self, z: np.ndarray) -> np.ndarray:
+    def with_least_squares_multipliers(self, z: np.ndarray) -> np.ndarray:
         """The same primal unknowns with the least-squares multipliers."""
         primal, multiplier = ~self.free_multiplier, self.free_multiplier
         z = np.where(multiplier, 0.0, z)
@@ -143,7 +143,7 @@ class DenseProblem(DenseLayout):
 
         Multipliers start from least squares. Raises AssertionError when it does not converge.
         """
-        z = self.with_multipliers(z)
+        z = self.with_least_squares_multipliers(z)
         for _ in range(iterations):
             gradient = self.gradient(z)
             norm = np.linalg.norm(gradient)

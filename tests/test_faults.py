@@ -82,7 +82,7 @@ def test_machine_code_of_an_older_text_is_never_run(box):
     assert all(identity.encode() in path.read_bytes() for path in codes)
     older = codes[0].read_bytes().partition(module.SEAL)[0].replace(identity.encode(), b"x" * len(identity))
     codes[0].write_bytes(older)
-    assert module.remove_unfit_code(vars(module).values(), identity) == 0
+    assert module.remove_invalid_code(vars(module).values(), identity) == 0
     assert not codes[0].exists()
     assert all(path.exists() for path in codes[1:])
     assert box.run("import", NAME) == "right"

@@ -194,7 +194,7 @@ class NormalForms:
 
     def _points(self) -> Iterator[tuple[Mapping[Symbol, Rational], list[mpmath.mpf]]]:
         """Points at which all generators have values, and these; to be read with _DIGITS digits."""
-        for drawn in expressions.trial_points(self._symbols, {}, {}):
+        for drawn in expressions.sample_points(self._symbols, {}, {}):
             point = {symbol: Rational(str(round(x, 6))) for symbol, x in drawn.items()}
             values = self._values_at(point)
             if values is not None:

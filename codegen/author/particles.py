@@ -104,7 +104,7 @@ class Connect(Problem):
 
     `points` is a file that holds them: it is read when the problem is solved, so that one module serves all files.
     `path` is a function of a start and a target, tuples of symbols, and of the fraction of the way between them; it
-    returns the coordinates of a guess of the place there, and may be left out for straight lines. With `passive=True`
+    returns the coordinates of a guessed position there, and may be left out for straight lines. With `passive=True`
     the module also carries points without momenta along with the motion. With `parallel=True` several threads share the
     gradient of H where there are more particles than one block holds; the result is the same to the last digit.
     """

@@ -27,7 +27,7 @@ def build(
     """Derive and write the module that solves a problem, and compile it."""
     from codegen import compiler
     from codegen.author.problem_file import parse_arguments
-    from codegen.machine_code import ahead
+    from codegen.machine_code import ahead_of_time
     from codegen.machine_code.processes import compilers
     from codegen.solutions import notes, output
 
@@ -41,7 +41,7 @@ def build(
             )  # fmt: skip
         if processes is not None:
             with working("Compiling"):
-                ahead.prepare(made.path, processes)
+                ahead_of_time.prepare(made.path, processes)
     for line in processes.said if processes is not None else ():
         typer.echo(line, err=True)
     seconds = time.perf_counter() - begin

@@ -55,12 +55,12 @@ def _module(problem: Path, arguments: Mapping[str, str], choices: Choices, out: 
     """The module that someone keeps, as it stands, since it may have been changed by hand; else one of the cache."""
     from codegen import compiler, naming
     from codegen.loading import load
-    from codegen.machine_code import ahead
+    from codegen.machine_code import ahead_of_time
 
     kept = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
     if kept.is_file():
         return kept
     made = compiler.build(problem, arguments, scheme=choices.scheme, method=choices.method, controls=choices.controls)
-    for line in ahead.require(made.path, load(made.path), made.written, nullcontext)[1]:
+    for line in ahead_of_time.require(made.path, load(made.path), made.written, nullcontext)[1]:
         typer.echo(line, err=True)
     return made.path

@@ -158,8 +158,8 @@ def _many(
     summary = (out / batch.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     if report is not None:
         batch.require_free(jobs, report / batch_report.NAME)
-    with progress("Warping", len(jobs)) as told:
-        done = batch.run_all(jobs, options, summary, told)
+    with progress("Warping", len(jobs)) as report_progress:
+        done = batch.run_all(jobs, options, summary, report_progress)
     if report is not None:
         batch_report.write_batch_report(report, done, [job.report for job in jobs])
     if json:

@@ -196,7 +196,7 @@ def _constant_and_regular(program: ControlProgram, element: ElementDerivatives, 
             if value.free_symbols & (unknowns | {program.model.time}):
                 return False
             block[row - first, column - first] = block[column - first, row - first] = value
-    points = expressions.trial_points(block.free_symbols, {}, {})
+    points = expressions.sample_points(block.free_symbols, {}, {})
     return expressions.null_direction(expressions.values_at(block, point) for point in points) is None
 
 

@@ -17,7 +17,7 @@ from codegen.solutions.connect import case_of
 from codegen.solutions.result import ConnectAttempt, Run, max_norm
 
 _DENSE_LIMIT = 3000
-_ROUNDED = 1e-9  # neighbours that move apart have momenta so large that rounding errors of places come near to this
+_ROUNDED = 1e-9  # neighbours that move apart have momenta so large that rounding errors of positions come near to this
 _SIMPLEX_LIMIT = 24
 
 

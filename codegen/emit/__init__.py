@@ -18,7 +18,7 @@ import jinja2
 
 from codegen.emit.specialise import specialise
 from codegen.files import refused, write_text
-from codegen.mangling import renamed, told_arguments
+from codegen.mangling import renamed, renamed_arguments
 
 if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy
     from codegen.lower.module import Module, Origin
@@ -48,10 +48,10 @@ def render(module: Module, origin: Origin) -> str:
     runtime = ("packing", *special, *module.runtime)
     names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
     values |= {
-        "description": (*module.description, *told_arguments(names)),
+        "description": (*module.description, *renamed_arguments(names)),
         "numba_names": numba_names(runtime),
         "runtime": runtime_source(runtime, module.sizes),
-        "kept_code": runtime_source(("kept_code",)),
+        "machine_code_cache": runtime_source(("machine_code_cache",)),
         "imports": standard_imports(runtime),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),

@@ -145,7 +145,7 @@ def _real(evaluate: Callable[[], sympy.Expr]) -> float | None:
     return number.real
 
 
-def trial_points(
+def sample_points(
     symbols: Collection[sympy.Symbol], fixed: Mapping[sympy.Symbol, float], likely: Mapping[sympy.Symbol, float]
 ) -> Iterator[dict[sympy.Symbol, float]]:
     """Points at which to try whether an expression has a value: the likely one, usual ones, then far-flung ones.

@@ -17,8 +17,8 @@ from codegen.lower.pair_text import description, left_out, metadata
 from codegen.lower.pair_writer import PairLoop
 from codegen.lower.pairwise import pair_loops, separable_loops
 from codegen.lower.particle_loops import ParticleLoop, particle_loops
-from codegen.lower.passive import BLOCK, passive_loops
 from codegen.lower.printer import scalar_code
+from codegen.lower.tracers import BLOCK, tracer_loops
 from codegen.transcribe.connect import PairwiseProgram
 
 
@@ -35,10 +35,10 @@ class PairwiseModule(Module):
 
 @dataclass(frozen=True)
 class ConnectModule(PairwiseModule):
-    """A module that connects given points by the motion of particles; `passive_loops` carry points along."""
+    """A module that connects given points by the motion of particles; `tracer_loops` carry points along."""
 
     gathered_loops: tuple[BlockLoop, ...]
-    passive_loops: tuple[BlockLoop, ...]
+    tracer_loops: tuple[BlockLoop, ...]
     method: str
 
 
@@ -55,7 +55,7 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
     model = program.model
     singles, loops = pair_loops(model, derivatives)
     around = particle_loops(model, singles)
-    gathered, carried = gathered_loops(model, derivatives), passive_loops(model, derivatives)
+    gathered, carried = gathered_loops(model, derivatives), tracer_loops(model, derivatives)
     loops = tuple(visit for visit in loops if not gathered or visit.name != "hamiltonian_gradient")
     implicit, all_loops = _is_implicit(program), list[PairLoop | BlockLoop]([*loops, *gathered, *carried])
     constants = _constants(program, derivatives)
@@ -71,7 +71,7 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         runtime=_runtime(program, derivatives, loops, around, gathered, carried),
         sizes=(("IMPLICIT", int(implicit)), ("QUADRATIC", int(derivatives.quadratic))),
         gathered_loops=gathered,
-        passive_loops=carried,
+        tracer_loops=carried,
         own=tuple(Argument(name, "1.0") for name in model.own),
         method=program.method,
     )
@@ -134,7 +134,7 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
     if program.substeps:
         table = ", ".join(f"({', '.join(repr(float(v)) for v in row)})" for row in program.substeps)
         lines.append(Line("POINTS", str(len(program.substeps)), "points of a step at which H is evaluated"))
-        lines.append(Line("SUBSTEPS", f"({table},)", "fraction of the step, place and momentum between its ends"))
+        lines.append(Line("SUBSTEPS", f"({table},)", "fraction of the step, position and momentum between its ends"))
         weights = [fraction for fraction, _, _ in program.substeps]
     else:
         count = len(program.weights)
@@ -145,7 +145,7 @@ def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[L
         weights = list(program.weights)
     lines.append(Line("COST_WEIGHTS", _floats(weights), "weights of the points in the discrete cost"))
     if model.passive:
-        lines.append(Line("BLOCK", str(BLOCK), "passive points that are carried together"))
+        lines.append(Line("BLOCK", str(BLOCK), "tracer points that are carried together"))
     if program.method == "action":
         lines.append(Line("ABSCISSA", repr(float(program.abscissa)), "where on an interval the action takes H"))
     return lines
@@ -165,16 +165,16 @@ def _runtime(
 ) -> tuple[str, ...]:
     """The files of `codegen/runtime` that a module of connection needs, in the order in which they are to be read."""
     in_blocks = [line for visit in (*gathered, *carried) for line in (*visit.body, *visit.outputs)]
-    flow = ("passive_newton", "passive_substeps" if program.substeps else "passive_runge_kutta", "passive_flow")
+    flow = ("tracer_newton", "tracer_substeps" if program.substeps else "tracer_runge_kutta", "tracer_flow")
     return (
         *(["packed_logarithms"] if any("packed_" in line.code for line in in_blocks) else []),
         *(["pair_parallel"] if program.model.parallel else []),
         *_special(loops, around),
         "lu", "pair_algebra", "pair_curvature", *_step(program),
         *(["pair_implicit"] if _is_implicit(program) else []),
-        "pair_trajectory", "pair_secant", "pair_shooting", "counts", "tolerances", "pair_case",
+        "pair_trajectory", "pair_broyden", "pair_shooting", "counts", "tolerances", "pair_case",
         *(["pair_least_action"] if derivatives.quadratic else []),
-        "pair_ladder", "pair_callbacks",
+        "pair_cascade", "pair_callbacks",
         *(["pair_action"] if program.method == "action" else []),
         *(flow if carried else ()),
     )  # fmt: skip

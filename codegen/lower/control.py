@@ -27,7 +27,7 @@ from codegen.lower.tables import (
     table_metadata,
     table_runtime,
 )
-from codegen.model.kinks import kinks
+from codegen.model.nonsmooth_costs import kinks
 from codegen.transcribe.program import ControlProgram, EndElement
 
 
@@ -272,34 +272,35 @@ def _end_kernels(
 def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[str, ...]:
     """The files of `codegen/runtime` that the module needs, in the order in which they are to be read."""
     differ = program.has_inequalities or program.phases
-    condensed = ("inverse", "condensation", "element_barrier" if differ else "element_condensed")
+    condensed = ("inverse", "static_condensation", "element_barrier" if differ else "element_condensed")
     solver: tuple[str, ...] = ("newton_linear",)
     if not derivatives.linear_quadratic:
         kind = ("barrier", "bounded") if program.has_inequalities else ("unbounded",)
-        solver = ("standstill", "descent", "filter", "refinement", *kind, "newton_steps", "restoration")
+        solver = ("stagnation", "descent", "filter", "refinement", *kind, "newton_steps", "restoration")
         solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "newton")
     return (
         "arrays",
         *(("shared",) if program.shared else ()),
-        *(("equal_ends",) if program.start.shared or program.end.shared else ()),
+        *(("tied_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),
-        "iterates", "lagrangian", "norms", "point", "elements",
-        "ends_curved" if layout.is_curved(derivatives) else "ends_flat",
+        "iteration_log", "lagrangian", "norms", "point", "elements",
+        "ends_nonlinear" if layout.is_curved(derivatives) else "ends_linear",
         "symmetric",
-        *(condensed if derivatives.condensed else ("element_kept",)),
-        "frontal", "substitution", "bordered" if program.shared else "apart", "system", "rounding",
+        *(condensed if derivatives.condensed else ("element_uncondensed",)),
+        "frontal", "substitution", "bordered" if program.shared else "unbordered", "system", "convergence_test",
         *solver,
         *(("momenta",) if program.method == "variational" else ()),
-        "counts", "tolerances", "frame",
+        "counts", "tolerances", "time_grid",
         *(("slacks",) if layout.slack_indices(program) else ()),
         *(("phases",) if program.phases else ()),
         "layout",
         "callbacks",
-        *(("limits",) if program.has_inequalities else ()),
+        *(("active_bounds",) if program.has_inequalities else ()),
         *(("tied",) if program.has_inequalities and (program.start.shared or program.end.shared) else ()),
-        "curvature",
-        *(() if derivatives.linear_quadratic else ("saddles",)),
-        "verdict",
+        "negative_curvature",
+        *(() if derivatives.linear_quadratic else ("saddle_points",)),
+        "termination",
         "messages",
-        *(("unscaled",) if derivatives.linear_quadratic else ("steepness", "sizes", "scales")),
+        *(("unscaled_solve",) if derivatives.linear_quadratic
+          else ("derivative_magnitudes", "scaling_factors", "scaled_solve")),
     )  # fmt: skip

@@ -51,8 +51,8 @@ def _kernel(program: ControlProgram, number: int, kind: Kind) -> Kernel:
         for i, a in enumerate(read)
         for j, b in enumerate(read)
     ]
-    told = "with its first and second derivatives" if read else "which depends on no unknown"
-    summary = f"{sympy.sstr(term)}, {told}."
+    detail = "with its first and second derivatives" if read else "which depends on no unknown"
+    summary = f"{sympy.sstr(term)}, {detail}."
     arguments = ("values", "parameters", "slopes", "curvatures")
     return kernel(f"coupling_{number}", summary, arguments, codes, [*slopes, *curvatures], term, decorators=INNER)
 

@@ -24,7 +24,7 @@ def hessian(writer: Writer) -> PairLoop:
         lines = []
         for name, row, column, _ in _entries(term):
             one, other = divmod(row, size)[0], divmod(column, size)[0]
-            # j < i: momenta come after places, particle i after particle j.
+            # j < i: momenta come after positions, particle i after particle j.
             later = (one % 2, -(one // 2)) >= (other % 2, -(other // 2))
             index = (row, column) if later else (column, row)
             lines.append(Line(f"hessian[{_row(index[0], size)}, {_row(index[1], size)}]", name, operator="+="))

@@ -16,7 +16,7 @@ def description(program: PairwiseProgram, loops: Sequence[PairLoop | BlockLoop])
     """The Hamiltonian, a step, what is solved, and how many operations loops take."""
     model = program.model
     lines = [
-        "Particles i = 1 ... n with places q_i and momenta p_i move by the Hamiltonian",
+        "Particles i = 1 ... n with positions q_i and momenta p_i move by the Hamiltonian",
         "",
         "    H = sum_i self(z_i) + sum_{i<j} pair(z_i, z_j)",
         f"    self = {sstr(model.self_term)}",
@@ -53,7 +53,7 @@ def _equations(program: PairwiseProgram) -> list[str]:
         lines.append("One step by the explicit Runge-Kutta method of the tables ROWS and WEIGHTS.")
     names = {
         "stepping": "q_N(p_0) + sigma^2 p_N(p_0) = target, for the initial momenta p_0",
-        "full": "all steps and q_N + sigma^2 p_N = target, for all inner places and all momenta",
+        "full": "all steps and q_N + sigma^2 p_N = target, for all inner positions and all momenta",
         "action": "minimise 2 h sum H such that (q_k+1 - q_k)/h = H_p, whose conditions these steps are",
     }
     if program.model.task == "simulate":
@@ -75,7 +75,7 @@ def left_out(
     by_turns: bool = False,
     gathered: bool = False,
 ) -> list[str]:
-    """What the module does not hold, and why; `by_turns` says whether places and momenta are updated in turn."""
+    """What the module does not hold, and why; `by_turns` says whether positions and momenta are updated in turn."""
     model = program.model
     connects = model.task == "connect"
     reasons = (

@@ -1,7 +1,7 @@
 """Derivatives of a pairwise Hamiltonian -> loops over pairs, as strings.
 
-States are arrays z of shape (2, n, d): places z[0], momenta z[1]. Rows of second derivatives run over z in that order,
-z.reshape(2 n d). Every loop visits each pair once and writes to both of its particles.
+States are arrays z of shape (2, n, d): positions z[0], momenta z[1]. Rows of second derivatives run over z in this
+order, z.reshape(2 n d). Every loop visits each pair once and writes to both of its particles.
 """
 
 from __future__ import annotations

@@ -53,11 +53,11 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
     codes: dict[Symbol, str] = {x: f"start[i, {a}]" for a, x in enumerate(model.first.q)}
     codes |= {x: f"target[i, {a}]" for a, x in enumerate(model.second.q)}
     codes[FRACTION] = "fraction"
-    made = kernel("", "", (), codes, [Output(f"place[i, {a}]", e, "") for a, e in enumerate(model.path)])
+    made = kernel("", "", (), codes, [Output(f"position[i, {a}]", e, "") for a, e in enumerate(model.path)])
     loops.append(
         ParticleLoop(
-            "guide", "Fill `place`, shape (n, d) as all are, with where particles may be after a part of their way.",
-            ("start", "target", "fraction", "place"), (), ("for i in range(start.shape[0]):",),
+            "guide", "Fill `position`, shape (n, d) as all are, with where particles may be after a part of their way.",
+            ("start", "target", "fraction", "position"), (), ("for i in range(start.shape[0]):",),
             (*made.inputs, *made.body, *made.outputs), (),
         )
     )  # fmt: skip

@@ -68,7 +68,9 @@ def _unknowns(program: ControlProgram) -> str:
     inside = (*program.interval, *program.controls)
     regular = [phase.regular.lacking for phase in program.phases]
     at_switches = [u for i, u in enumerate(inside) if regular and all(i in lacking for lacking in regular)]
-    shared = [u for u, symbol in zip(program.shared, program.shared_symbols, strict=True) if _is_told(program, symbol)]
+    shared = [
+        u for u, symbol in zip(program.shared, program.shared_symbols, strict=True) if _is_stated(program, symbol)
+    ]
     groups = (
         ([u for i, u in enumerate(program.node) if i not in program.only_at_ends], " at the nodes"),
         ([u for u in inside if u not in at_switches], " on the intervals"),
@@ -82,7 +84,7 @@ def _unknowns(program: ControlProgram) -> str:
     return f"for {program.bodies} bodies (body = 0, ..., {program.bodies - 1}) {text}" if program.bodies > 1 else text
 
 
-def _is_told(program: ControlProgram, symbol: Symbol) -> bool:
+def _is_stated(program: ControlProgram, symbol: Symbol) -> bool:
     """Whether a shared unknown is the author's, or occurs in what is written of the ends."""
     values = [value for end in (program.start, program.end) for _, value in end.conditions]
     free = [parameter.symbol for parameter in program.model.free_parameters]

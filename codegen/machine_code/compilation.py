@@ -121,7 +121,7 @@ def failed(error: Exception) -> int:
 
 def status_of(module: Any) -> int:
     """Have machine code carry its digest; the exit status of a process that has compiled its share of a module."""
-    module.seal_code(_compiled_functions(module))
+    module.add_checksums(_compiled_functions(module))
     return 0 if task_of(module).is_whole else UNFINISHED
 
 

@@ -24,8 +24,8 @@ def control_parts(module: Any) -> Calls:
     ]
     if hasattr(module, "fill_sizes"):
         calls.append(lambda: module.scaled_grid(grid, unknowns))
-    if hasattr(module, "left_over"):
-        calls.append(lambda: module.left_over(grid, unknowns, zeros, zeros, step))
+    if hasattr(module, "linear_residual"):
+        calls.append(lambda: module.linear_residual(grid, unknowns, zeros, zeros, step))
     if hasattr(module, "finite_bounds"):
         calls += _barrier_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none

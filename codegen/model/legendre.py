@@ -211,7 +211,7 @@ def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr,
 
 
 def _trial_points(model: Model) -> Iterator[dict[sympy.Symbol, float]]:
-    return expressions.trial_points([*model.coordinates, *model.rates, model.time], model.default_values, {})
+    return expressions.sample_points([*model.coordinates, *model.rates, model.time], model.default_values, {})
 
 
 def _nonlinear_dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:

@@ -17,7 +17,7 @@ from codegen.author.problem import FORMS, Control, Problem, Simulate, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
-from codegen.model import drawings, trials, values
+from codegen.model import drawings, sample_points, values
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
 from codegen.model.relations import Entry, text
@@ -73,8 +73,8 @@ def checked_model(
     used = [plain[symbol] for symbol in used_quantities(entries)]
     entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
-    values.require_values(model, _bounds_of(entries, used), trials.trial_points(model, elsewhere))
-    points = trials.trial_points(model)
+    values.require_values(model, _bounds_of(entries, used), sample_points.sample_points(model, elsewhere))
+    points = sample_points.sample_points(model)
     values.require_regular_lagrangian(model, points)
     for kind in CONDITIONS:
         kind.require_regular(model, points)

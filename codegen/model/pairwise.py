@@ -46,7 +46,7 @@ class PairwiseModel:
     positive where a particle may be. `limit` is the value to which the pair term tends where particles meet, None if
     it has none there, and `smooth` says that its gradient tends to that of the limit.
 
-    A connect problem has `points`, the default file, and `path`, the guessed place after a FRACTION of the way, in
+    A connect problem has `points`, the default file, and `path`, the guessed position after a FRACTION of the way, in
     coordinates of `first` for the start and of `second` for the target, is `passive` if it carries points without
     momenta, and `parallel` if threads share its gradient; a simulation has the arrays `start` of shape (2, n, d) and
     `own_values` of shape (n, k).
@@ -191,7 +191,7 @@ def _require_scope(pair: Expr, self_term: Expr | None, first: ParticleSymbols, s
         raise ExpressionError("self_term depends on the second particle", "write it in quantities of the first")
     one, other = (*first.moving, *first.own), (*second.moving, *second.own)
     swapped = pair.xreplace(dict(zip((*one, *other), (*other, *one), strict=True)))
-    points = expressions.trial_points(pair.free_symbols | swapped.free_symbols, {}, {})
+    points = expressions.sample_points(pair.free_symbols | swapped.free_symbols, {}, {})
     for point in [next(points) for _ in range(4)]:
         values = [expressions.number_at(e, point) for e in (pair, swapped)]
         if None not in values and not np.isclose(values[0], values[1], rtol=1e-12):  # type: ignore[arg-type]
@@ -201,8 +201,10 @@ def _require_scope(pair: Expr, self_term: Expr | None, first: ParticleSymbols, s
 def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymbols) -> tuple[Expr, ...]:
     if problem.path is None:
         return tuple(x + FRACTION * (y - x) for x, y in zip(first.q, second.q, strict=True))
-    places = problem.path(first.q, second.q, FRACTION)
-    found = tuple(expressions.tidied(expressions.checked(place, f"path[{axis}]")) for axis, place in enumerate(places))
+    positions = problem.path(first.q, second.q, FRACTION)
+    found = tuple(
+        expressions.tidied(expressions.checked(position, f"path[{axis}]")) for axis, position in enumerate(positions)
+    )
     if len(found) != len(first.q):
         raise ExpressionError(f"path gives {len(found)} coordinates", f"give {len(first.q)}")
     return found

@@ -16,7 +16,7 @@ from codegen.author.problem import Control, Phases, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
-from codegen.model import drawings, normal_form, trials, values
+from codegen.model import drawings, normal_form, sample_points, values
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import FreeParameter, Model, prescribed
 from codegen.model.relations import Entry
@@ -124,7 +124,7 @@ def _models(
     elsewhere: dict[sympy.Symbol, float] = {}
     for index, (phase, entries) in enumerate(zip(phases, written, strict=True)):
         models.append(_phase(index, phase, entries, kinds, plain, elsewhere))
-        elsewhere |= trials.expected_values(models[-1], 1.0)
+        elsewhere |= sample_points.expected_values(models[-1], 1.0)
     return models
 
 
@@ -216,7 +216,7 @@ def _jump(entries: Sequence[Entry]) -> Jump:
 
 def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
     """Refuse jumps without a value, bounds that do not meet, and values at the ends that violate conditions."""
-    points = trials.trial_points(chain)
+    points = sample_points.sample_points(chain)
     for entry in (entry for jump in jumps for entry in jump):
         if all(expressions.rounded_at(entry.expression, point) is None for point in points):
             raise ExpressionError(

@@ -167,17 +167,21 @@ def require_free(jobs: Iterable[Job], path: Path) -> None:
 
 
 def run_all(
-    jobs: Sequence[Job], options: Options, summary: Path, told: Callable[[int, str], None], run_one: Any = run
+    jobs: Sequence[Job],
+    options: Options,
+    summary: Path,
+    report_progress: Callable[[int, str], None],
+    run_one: Any = run,
 ) -> Batch:
     """Do all jobs that are not done yet; a pair that fails leaves a line that says why. Writes the summary.
 
-    `told` is told how many pairs are done and which one is next.
+    `report_progress` is told how many pairs are done and which one is next.
     """
     earlier = {line["out"]: line for line in _read_summary(summary)}
     lines: list[Line] = []
     unchanged = 0
     for number, job in enumerate(jobs):
-        told(number, job.moving.name)
+        report_progress(number, job.moving.name)
         key = _key(job, options)
         line = earlier.get(str(job.out), {})
         if key and line.get("key") == key and line.get("status") == "solved" and all(p.is_file() for p in job.written):

@@ -27,7 +27,7 @@ THREADED = 400_000
 
 
 class FlowModule(Protocol):
-    """What is used of a generated module that carries passive points; a case is what `make_case` returns."""
+    """What is used of a generated module that carries tracer points; a case is what `make_case` returns."""
 
     metadata: Mapping[str, Any]
 
@@ -44,8 +44,8 @@ class FlowModule(Protocol):
     BLOCK: int
 
 
-def require_passive(module: Any) -> FlowModule:
-    """The same module, if it carries passive points; ModuleError tells if it does not."""
+def require_tracers(module: Any) -> FlowModule:
+    """The same module, if it carries tracer points; ModuleError tells if it does not."""
     if not module.metadata.get("passive"):
         raise ModuleError("the module carries no points", "build it with --set passive=True")
     return cast(FlowModule, module)

@@ -16,7 +16,7 @@ import numpy as np
 
 from codegen.errors import ModuleError, SchemeError
 from codegen.loading import load
-from codegen.registration.flow import FlowModule, require_passive
+from codegen.registration.flow import FlowModule, require_tracers
 
 ARGUMENTS = {"passive": "True"}
 PROBLEM = "image_registration.py"
@@ -55,7 +55,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     from codegen.machine_code.processes import compilers
 
     made = build(problem_file(), ARGUMENTS, scheme=scheme)
-    module = require_passive(load(made.path))
+    module = require_tracers(load(made.path))
     if module.metadata["adaptive"]:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
     if not _has_machine_code(made.path):

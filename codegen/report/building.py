@@ -77,21 +77,23 @@ def workers() -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(cancel_futures=True)  # whoever interrupts a report does not wait for what is still to be built
 
 
-def surveyed(pool: ProcessPoolExecutor, store: Store, problems: Iterable[Path], told: Callable[[str], None]) -> None:
+def surveyed(
+    pool: ProcessPoolExecutor, store: Store, problems: Iterable[Path], report_progress: Callable[[str], None]
+) -> None:
     """Find out what every problem offers; a file that cannot be read is recorded as refused."""
-    _gather(store, SURVEYS, {p.stem: (survey_of, (p,)) for p in problems}, pool, told)
+    _gather(store, SURVEYS, {p.stem: (survey_of, (p,)) for p in problems}, pool, report_progress)
 
 
 def build_all(
-    pool: ProcessPoolExecutor, workshop: Workshop, variants: Iterable[Variant], told: Callable[[str], None]
+    pool: ProcessPoolExecutor, workshop: Workshop, variants: Iterable[Variant], report_progress: Callable[[str], None]
 ) -> None:
     """Derive and compile variants that the store does not know yet."""
     jobs: dict[str, Any] = {v.case: (build_one, (v, workshop.folder)) for v in variants}
-    _gather(workshop.store, MODULES, jobs, pool, told)
+    _gather(workshop.store, MODULES, jobs, pool, report_progress)
 
 
 def _gather(
-    store: Store, section: str, jobs: dict[str, Any], pool: ProcessPoolExecutor, told: Callable[[str], None]
+    store: Store, section: str, jobs: dict[str, Any], pool: ProcessPoolExecutor, report_progress: Callable[[str], None]
 ) -> None:
     pending: dict[str, Future[Values]] = {
         name: pool.submit(function, *arguments)
@@ -99,7 +101,7 @@ def _gather(
         if store.get(section, name) is None
     }
     for name, future in pending.items():
-        told(name)
+        report_progress(name)
         store.measured(Case(section, name, future.result))
 
 

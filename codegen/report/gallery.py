@@ -53,17 +53,17 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder / ("quick.jsonl" if extent.quick else "measurements.jsonl"))
     workshop = Workshop(folder / "modules", store)
-    with progress("", len(problems) + 2) as told:
+    with progress("", len(problems) + 2) as report_progress:
         with workers() as pool:
-            surveyed(pool, store, problems, lambda name: told(0, f"reading {name}"))
+            surveyed(pool, store, problems, lambda name: report_progress(0, f"reading {name}"))
             selection = [choose(problem, store, extent) for problem in problems]
             wanted = {v.case: v for chosen in selection for v in (*chosen.variants, *_extra_variants(chosen.problem))}
-            build_all(pool, workshop, wanted.values(), lambda name: told(1, f"building {name}"))
+            build_all(pool, workshop, wanted.values(), lambda name: report_progress(1, f"building {name}"))
             forms = [v for c in selection for v in leaving_out.wanted(store, c.problem, c.variants, extent)]
-            build_all(pool, workshop, forms, lambda name: told(1, f"building {name}"))
+            build_all(pool, workshop, forms, lambda name: report_progress(1, f"building {name}"))
         for done, chosen in enumerate(selection):
             for case in _cases(chosen, workshop, extent):
-                told(done + 2, f"{chosen.problem.stem}: {case.name}")
+                report_progress(done + 2, f"{chosen.problem.stem}: {case.name}")
                 store.measured(case)
     return _written(selection, store, folder, extent, before)
 

@@ -94,8 +94,8 @@ def _switch(model: Model, number: int) -> Block:
     rows += [(_named(f"{symbol}@+"), value.xreplace(here)) for symbol, value in model.jumps[number - 1]]
     rows += [(_named("cost"), before.terminal_cost.xreplace(here))] if before.terminal_cost != 0 else []
     conditions = ", ".join(condition.name for condition in before.end_conditions)
-    told = f"before it {conditions}" if conditions else "" if rows else "everything is continuous"
-    remarks = ((told, told),) if told else ()
+    remark = f"before it {conditions}" if conditions else "" if rows else "everything is continuous"
+    remarks = ((remark, remark),) if remark else ()
     return Block(f"Switch from phase {number} to phase {number + 1}", tuple(rows), remarks)
 
 

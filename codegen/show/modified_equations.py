@@ -119,11 +119,11 @@ def _equations(result: ModifiedEquations, model: Model, notation: Notation) -> I
             rf"$\dot{{z}} = {tex} + O(h^{{{last}}})$, $z = ({names})$; its flow over the time $h$ is a step.",
         )
     ]
-    for told, holds in (
+    for statement, holds in (
         ("controls are constants", bool(model.controls)),
         (f"each of the {model.bodies} bodies by itself", model.bodies > 1),
     ):
-        remarks += [(told, told)] if holds else []
+        remarks += [(statement, statement)] if holds else []
     yield Block("Modified equations", (), tuple(remarks))
     for k, field in enumerate(result.field):
         rates = [
@@ -146,8 +146,10 @@ def _block(heading: str, rows: list[tuple[Symbol, Expr]], notation: Notation) ->
         operations = value.count_ops()
         if operations > _WRITING_LIMIT:
             name = notation.name(label)
-            told = "is not written out: it has"
-            remarks.append((f"{name} {told} {operations} operations", f"${name}$ {told} {operations} operations."))
+            statement = "is not written out: it has"
+            remarks.append(
+                (f"{name} {statement} {operations} operations", f"${name}$ {statement} {operations} operations.")
+            )
         elif value != 0:
             shown.append((label, value))
     return Block(heading, tuple(shown), tuple(remarks))
@@ -159,10 +161,13 @@ def _structure(result: ModifiedEquations, notation: Notation) -> Iterator[Block]
         last = len(result.hamiltonian)
         plain = " + ".join(["H₀", "h H₁", *(f"h{_high(k)} H{_low(k)}" for k in range(2, last))])
         tex = " + ".join(["H_0", "h H_1", *(f"h^{{{k}}} H_{{{k}}}" for k in range(2, last))])
-        told = "checked by differentiation; constants, and functions of time alone, are left out"
+        statement = "checked by differentiation; constants, and functions of time alone, are left out"
         rows = [(Symbol(f"H_{k}", real=True), _tidied(h, k)) for k, h in enumerate(result.hamiltonian)]
         block = _block("Modified Hamiltonian", rows, notation)
-        remark = (f"H̃ = {plain} + O(h{_high(last)}), {told}", rf"$\tilde{{H}} = {tex} + O(h^{{{last}}})$, {told}.")
+        remark = (
+            f"H̃ = {plain} + O(h{_high(last)}), {statement}",
+            rf"$\tilde{{H}} = {tex} + O(h^{{{last}}})$, {statement}.",
+        )
         yield Block(block.heading, block.equations, (remark, *block.remarks))
     for k in sorted({defect.power for defect in result.defects or ()}):
         rows = [

@@ -10,7 +10,7 @@ import numpy as np
 
 from codegen.errors import PointsError
 from codegen.loading import ConnectModule, Vector
-from codegen.solutions.crossings import crossings
+from codegen.solutions.intersecting_paths import intersecting_paths
 from codegen.solutions.result import ConnectAttempt, Result, Run, max_norm, origin, other_driver, taken_back
 
 TOLERANCE = 1e-12
@@ -26,7 +26,7 @@ def connect_result(
     status, message = attempt.status, attempt.message
     if status == "solved" and not residual <= 10.0 * attempt.tolerance:
         status, message = taken_back(driver, f"the equations have residual {residual:.1e}", other_driver(driver))
-    crossed = crossings(case.start, case.target)
+    crossed = intersecting_paths(case.start, case.target)
     if status != "solved" and crossed:
         one, other = crossed[0]
         message += f"; the straight ways of {len(crossed)} pairs of points cross, first those of {one} and {other}"

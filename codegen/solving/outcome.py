@@ -15,7 +15,7 @@ from codegen.author.points import PointSet, read_points
 from codegen.author.problem_file import split_points
 from codegen.drivers import Driver
 from codegen.loading import GeneratedModule, Vector
-from codegen.machine_code import ahead
+from codegen.machine_code import ahead_of_time
 from codegen.solutions import output
 from codegen.solutions.result import Result, Run, Watch
 from codegen.solving.multistart import best_of
@@ -70,7 +70,7 @@ def outcome_of(
     driver, warm, points = request.driver_for(module), start(module), _points(request, module)
     said: list[str] = []
     if path is not None and driver.name == "newton":
-        seconds, said = ahead.require(path, module, is_new, working)
+        seconds, said = ahead_of_time.require(path, module, is_new, working)
         build_seconds += seconds
     with following() as watch:
         result = _solved(request, module, driver, warm, points, request.watch or watch)

@@ -12,7 +12,7 @@ from typing import Any
 from codegen.drivers import Driver
 from codegen.errors import NumericsError
 from codegen.loading import GeneratedModule, machine_code_counts
-from codegen.machine_code.ahead import unkept
+from codegen.machine_code.ahead_of_time import unkept
 from codegen.solutions.result import Result, Run
 from codegen.tasks import task_of
 

@@ -4,11 +4,11 @@ The interval's residual is that of a one-step method, r = z_k1 - z_k - h F, with
 where the field F = (H_p, -H_q) is evaluated. Methods of the task connect:
 
 - stepping: shoot; unknowns are the initial momenta, equations say where the last step arrives.
-- full: unknowns are all inner places and all momenta, equations are all steps.
-- action: minimise the discrete cost 2 h sum H over places and one momentum on each interval, such that every interval
-  covers its distance, (q_k1 - q_k)/h = H_p. The momenta multiply these equations, so that the optimality conditions
-  are Hamilton's discrete equations of a symplectic scheme; for the explicit Euler method's cost and equations this is
-  the symplectic Euler method (Marsden and West 2001, section 2.6).
+- full: unknowns are all inner positions and all momenta, equations are all steps.
+- action: minimise the discrete cost 2 h sum H over positions and one momentum on each interval, such that every
+  interval covers its distance, (q_k1 - q_k)/h = H_p. The momenta multiply these equations, so that the optimality
+  conditions are Hamilton's discrete equations of a symplectic scheme; for the explicit Euler method's cost and
+  equations this is the symplectic Euler method (Marsden and West 2001, section 2.6).
 """
 
 from __future__ import annotations

@@ -71,14 +71,14 @@ def conditioned_end(
 
 
 def imposed(
-    condition: Condition, value: Expr, told: tuple[str, str, str], names: Names, least: Expr | None = None
+    condition: Condition, value: Expr, labels: tuple[str, str, str], names: Names, least: Expr | None = None
 ) -> tuple[tuple[Unknown, ...], Expr, tuple[str, Expr]]:
     """A value g that vanishes by y g, or g <= 0 by y (g + s) with a slack s that is not below `least`.
 
-    The multiplier and the slack, the share of l, the equation to read; `told` are the multiplier's stem, where the
+    The multiplier and the slack, the share of l, the equation to read; `labels` are the multiplier's stem, where the
     condition holds, and the suffix of symbols.
     """
-    stem, where, suffix = told
+    stem, where, suffix = labels
     unknowns, left_side = [Unknown(names.numbered(stem), f"multiplier of {condition.name} {where}", True)], "0"
     if not condition.equality:
         unknowns.append(Unknown(names.numbered("s"), f"slack of {condition.name} {where}", lower=least))

@@ -85,10 +85,10 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
     multipliers, slacks, indices, equations = list[Unknown](), list[Unknown](), list[int](), list[tuple[str, Expr]]()
     element: Expr = S.Zero
     for value in values:
-        condition, told = value.condition, ("y", f"at {value.abscissa} of an interval", "_k")
+        condition, labels = value.condition, ("y", f"at {value.abscissa} of an interval", "_k")
         yields = condition in {other.condition for other in values if other.abscissa != value.abscissa}
         least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
-        (multiplier, *slack), term, equation = imposed(condition, value.value, told, names, least)
+        (multiplier, *slack), term, equation = imposed(condition, value.value, labels, names, least)
         multipliers.append(multiplier)
         slacks += slack
         indices += [first + len(multipliers) - 1] * len(slack)

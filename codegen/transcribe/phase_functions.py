@@ -20,7 +20,7 @@ from codegen.expressions.graph import ONE, Graph
 from codegen.expressions.samples import hessian_samples
 from codegen.expressions.tangents import gradient
 from codegen.model import Model, legendre
-from codegen.model.trials import trial_points
+from codegen.model.sample_points import sample_points
 
 _WRITTEN_OUT = 3
 """Coordinates coupled by the mass matrix up to which its inverse is written out."""
@@ -54,7 +54,7 @@ def phase_functions(model: Model) -> PhaseFunctions | None:
     mass |= {(j, i): node for (i, j), node in mass.items()}
     if not graph.independent(mass.values(), range(count)) or _largest_block(mass, count) <= _WRITTEN_OUT:
         return None
-    order = _pivots(hessian_samples(model.function, model.rates, trial_points(model)))
+    order = _pivots(hessian_samples(model.function, model.rates, sample_points(model)))
     if order is None:
         return None
     still = dict.fromkeys(model.rates, sympy.S.Zero)

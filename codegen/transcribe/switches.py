@@ -213,8 +213,8 @@ def _conditioned(transition: Transition, motion: Switch, names: Names) -> Switch
     cost = transition.at(transition.before.terminal_cost)
     shared, equations, element = list[Unknown](), list[tuple[str, Expr]](), motion.element + cost
     for condition in transition.conditions():
-        told = ("nu", f"at {transition.where}", "")
-        unknowns, term, equation = imposed(condition, transition.at(condition.expression), told, names, S.Zero)
+        labels = ("nu", f"at {transition.where}", "")
+        unknowns, term, equation = imposed(condition, transition.at(condition.expression), labels, names, S.Zero)
         shared += unknowns
         element += term
         equations.append(equation)

@@ -10,7 +10,7 @@ import numpy as np
 
 from codegen.errors import VerificationError
 from codegen.verify import arithmetic
-from codegen.verify.digits import DIGITS, TOLERANCE, Sized
+from codegen.verify.multiprecision import DIGITS, TOLERANCE, Sized
 from codegen.verify.tape import Arithmetic
 
 _RELATIVE = 1e-9

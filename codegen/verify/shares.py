@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from sympy import Expr, Symbol
 
-from codegen.verify.digits import EXACT, SIZED, Sized, difference, sized
 from codegen.verify.execution import Text
 from codegen.verify.judgement import complex_numbers, judge, step_of
+from codegen.verify.multiprecision import EXACT, SIZED, Sized, difference, sized
 from codegen.verify.points import Values, finite_points
 from codegen.verify.tape import Tape
 

@@ -10,9 +10,9 @@ from sympy import Expr, Symbol
 
 from codegen.expressions.checks import rounded_at
 from codegen.transcribe.program import StepProgram
-from codegen.verify.digits import EXACT, SIZED, Sized, difference, sized
 from codegen.verify.execution import Text
 from codegen.verify.judgement import complex_numbers, judge, step_of
+from codegen.verify.multiprecision import EXACT, SIZED, Sized, difference, sized
 from codegen.verify.points import Values, finite_points, random_points
 from codegen.verify.tape import Arithmetic, Tape
 

@@ -9,7 +9,7 @@ from conftest import PROBLEMS
 from codegen.author.points import read_points
 from codegen.cli import main
 from codegen.errors import PointsError
-from codegen.solutions.crossings import crossings
+from codegen.solutions.intersecting_paths import intersecting_paths
 
 HEAD = "x0,y0,x1,y1\n"
 
@@ -103,5 +103,5 @@ def test_crossing_ways_are_found():
     """The diagonals of a square cross; its sides only touch, and a segment that stops short of another does not."""
     start = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.6, 0.5]])
     target = np.array([[1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [0.9, 0.5]])
-    assert crossings(start, target) == [(1, 2)]
-    assert crossings(np.c_[start, start[:, :1]], np.c_[target, target[:, :1]]) == []
+    assert intersecting_paths(start, target) == [(1, 2)]
+    assert intersecting_paths(np.c_[start, start[:, :1]], np.c_[target, target[:, :1]]) == []

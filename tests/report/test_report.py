@@ -16,7 +16,7 @@ from codegen.report import section, settings, study
 from codegen.report.measure import jumps, smoothness
 from codegen.report.sections import effort as sections_effort
 from codegen.report.store import Case, Store
-from codegen.solutions.crossings import crossings
+from codegen.solutions.intersecting_paths import intersecting_paths
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_random_landmarks_are_those_that_are_documented(count):
     assert (((grown >= 0) & (grown < 0.1)) | ((grown >= -0.4) & (grown < -0.3))).all()
     turned = np.angle((points.target @ [1, 1j]) / (points.start @ [1, 1j]))
     assert ((turned >= 0) & (turned < 0.1 * np.pi)).all()
-    assert not crossings(points.start, points.target)
+    assert not intersecting_paths(points.start, points.target)
 
 
 def test_nodal_momenta_have_the_null_space_of_alternating_ones():

@@ -87,7 +87,7 @@ def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector, ca
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
 
-def left_over(grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector, step: Vector) -> Vector:
+def linear_residual(grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector, step: Vector) -> Vector:
     return np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
 
 
@@ -129,7 +129,7 @@ def is_solved(grid: Dense, point: Point, tolerance: float) -> bool:
     return all(v <= max(tolerance * min(1.0, s), 2.2e-16 * s) for v, s in zip(measured, sizes, strict=True))
 
 
-def is_rounding(grid: Dense, point: Point) -> bool:
+def is_at_rounding_level(grid: Dense, point: Point) -> bool:
     sizes = term_sizes(grid, point.unknowns)
     measured = point.residual, point.stationarity
     return all(v <= 2.2e-13 * s for v, s in zip(measured, sizes, strict=True))

@@ -115,9 +115,9 @@ def test_lower_triangle_of_the_rest_is_not_read():
     steps=st.integers(2, 5),
     seed=st.integers(0, 10**6),
     shift=st.sampled_from([0.0, 0.3, 30.0]),
-    dual_shift=st.sampled_from([0.0, 1e-3]),
+    delta_c=st.sampled_from([0.0, 1e-3]),
 )
-def test_excess_of_negative_eigenvalues(interpreted, name, text, choices, steps, seed, shift, dual_shift):
+def test_excess_of_negative_eigenvalues(interpreted, name, text, choices, steps, seed, shift, delta_c):
     """`factor_kkt` counts far from any minimum too: exactly, or too low where there are too many."""
     module = interpreted(name, text, **choices)
     # Barrier terms shift the Hessian wherever there are bounds; one interval between shared ends has no inner node.
@@ -125,7 +125,7 @@ def test_excess_of_negative_eigenvalues(interpreted, name, text, choices, steps,
     assume(steps > 1 or not module.SHARED)
     grid = module.make_grid(steps)
     unknowns = trial_point(module, grid, seed, 0.2)
-    diagonal = shifts(module, grid, shift, dual_shift)
+    diagonal = shifts(module, grid, shift, delta_c)
     keep = np.flatnonzero(module.free_unknowns(grid))
     matrix = dense_kkt(module, grid, unknowns) + np.diag(diagonal)
     found = module.factor_kkt(grid, unknowns, 1.0, diagonal, module.allocate_system(grid))

@@ -27,11 +27,11 @@ from codegen.runtime.optimise import (
     restoration,
     unbounded,
 )
-from codegen.runtime.optimise.iterates import Log
+from codegen.runtime.optimise.iteration_log import Log
 
 LINEAR_ALGEBRA = {
-    "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_rounding", "is_solved", "bounds_of", "left_over",
-    "multiplier_unknowns", "sizes_of_terms", "solve_kkt", "views", "with_tied_values",
+    "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_at_rounding_level", "is_solved", "bounds_of",
+    "linear_residual", "multiplier_unknowns", "sizes_of_terms", "solve_kkt", "views", "with_tied_values",
 }  # fmt: skip
 
 
@@ -43,7 +43,7 @@ def dense_linear_algebra() -> Iterator[None]:
         for module in (*loop, barrier, bounded, unbounded, curvature, exact_bounds, refinement):
             for name in set(vars(module)) & LINEAR_ALGEBRA:
                 patch.setattr(module, name, getattr(dense_problem, name))
-        patch.setattr(unbounded, "shifts", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))
+        patch.setattr(unbounded, "regularisation", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))
         for module in loop:
             patch.setattr(module, "INEQUALITIES", 1)
         for module in (newton, newton_steps):
@@ -261,7 +261,7 @@ def test_start_is_pushed_inside() -> None:
 
 def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
     """Steps of a sixteenth, a few and then more in turn: only these count; a whole step lowers the shift again."""
-    whole = bounded.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, bounded.Shift(1e-3), False)
+    whole = bounded.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, bounded.InertiaCorrection(1e-3), False)
     assert newton_steps.damped(0.0, whole, 1 / 16, 1) == 0.0
     shifts = [0.0]
     for in_turn in (newton_steps.SHORT_IN_TURN, newton_steps.SHORT_IN_TURN + 1):
@@ -298,7 +298,7 @@ def test_a_cost_that_falls_without_end_is_not_followed_to_infinity() -> None:
     status, point, iterations = solve(nlp((1, 1), -x1 - x2, [x1 - x2], [], {x1: POSITIVE}))
     assert status == "unbounded"
     assert iterations <= 15
-    assert point.cost < -newton.BOTTOMLESS
+    assert point.cost < -newton.UNBOUNDED_BELOW
 
 
 FREE_PROBLEMS = [

@@ -10,7 +10,7 @@ import pytest
 
 from codegen.runtime.optimise import newton_steps, unbounded
 from codegen.runtime.optimise.newton_steps import regularised_step
-from codegen.runtime.optimise.unbounded import SMALL_SHIFT, Shift
+from codegen.runtime.optimise.unbounded import SMALL_DELTA_W, InertiaCorrection
 
 GRID = SimpleNamespace(is_multiplier=np.array([False, True]), steps=1)
 POINT = SimpleNamespace(unknowns=np.zeros(2), gradient=np.array([1.0, 0.0]))
@@ -33,20 +33,20 @@ def tried(monkeypatch):
     monkeypatch.setattr(newton_steps, "factor_kkt", factor_kkt)
     monkeypatch.setattr(newton_steps, "solve_kkt", solve_kkt)
     monkeypatch.setattr(newton_steps, "INEQUALITIES", 0)
-    for name in ("found", "newton_system", "shifts_to_try", "step_along"):
+    for name in ("corrected_inertia", "newton_system", "first_delta_w", "step_along"):
         monkeypatch.setattr(newton_steps, name, getattr(unbounded, name))
     monkeypatch.setattr(unbounded, "primal_ones", lambda steps: np.array([1.0, 0.0]))
     return shifts
 
 
-def follow(tried, curvatures, shift=Shift()):  # noqa: B008  a constant
+def follow(tried, curvatures, shift=InertiaCorrection()):  # noqa: B008  a constant
     """The shift at every iterate, and the shifts that were tried there."""
     for curvature in curvatures:
         tried.clear()
         search = unbounded.Search(GRID, curvature, np.array([1]))
         step = regularised_step(search, unbounded.Iterate(POINT), shift, 0.0, False)
         assert step.slope < 0.0
-        shift = step.shift
+        shift = step.inertia
         yield shift, list(tried)
 
 
@@ -57,16 +57,16 @@ def test_where_the_hessian_is_convex_nothing_else_is_tried(tried):
 def test_a_shift_is_always_enough_and_the_step_is_one_of_descent(tried):
     curvatures = [-3.0, -50.0, -700.0, -2.0, 1.0, -1e-3, 5.0]
     for curvature, (shift, _) in zip(curvatures, follow(tried, curvatures), strict=True):
-        assert curvature + shift.value > 0.0
+        assert curvature + shift.delta_w > 0.0
 
 
 def test_lower_shifts_are_tried_at_once_until_they_are_small(tried):
     """From the first shift down to none, with one factorisation at each iterate; ever faster."""
     rows = list(follow(tried, [-500.0, *[1e-9] * 6]))
-    values = [shift.value for shift, _ in rows]
+    values = [shift.delta_w for shift, _ in rows]
     first_zero = values.index(0.0)
     assert all(len(tries) == 1 for _, tries in rows[1:])
-    assert all(value > SMALL_SHIFT for value in values[:first_zero])
+    assert all(value > SMALL_DELTA_W for value in values[:first_zero])
     assert values[first_zero:] == [0.0] * len(values[first_zero:])
     ratios = [a / b for a, b in pairwise(values[:first_zero])]
     assert len(ratios) >= 3
@@ -74,8 +74,8 @@ def test_lower_shifts_are_tried_at_once_until_they_are_small(tried):
 
 
 def test_small_shifts_give_way_to_none(tried):
-    ((shift, tries),) = follow(tried, [1.0], Shift(SMALL_SHIFT, SMALL_SHIFT, 0))
-    assert (shift.value, tries) == (0.0, [0.0])
+    ((shift, tries),) = follow(tried, [1.0], InertiaCorrection(SMALL_DELTA_W, SMALL_DELTA_W, 0))
+    assert (shift.delta_w, tries) == (0.0, [0.0])
 
 
 def test_where_equations_depend_on_each_other_none_is_tried_first(tried):

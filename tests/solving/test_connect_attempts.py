@@ -70,12 +70,12 @@ ATTEMPTS = ("from_velocity", "from_least_action", "from_rest", "by_continuation"
 def test_every_attempt_finds_the_solution_by_itself(module, attempt):
     made = module("explicit-euler")
     reference = made.solve(START, TARGET, 4)
-    rungs = made.ATTEMPTS["stepping"]
-    made.ATTEMPTS["stepping"] = tuple(rung for rung in rungs if rung[1].__name__ == attempt)
+    cascade = made.ATTEMPTS["stepping"]
+    made.ATTEMPTS["stepping"] = tuple(attempted for attempted in cascade if attempted[1].__name__ == attempt)
     try:
         solution = made.solve(START, TARGET, 4)
     finally:
-        made.ATTEMPTS["stepping"] = rungs
+        made.ATTEMPTS["stepping"] = cascade
     assert solution.status == "solved", solution.message
     np.testing.assert_allclose(solution.q, reference.q, atol=1e-10)
 

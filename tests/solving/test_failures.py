@@ -33,7 +33,7 @@ def module_of(folder: Path, text: str):
 def uncompiled(monkeypatch):
     """Let the command line run generated modules by the interpreter, where NaN and infinity come without warnings."""
     monkeypatch.setattr("codegen.loading.load", lambda path: as_machine_code(path.read_text(), path.stem))
-    monkeypatch.setattr("codegen.machine_code.ahead.require", lambda *_: (0.0, []))
+    monkeypatch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

@@ -18,27 +18,27 @@ def made(interpreted):
 @pytest.fixture
 def bent(made):
     case = made.make_case(START, TARGET, 4, sigma=SIGMA)
-    places = made.bent_path(case, 4, 0.3)
-    places[-1, SIGMA > 0.0] += 0.02
-    return case, places
+    positions = made.bent_path(case, 4, 0.3)
+    positions[-1, SIGMA > 0.0] += 0.02
+    return case, positions
 
 
 def test_the_gradient_of_the_action(made, bent):
-    case, places = bent
-    gradient = made.action_of(case, places)[1]
+    case, positions = bent
+    gradient = made.action_of(case, positions)[1]
     for k in range(1, 5):
         for i in range(3):
             for a in range(2):
-                step = np.zeros_like(places)
+                step = np.zeros_like(positions)
                 step[k, i, a] = 1e-5
-                change = made.action_of(case, places + step)[0] - made.action_of(case, places - step)[0]
+                change = made.action_of(case, positions + step)[0] - made.action_of(case, positions - step)[0]
                 expected = 0.0 if k == 4 and SIGMA[i] == 0.0 else change / 2e-5
                 assert gradient[k, i, a] == pytest.approx(expected, abs=2e-8)
 
 
 def test_elimination_solves_with_the_block_tridiagonal_matrix(made, bent):
-    case, places = bent
-    inverses = made.action_of(case, places)[3]
+    case, positions = bent
+    inverses = made.action_of(case, positions)[3]
     forces = np.random.default_rng(0).normal(size=(4, 3, 2))
     forces[-1, 0] = 0.0  # the first landmark's target is met exactly
     moved = np.concatenate([np.zeros((1, 3, 2)), made.relaxed(*made.stiffness(case, inverses), forces)])
@@ -67,7 +67,7 @@ def test_a_landmark_on_a_hyperbolic_line(made, sigma):
 
 
 @pytest.mark.parametrize("swapped", [(0, 1), (0, 1, 2, 3)])
-def test_landmarks_that_change_places(made, swapped):
+def test_landmarks_that_change_positions(made, swapped):
     """On the straight way they would meet, where G has no inverse: a path of least action goes around."""
     start = np.array([[-0.3, 0.0], [0.3, 0.0], [0.0, 0.4], [0.0, -0.4]])[list(swapped)]
     target = start.reshape(-1, 2, 2)[:, ::-1].reshape(-1, 2)

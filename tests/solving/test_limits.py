@@ -12,7 +12,7 @@ from codegen import drivers, solving, terminal
 from codegen.cli import main
 from codegen.cli.solve import with_options
 from codegen.errors import ArgumentError
-from codegen.runtime.optimise.iterates import Log
+from codegen.runtime.optimise.iteration_log import Log
 from codegen.solutions import output
 from codegen.solving.outcome import LEAST_TIME, Outcome
 
@@ -140,7 +140,7 @@ def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
 def solved(monkeypatch, interpreted, *words):
     """What `codegen solve` prints with a module that is run by the interpreter."""
     monkeypatch.setattr("codegen.loading.load", lambda path: interpreted("cart_pole"))
-    monkeypatch.setattr("codegen.machine_code.ahead.require", lambda *_: (0.0, []))
+    monkeypatch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
     found = CliRunner().invoke(main, ["solve", str(PROBLEMS / "cart_pole.py"), "--steps", "10", "--json", *words])
     return json.loads(found.stdout), found.stderr
 

@@ -32,7 +32,7 @@ def test_argon_has_the_published_energy(argon):
 
 
 def test_checks_take_a_step_that_can_be_made(monkeypatch):
-    """At random places atoms repel each other so strongly that an implicit step of 0.05 has no solution."""
+    """At random positions atoms repel each other so strongly that an implicit step of 0.05 has no solution."""
     found = checks.run(PROBLEMS / "lennard_jones.py")
     assert all(finding.passed for finding in found)
     (step,) = (finding for finding in found if finding.check == "symplecticity")
@@ -54,7 +54,7 @@ def test_argon_does_not_drift(argon):
                                     "blanes-moan-4"])  # fmt: skip
 def test_the_solar_system_against_an_adaptive_integrator(interpreted, sun, scheme):
     module = interpreted("outer_solar_system", scheme=scheme)
-    masses, places, G = sun.OWN[:, 0], sun.START[0], sun.metadata["parameters"]["G"]
+    masses, positions, G = sun.OWN[:, 0], sun.START[0], sun.metadata["parameters"]["G"]
 
     def field(_, y):
         q, v = y.reshape(2, 6, 3)
@@ -65,7 +65,7 @@ def test_the_solar_system_against_an_adaptive_integrator(interpreted, sun, schem
                     a[i] += G * masses[j] * (q[j] - q[i]) / np.linalg.norm(q[j] - q[i]) ** 3
         return np.concatenate([v.ravel(), a.ravel()])
 
-    start = np.concatenate([places.ravel(), (sun.START[1] / masses[:, None]).ravel()])
+    start = np.concatenate([positions.ravel(), (sun.START[1] / masses[:, None]).ravel()])
     exact = solve_ivp(field, (0, 400), start, "DOP853", rtol=1e-12, atol=1e-14).y[:18, -1]
     order = module.metadata["order"]
     errors = [np.abs(module.solve(n, duration=400.0).q[-1] - exact).max() for n in (10, 20)]

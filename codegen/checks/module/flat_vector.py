@@ -135,17 +135,17 @@ class FlatVector:
         several = program.bodies > 1
         with_whereabouts = attribute == "name"
 
-        def told(unknown: Unknown, where: str, body: int) -> str:
+        def label(unknown: Unknown, where: str, body: int) -> str:
             text = str(getattr(unknown, attribute))
             return f"{text}{where}{f' of body {body}' if several else ''}" if with_whereabouts else text
 
         listed = []
         for body in range(program.bodies):
             for k in range(self.steps):
-                listed += [told(u, f" at node {k}", body) for u in program.node]
-                listed += [told(u, f" on interval {k}", body) for u in self.inside[len(program.node) :]]
-            listed += [told(u, f" at node {self.steps}", body) for u in program.node]
+                listed += [label(u, f" at node {k}", body) for u in program.node]
+                listed += [label(u, f" on interval {k}", body) for u in self.inside[len(program.node) :]]
+            listed += [label(u, f" at node {self.steps}", body) for u in program.node]
         for body in range(program.bodies):
-            listed += [told(u, "", body) for u in program.shared[: program.own]]
+            listed += [label(u, "", body) for u in program.shared[: program.own]]
         listed += [str(getattr(u, attribute)) for u in program.shared[program.own :]]
         return listed + [str(getattr(c.multiplier, attribute)) for c in program.couplings]

@@ -13,7 +13,7 @@ import sympy
 from codegen import derive, emit, lower, naming, transcribe
 from codegen.checks.base import Finding
 from codegen.checks.module import provenance
-from codegen.checks.particles import passive
+from codegen.checks.particles import tracers
 from codegen.loading import load
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
@@ -23,7 +23,7 @@ from codegen.schemes.particles import PARTICLE_SCHEMES
 DIGITS = 50
 _PARTICLES = 4
 _LENGTHS = tuple(0.05 / 8**k for k in range(7))
-"""Of steps, until one can be made: particles at random places may repel each other strongly."""
+"""Of steps, until one can be made: particles at random positions may repel each other strongly."""
 
 
 def findings(path: Path, arguments: Mapping[str, str], choices: Choices, module_path: Path) -> Iterator[Finding]:
@@ -44,7 +44,7 @@ def findings(path: Path, arguments: Mapping[str, str], choices: Choices, module_
         yield _hessian(model, module, states[0])
         yield _products(model, module, states[0], generator)
     yield from _symplectic(model, module, states[0], program.scheme)
-    yield from passive.findings(model, module, states)
+    yield from tracers.findings(model, module, states)
 
 
 def _state(model: PairwiseModel, generator: np.random.Generator, scale: float) -> Any:
@@ -102,7 +102,7 @@ def _value(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
     for state in states:
         total, _ = exact(model, state, own)
         errors.append(abs(float((mpmath.mpf(module.hamiltonian(state, own, parameters)) - total) / total)))
-    return passive.small_error("derivatives", "the Hamiltonian against 50 digits", max(errors), 1e-12)
+    return tracers.small_error("derivatives", "the Hamiltonian against 50 digits", max(errors), 1e-12)
 
 
 def _gradient(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
@@ -114,7 +114,7 @@ def _gradient(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
         module.hamiltonian_gradient(state, own, parameters, gradient)
         size = max(abs(value) for value in wanted)
         errors.append(max(abs(float((v - w) / size)) for v, w in zip(gradient.ravel().tolist(), wanted, strict=True)))
-    return passive.small_error("derivatives", "H_q and H_p against 50 digits", max(errors), 1e-12)
+    return tracers.small_error("derivatives", "H_q and H_p against 50 digits", max(errors), 1e-12)
 
 
 def _hessian(model: PairwiseModel, module: Any, state: Any) -> Finding:
@@ -131,7 +131,7 @@ def _hessian(model: PairwiseModel, module: Any, state: Any) -> Finding:
         (x1, g1), (x0, g0) = shifted
         column = [float((a - b) / (mpmath.mpf(x1) - mpmath.mpf(x0))) for a, b in zip(g1, g0, strict=True)]
         error = max(error, float(np.abs(hessian[:, k] - column).max()))
-    return passive.small_error(
+    return tracers.small_error(
         "derivatives", "second derivatives against differences", error / float(np.abs(hessian).max()), 1e-8
     )
 
@@ -144,7 +144,7 @@ def _products(model: PairwiseModel, module: Any, state: Any, generator: np.rando
     products = np.empty_like(directions)
     module.hessian_products(state, own, parameters, directions, products)
     error = float(np.abs(products - hessian @ directions).max() / np.abs(products).max())
-    return passive.small_error("derivatives", "products with the second derivatives", error, 1e-12)
+    return tracers.small_error("derivatives", "products with the second derivatives", error, 1e-12)
 
 
 def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> Iterator[Finding]:

@@ -33,9 +33,9 @@ _TELL = """
 const tell = () => {
   const row = dragging.__row, now = Date.now()
   if (row === undefined || !source.get_column("id")[row]) return
-  dragging.__behind = now - (dragging.__told ?? 0) < patience
+  dragging.__behind = now - (dragging.__reported ?? 0) < patience
   if (dragging.__behind) return
-  dragging.__told = now
+  dragging.__reported = now
   const [id, x, y] = ["id", "x", "y"].map((name) => [source.get_column(name)[row]])
   dragging.data = { id, x, y }
 }
@@ -65,14 +65,14 @@ if (dragging.__row !== undefined) {{
     for (const name of ["x", "y"]) twin.get_column(name)[row] = dragging.get_column(name)[0]
     twin.change.emit()
   }}
-  dragging.__told = 0
+  dragging.__reported = 0
   if (dragging.__behind) tell()
 }}
 """
 # The tool tells of the end of a drag itself; this comes after it. A point that stayed selected would be dragged along.
 _RELEASED = """
 dragging.__row = undefined
-dragging.__told = 0
+dragging.__reported = 0
 setTimeout(() => {
   source.selected.indices = []
   released.data = { count: [released.data.count[0] + 1] }

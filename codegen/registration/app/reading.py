@@ -51,11 +51,11 @@ def in_order(files: Files) -> tuple[Files, list[str]]:
     if len(files) != 2:
         return files, []
     first, second = (_side(name) for name, _ in files)
-    told = first != second
-    turned = told and (first == "fixed" or second == "moving")
+    named = first != second
+    turned = named and (first == "fixed" or second == "moving")
     ordered = files[::-1] if turned else files
     moving, fixed = (name for name, _ in ordered)
-    why = "as their names say" if told else "in the order in which they came; rename them to contain moving and fixed"
+    why = "as their names say" if named else "in the order in which they came; rename them to contain moving and fixed"
     return ordered, [f"{moving} was taken for the moving image and {fixed} for the fixed one, {why}"]
 
 

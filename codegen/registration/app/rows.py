@@ -70,15 +70,15 @@ class Editions:
         self, edition: int, places: Sequence[Place], work: Work
     ) -> tuple[tuple[Place, ...], list[tuple[int, Place]]]:
         """New clicks, and those told of before that were dragged meanwhile."""
-        told = self._clicks.setdefault(edition, [])
+        known = self._clicks.setdefault(edition, [])
         pairs = {pair.at(self.side): pair.identity for pair in work.pairs}
         dragged = []
-        for k, (before, place) in enumerate(zip(told, places, strict=False)):
+        for k, (before, place) in enumerate(zip(known, places, strict=False)):
             if before != place and before in pairs:
                 dragged.append((pairs[before], place))
-                told[k] = place
-        added = tuple(place for place in places[len(told) :] if place not in pairs)
-        told.extend(places[len(told) :])
+                known[k] = place
+        added = tuple(place for place in places[len(known) :] if place not in pairs)
+        known.extend(places[len(known) :])
         return added, dragged
 
 

@@ -4,10 +4,10 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.arrays import zero_matrix, zero_vector
-from codegen.runtime.kkt.condensation import condense, expand
+from codegen.runtime.kkt.static_condensation import condense, recover_condensed
 from codegen.runtime.unknowns.coupling import add_coupling_matrix
 from codegen.runtime.kkt.elements import BLOCK, padded
-from codegen.runtime.unknowns.equal_ends import follow_shared, release_tied
+from codegen.runtime.unknowns.tied_ends import follow_shared, release_tied
 from codegen.runtime.stand_ins.example import (
     BODIES, CARRIED, COUPLINGS, ELEMENT, NODE, ROOT, SCALED, SHARED, STRIDE, TIED,
 )  # fmt: skip
@@ -124,4 +124,4 @@ def substitute(
         backward(upper[body], order[body], steps, carried, last[body], right[body])
         if TIED:
             follow_shared(right[body], 0, steps * BLOCK, body, shared)
-        expand(slopes, inverses[body], couplings[body], steps, right[body], solution)
+        recover_condensed(slopes, inverses[body], couplings[body], steps, right[body], solution)

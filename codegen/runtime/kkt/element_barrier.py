@@ -7,7 +7,7 @@ unknowns of the element, K - B' inverse(C) B, with B the coupling block.
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kkt.condensation import ENTRIES, scatter, subtract_condensed
+from codegen.runtime.kkt.static_condensation import ENTRIES, scatter, subtract_schur_complement
 from codegen.runtime.kkt.elements import BLOCK, WIDTH
 from codegen.runtime.stand_ins.example import BODIES, CONDENSED, STRIDE
 from codegen.runtime.kkt.inverse import invert_positive_definite
@@ -48,5 +48,5 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             block[INSIDE_COLUMNS[j], INSIDE_ROWS[j]] += hessian[INSIDE[j]]
     if not invert_positive_definite(block, CONDENSED):
         return False
-    subtract_condensed(couplings[k], block, element)
+    subtract_schur_complement(couplings[k], block, element)
     return True

@@ -7,7 +7,7 @@ of an interval leaves, in the remaining unknowns of its element, K - B' inverse(
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kkt.condensation import scatter, subtract_condensed
+from codegen.runtime.kkt.static_condensation import scatter, subtract_schur_complement
 from codegen.runtime.kkt.elements import BLOCK, WIDTH
 from codegen.runtime.stand_ins.example import BODIES, CONDENSED, control_hessian
 from codegen.runtime.kkt.inverse import invert_positive_definite
@@ -39,5 +39,5 @@ def prepare_condensed(weight, parts, diagonal, inverses):
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k, from `hessian`, to `element` (ROWS, WIDTH); `couplings` keeps B."""
     scatter(hessian, gradient, k, element, couplings[k])
-    subtract_condensed(couplings[k], inverses[1], element)
+    subtract_schur_complement(couplings[k], inverses[1], element)
     return True

@@ -13,7 +13,7 @@ from codegen.runtime.stand_ins.example import (
     ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED, START_TIED,
     STRIDE, TIED,
 )  # fmt: skip
-from codegen.runtime.unknowns.equal_ends import release_tied_rows
+from codegen.runtime.unknowns.tied_ends import release_tied_rows
 
 
 def padded(size):

@@ -23,7 +23,7 @@ from codegen.runtime.kkt.elements import (
     BLOCK, BORDER, COLUMNS, FIRST, INNER, IS_CURVATURE, IS_LACKING, LOCAL_IS_MULTIPLIER, RIGHT, ROWS, SIZE, TAIL,
     WIDTH, padded,
 )  # fmt: skip
-from codegen.runtime.kkt.ends_flat import close_element
+from codegen.runtime.kkt.ends_linear import apply_boundary_conditions
 from codegen.runtime.stand_ins.example import (
     BODIES, CARRIED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE, ROOT, SCALED, SHARED, STRIDE,
     interval_hessian,
@@ -87,7 +87,7 @@ def eliminate_body(
         if CARRIED:
             add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
-            close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
+            apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue

@@ -14,12 +14,12 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.unknowns.coupling import multiply_couplings
-from codegen.runtime.kkt.ends_flat import multiply_ends
+from codegen.runtime.kkt.ends_linear import multiply_ends
 from codegen.runtime.kkt.system import solve_kkt
 from codegen.runtime.stand_ins.example import (
     BODIES, COUPLINGS, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, SCALED, SHARED, STRIDE, TIED, interval_hessian,
 )  # fmt: skip
-from codegen.runtime.unknowns.equal_ends import add_tied
+from codegen.runtime.unknowns.tied_ends import add_tied
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.shared import global_index, read_shared
 
@@ -51,7 +51,7 @@ def multiply_kkt(unknowns, steps, h, parameters, vector, product):
         multiply_couplings(unknowns, parameters[0], vector, product)
 
 
-def left_over(grid, unknowns, diagonal, gradient, step):
+def linear_residual(grid, unknowns, diagonal, gradient, step):
     """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
     product, vector = np.zeros(step.size), step
     if SCALED and grid.sizes.size:
@@ -89,16 +89,16 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     is one more correction, and that sum of all corrections is added which leaves least.
     """
     zero, corrections, products = np.zeros_like(step), [], []
-    left = left_over(grid, unknowns, diagonal, gradient, step)
+    left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
         if not ACCURATE < inaccuracy(grid, gradient, step, left) < np.inf:
             return refinement > 0
         corrections.append(np.empty_like(step))
         solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
-        products.append(left_over(grid, unknowns, diagonal, zero, corrections[-1]))
+        products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1]))
         if not np.isfinite(products[-1]).all():
             return True
         parts, *_ = np.linalg.lstsq(np.array(products).T, -left, rcond=None)
         step += parts @ np.array(corrections)
-        left = left_over(grid, unknowns, diagonal, gradient, step)
+        left = linear_residual(grid, unknowns, diagonal, gradient, step)
     return True

@@ -1,6 +1,6 @@
 """The linear system of a Newton step: factor the KKT matrix, solve with the factors."""
 
-from codegen.runtime.kkt.apart import factor, substitute
+from codegen.runtime.kkt.unbordered import factor, substitute
 from codegen.runtime.stand_ins.example import CARRIED, SCALED
 
 

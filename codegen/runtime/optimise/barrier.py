@@ -107,11 +107,11 @@ def measure_optimality(gradient, unknowns, is_multiplier, indices, side, distanc
 
 
 @njit(cache=True, error_model="numpy")
-def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, shift, dual_shift, right, diagonal):
+def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, delta_w, delta_c, right, diagonal):
     """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
     for i in range(gradient.size):
         right[i] = gradient[i]
-        diagonal[i] = -dual_shift if is_multiplier[i] else shift
+        diagonal[i] = -delta_c if is_multiplier[i] else delta_w
     for j in range(indices.size):
         right[indices[j]] -= mu * side[j] / distance[j]
         diagonal[indices[j]] += duals[j] / distance[j]

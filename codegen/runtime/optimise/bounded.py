@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.kkt.apart import allocate_system
+from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
 from codegen.runtime.optimise.barrier import (
     add_barrier,
@@ -20,8 +20,8 @@ from codegen.runtime.optimise.barrier import (
     push_inside,
     relaxation,
 )
-from codegen.runtime.optimise.limits import bounds_of
-from codegen.runtime.optimise.rounding import is_solved
+from codegen.runtime.optimise.active_bounds import bounds_of
+from codegen.runtime.optimise.convergence_test import is_solved
 from codegen.runtime.stand_ins.example import TIED
 from codegen.runtime.unknowns.layout import multiplier_unknowns
 from codegen.runtime.unknowns.point import Point, evaluate
@@ -40,12 +40,12 @@ class Attempt(NamedTuple):
     nearby: float
     shortest: float
     funnel: float
-    bend: float = 0.0
+    bulge: float = 0.0
 
 
 FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
 WARM = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)  # its duals begin on the central path; far from a solution ones are better
-OTHERS = (
+CASCADE = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
     Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
     Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
@@ -91,10 +91,10 @@ class Iterate(NamedTuple):
     measured: Measured | None = None
 
 
-class Shift(NamedTuple):
+class InertiaCorrection(NamedTuple):
     """The Hessian's shift at an iterate, and the last one that was not zero."""
 
-    value: float = 0.0
+    delta_w: float = 0.0
     last: float = 0.0
 
 
@@ -110,7 +110,7 @@ class Step(NamedTuple):
     slope: float
     longest: float
     dual_length: float
-    shift: NamedTuple
+    inertia: NamedTuple
     refined: bool
 
 
@@ -136,7 +136,7 @@ def central_duals(mu, distance):
     return np.minimum(mu / distance, 1e3)
 
 
-def with_multipliers(search, iterate):
+def with_least_squares_multipliers(search, iterate):
     """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
 
     All multipliers of `iterate` are zero.
@@ -194,7 +194,7 @@ def barrier_error(point, measured, mu):
     return max(measured.stationarity / scale, point.residual, off_centre / dual_scale)
 
 
-def lowered(iterate, least):
+def decreased_mu(iterate, least):
     """The weight for the next step: lower where the barrier problem is solved well enough (7).
 
     The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
@@ -206,7 +206,7 @@ def lowered(iterate, least):
     return mu
 
 
-def tightened(search, iterate, mu):
+def with_barrier_parameter(search, iterate, mu):
     """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
     bounds, by = search.bounds, relaxation(iterate.mu) - relaxation(mu)
     iterate = iterate._replace(mu=mu)
@@ -232,35 +232,35 @@ def barrier_curvature(search, iterate):
     return curvature
 
 
-def newton_system(search, iterate, gradient, shift, dual_shift):
+def newton_system(search, iterate, gradient, delta_w, delta_c):
     """Right-hand side and diagonal (unknowns,) of Newton's equations (13), given the gradient of the Lagrangian."""
     bounds, right, diagonal = search.bounds, np.empty(gradient.size), np.empty(gradient.size)
     barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
-    add_barrier(gradient, search.grid.is_multiplier, *barrier, shift, dual_shift, right, diagonal)
+    add_barrier(gradient, search.grid.is_multiplier, *barrier, delta_w, delta_c, right, diagonal)
     return right, diagonal
 
 
-def shifts_to_try(before):
+def first_delta_w(before):
     """The shift that is tried first, and the least one after none; `before` is that of the iterate before."""
     return 0.0, max(1e-20, before.last / 3.0) if before.last > 0.0 else 1e-4
 
 
-def found(before, shift, least, singular):
+def corrected_inertia(before, delta_w, least, singular):
     """The shift that was enough."""
-    return Shift(shift, shift or before.last)
+    return InertiaCorrection(delta_w, delta_w or before.last)
 
 
-def step_along(search, iterate, gradient, primal, shift, refined):
+def step_along(search, iterate, gradient, primal, inertia, refined):
     """The step with a primal part, a barrier gradient and a shift: its dual part, slope and longest lengths."""
     bounds, dual = search.bounds, np.empty(iterate.duals.size)
     barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
     measured = measure_step(
         iterate.point.unknowns, gradient, primal, search.grid.is_multiplier, *barrier, max(0.99, 1.0 - iterate.mu), dual
     )
-    return Step(primal, dual, gradient, *measured, shift, refined)
+    return Step(primal, dual, gradient, *measured, inertia, refined)
 
 
-def merit(iterate):
+def barrier_objective(iterate):
     """The barrier function, which a line search lowers (3)."""
     return iterate.point.cost - iterate.mu * iterate.logarithms
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.unknowns.coupling import coupling_entries
-from codegen.runtime.kkt.ends_flat import end_entries
+from codegen.runtime.kkt.ends_linear import end_entries
 from codegen.runtime.stand_ins.example import (
     BODIES,
     COUPLINGS,
@@ -25,7 +25,7 @@ from codegen.runtime.stand_ins.example import (
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.shared import read_shared, root_index
-from codegen.runtime.unknowns.equal_ends import shared_representatives
+from codegen.runtime.unknowns.tied_ends import shared_representatives
 
 
 def cost(grid, unknowns):

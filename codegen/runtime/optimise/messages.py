@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.optimise.callbacks import hessian, jacobian
-from codegen.runtime.optimise.curvature import falling_direction
+from codegen.runtime.optimise.negative_curvature import negative_curvature_direction
 from codegen.runtime.stand_ins.example import (
     BODIES,
     COUPLINGS,
@@ -22,12 +22,12 @@ from codegen.runtime.stand_ins.example import (
     metadata,
 )
 from codegen.runtime.tabulated.table_ranges import OUTSIDE, tables_beyond
-from codegen.runtime.unknowns.frame import plain_grid
+from codegen.runtime.unknowns.time_grid import plain_grid
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
-from codegen.runtime.optimise.limits import at_limits, prescribed_beyond
+from codegen.runtime.optimise.active_bounds import at_bounds, prescribed_beyond
 from codegen.runtime.unknowns.phases import node_times
 from codegen.runtime.unknowns.shared import least_duration, read_shared
-from codegen.runtime.optimise.verdict import GROWTH, HOLDS
+from codegen.runtime.optimise.termination import GROWTH, HOLDS
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
@@ -72,9 +72,9 @@ def finding(grid, guess, point, status):
     if status == "rank-deficient":
         return dependent(grid, point)
     if status == "saddle point":
-        return f"the cost falls along {falling_unknown(grid, point)}"
+        return f"the cost falls along {negative_curvature_unknown(grid, point)}"
     if status == "unbounded":
-        return run_away(grid, guess, point)
+        return diverging_unknown(grid, guess, point)
     if status == "time limit":
         reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
         return f"{reached}; {worst_row(grid, point)}"
@@ -98,10 +98,10 @@ def row_text(grid, point, index):
 def violated(grid, point):
     """The equations that are off most, each where it is worst, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    text = ", ".join(row_text(grid, point, index) for index in leading(grid, point.gradient, rows))
+    text = ", ".join(row_text(grid, point, index) for index in largest_by_name(grid, point.gradient, rows))
     if INEQUALITIES:
         names = {}
-        for index in columns[at_limits(grid, point.unknowns)[columns]]:
+        for index in columns[at_bounds(grid, point.unknowns)[columns]]:
             name = local_name(grid, index)
             meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
             names[shortened(meaning.removesuffix(" of an interval"))] = None
@@ -115,16 +115,17 @@ def violated(grid, point):
 def dependent(grid, point):
     """The equations with the largest multipliers, or the count where no multiplier is large."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    indices = leading(grid, point.unknowns, rows)
+    indices = largest_by_name(grid, point.unknowns, rows)
     if indices and abs(point.unknowns[indices[0]]) > 1e3:
         names = " and ".join(equation_name(grid, point.unknowns, index) for index in indices)
         return f"equations depend on each other, or have no slope where they hold: {names}"
     if rows.size > columns.size:
         return f"there are {rows.size} equations for {columns.size} unknowns"
-    return f"the cost does not change along {falling_unknown(grid, point)}, so that its least value is not unique"
+    name = negative_curvature_unknown(grid, point)
+    return f"the cost does not change along {name}, so that its least value is not unique"
 
 
-def leading(grid, values, rows):
+def largest_by_name(grid, values, rows):
     """Indices of the largest values among some rows, one for each name, as long as they are comparable.
 
     The first of them come first where they are as large as each other but for a thousandth.
@@ -138,7 +139,7 @@ def leading(grid, values, rows):
     return list(indices.values())
 
 
-def run_away(grid, guess, point):
+def diverging_unknown(grid, guess, point):
     """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
     if SHARED and not least_duration(grid, point.unknowns) > 0.0:
         return f"a duration has become {least_duration(grid, point.unknowns):.1e}, and needs a lower bound"
@@ -149,12 +150,12 @@ def run_away(grid, guess, point):
         index = shared + int(np.argmax(growth[shared:]))
     if growth[index] > GROWTH:
         return f"{unknown_name(grid, point.unknowns, index)} has grown to {point.unknowns[index]:.1e}"
-    return f"the cost falls for ever along {falling_unknown(grid, point)}"
+    return f"the cost falls for ever along {negative_curvature_unknown(grid, point)}"
 
 
-def falling_unknown(grid, point):
+def negative_curvature_unknown(grid, point):
     """The unknown that changes most along the direction in which the cost curves downwards most, or least upwards."""
-    direction = np.where(grid.is_multiplier, 0.0, falling_direction(grid, point.unknowns))
+    direction = np.where(grid.is_multiplier, 0.0, negative_curvature_direction(grid, point.unknowns))
     return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
 
 
@@ -217,17 +218,17 @@ def unknown_name(grid, unknowns, index):
     name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, "")
     where = whereabouts(grid, unknowns, index)
-    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
+    return with_location(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
 def equation_name(grid, unknowns, index):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
     name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    return placed(meaning, whereabouts(grid, unknowns, index))
+    return with_location(meaning, whereabouts(grid, unknowns, index))
 
 
-def placed(meaning, where):
+def with_location(meaning, where):
     """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
     for tail in (" at the start", " at the end", " of an interval", ""):
         if meaning.endswith(tail):

@@ -11,45 +11,45 @@ import numpy as np
 from codegen.runtime.kkt.system import factor_kkt
 from codegen.runtime.optimise.bounded import (
     FROM_GUESS,
-    OTHERS,
+    CASCADE,
     WARM,
-    Shift,
+    InertiaCorrection,
     barrier_curvature,
     begin,
     central_duals,
     is_acceptable,
     is_closed,
     is_optimal,
-    lowered,
+    decreased_mu,
     measured_iterate,
-    merit,
+    barrier_objective,
     newton_system,
     search_on,
-    tightened,
-    with_multipliers,
+    with_barrier_parameter,
+    with_least_squares_multipliers,
 )
-from codegen.runtime.optimise.curvature import FLAT
+from codegen.runtime.optimise.negative_curvature import FLAT
 from codegen.runtime.optimise.exact_bounds import within_bounds
 from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.optimise.newton_steps import (
-    Doubts,
-    Watch,
+    AccuracyMonitor,
+    Watchdog,
     damped,
-    leaves_much,
+    barely_reduces_residual,
     line_search,
     regularised_step,
-    watched,
+    watchdog_step,
 )
 from codegen.runtime.optimise.restoration import restore
-from codegen.runtime.optimise.rounding import is_solved, sizes_of_terms
-from codegen.runtime.optimise.saddles import ESCAPES, LEFT, is_below, is_nearly_stationary, steps_aside
-from codegen.runtime.optimise.standstill import is_rounding
+from codegen.runtime.optimise.convergence_test import is_solved, sizes_of_terms
+from codegen.runtime.optimise.saddle_points import ESCAPES, LEFT, is_below, is_nearly_stationary, escape_steps
+from codegen.runtime.optimise.stagnation import is_at_rounding_level
 from codegen.runtime.optimise.unbounded import NEARBY
 from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
-from codegen.runtime.unknowns.frame import views
+from codegen.runtime.unknowns.time_grid import views
 from codegen.runtime.unknowns.layout import free_unknowns
 
-BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 if UNBOUNDED:
@@ -71,14 +71,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     counted.
     """
     search, first, total = search_on(grid), None, 0
-    primal, attempts = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *OTHERS)
-    guess = begin(search, primal, attempts[0])
+    primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
+    guess = begin(search, primal, cascade[0])
     if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
             return status, iterate.point, total
-    for attempt in attempts:
-        iterate = begin(search, bent(grid, primal, attempt.bend), attempt) if first else guess
+    for attempt in cascade:
+        iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt) if first else guess
         status = "restored"
         if attempt.nearby < 1.0 and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
@@ -115,7 +115,7 @@ if UNBOUNDED:
         return leave_saddles(search, iterate, NEARBY, tolerance, limit, log)
 
 
-def bent(grid, unknowns, part):
+def bulged_guess(grid, unknowns, part):
     """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
     if part == 0.0:
         return unknowns
@@ -134,7 +134,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
     status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
-        for beside in neighbours(search, saddle, attempt, escapes):
+        for beside in escaping_iterates(search, saddle, attempt, escapes):
             ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
             total += iterations
             if ended in LEFT and is_below(other.point, saddle.point):
@@ -143,16 +143,16 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
             failed = failed or ended not in LEFT
         escapes += 1
     if status == "saddle point" and escapes == ESCAPES and not failed:
-        is_over = is_solved(search.grid, saddle.point, tolerance) or is_rounding(search.grid, saddle.point)
+        is_over = is_solved(search.grid, saddle.point, tolerance) or is_at_rounding_level(search.grid, saddle.point)
         status = "solved" if is_over else "stalled"
     return status, saddle, total
 
 
-def neighbours(search, saddle, attempt, escapes):
+def escaping_iterates(search, saddle, attempt, escapes):
     """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
     grid, unknowns = search.grid, saddle.point.unknowns
     curvature = barrier_curvature(search, saddle)
-    for step in steps_aside(grid, unknowns, curvature, escapes):
+    for step in escape_steps(grid, unknowns, curvature, escapes):
         yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
 
 
@@ -163,73 +163,73 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
     corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
     """
-    grid, iterate = search.grid, with_multipliers(search, iterate)
+    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
     first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
-    shift, length, damping, shortened, watch, doubts = Shift(), 0.0, 0.0, 0, None, Doubts()
+    inertia, length, damping, shortened, watchdog, monitor = InertiaCorrection(), 0.0, 0.0, 0, None, AccuracyMonitor()
     if INEQUALITIES:
         low = 0  # iterations with the last weight
     for iteration in range(max_iterations + 1):
         if INEQUALITIES:
             iterate = measured_iterate(search, iterate)
-            log.append(grid, iterate.point, shift.value, length, iterate.mu)
+            log.append(grid, iterate.point, inertia.delta_w, length, iterate.mu)
             converged = is_optimal(search, iterate, tolerance, low > PATIENCE)
         else:
-            log.append(grid, iterate.point, shift.value, length)
+            log.append(grid, iterate.point, inertia.delta_w, length)
             converged = is_solved(grid, iterate.point, tolerance)
         point, status = iterate.point, ""
         if not point.error < np.inf:
             status = "non-finite"
         elif converged:
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or shift.value > 0.0
+            doubtful = iteration == 0 or inertia.delta_w > 0.0
             status = "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
-        elif is_boundless(iterate, first_cost):
+        elif is_unbounded_below(iterate, first_cost):
             status = "unbounded"
         elif log.is_late():
             status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
         if INEQUALITIES:
-            mu = lowered(iterate, LEAST_PART * tolerance)
+            mu = decreased_mu(iterate, LEAST_PART * tolerance)
             if mu < iterate.mu:
                 filtered.empty()
-                iterate, shortened, watch = tightened(search, iterate, mu), 0, None
+                iterate, shortened, watchdog = with_barrier_parameter(search, iterate, mu), 0, None
             low += mu <= LEAST_PART * tolerance
-        careful = doubts.are_enough()
-        trial, step = None, regularised_step(search, iterate, shift, damping, careful)
+        careful = monitor.is_due()
+        trial, step = None, regularised_step(search, iterate, inertia, damping, careful)
         if step is not None:
-            shift = step.shift
+            inertia = step.inertia
             if careful:
-                doubts.judge(step.refined)
-            watch = Watch(iterate, step) if shortened == SHORTENED else watch
-            if watch is not None:
-                iterate, length, watch = watched(search, iterate, step, watch, small_violation, filtered)
+                monitor.record(step.refined)
+            watchdog = Watchdog(iterate, step) if shortened == SHORTENED else watchdog
+            if watchdog is not None:
+                iterate, length, watchdog = watchdog_step(search, iterate, step, watchdog, small_violation, filtered)
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and leaves_much(point, step, length, trial.point):
-                doubts.add()
+            if trial is not None and barely_reduces_residual(point, step, length, trial.point):
+                monitor.add()
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
-            convex = step is None or shift.value == 0.0 or is_minimum(search, iterate, tolerance)
+            convex = step is None or inertia.delta_w == 0.0 or is_minimum(search, iterate, tolerance)
             if INEQUALITIES and low and convex and is_acceptable(grid, iterate, tolerance):
                 return "solved", iterate, iteration
             if step is None:
                 return "rank-deficient", iterate, iteration
             if not convex and is_nearly_stationary(point):
                 return "saddle point", iterate, iteration
-            if is_rounding(grid, point):
+            if is_at_rounding_level(grid, point):
                 if INEQUALITIES and not is_closed(search, iterate, tolerance):
                     return "stalled", iterate, iteration
                 return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
-            filtered.add(point.violation, merit(iterate))
+            filtered.add(point.violation, barrier_objective(iterate))
             status, trial = restored(search, iterate, 0.9, filtered, log)
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
-            trial = with_multipliers(search, trial)
+            trial = with_least_squares_multipliers(search, trial)
         iterate = trial
     return "iteration limit", iterate, max_iterations
 
@@ -239,18 +239,18 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    unknowns, shift = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
+    unknowns, delta_w = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
     if INEQUALITIES:
         iterate = iterate._replace(mu=0.0)
-    _, diagonal = newton_system(search, iterate, iterate.point.gradient, shift, FLAT)
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
     return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
 
 
-def is_boundless(iterate, first_cost):
+def is_unbounded_below(iterate, first_cost):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
     if INEQUALITIES and iterate.measured.largest > LARGEST:
         return True
-    return iterate.point.residual <= 1e-6 and iterate.point.cost < -BOTTOMLESS * max(1.0, first_cost)
+    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
 
 
 def restored(search, iterate, reduction, filtered, log):

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from codegen.runtime.kkt.apart import allocate_system
+from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
-from codegen.runtime.optimise.curvature import FLAT, least_shift
+from codegen.runtime.optimise.negative_curvature import FLAT, least_delta_w
 from codegen.runtime.unknowns.point import evaluate
-from codegen.runtime.optimise.rounding import WORTH_MEASURING, is_solved
+from codegen.runtime.optimise.convergence_test import WORTH_MEASURING, is_solved
 
 CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
 ROUNDINGS = 4.0  # errors of their terms that one Newton step leaves in the equations
@@ -42,7 +42,7 @@ def without_minimum(grid, point, system):
     least = least_violation(grid, point, system)
     if least.residual > CONTRADICTORY * point.residual:
         return "infeasible", least
-    if least_shift(grid, point.unknowns, system) > FLAT:
+    if least_delta_w(grid, point.unknowns, system) > FLAT:
         return "unbounded", least
     step = np.empty_like(point.unknowns)
     solve_kkt(grid, system, least.gradient, step)

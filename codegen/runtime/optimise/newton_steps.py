@@ -10,7 +10,15 @@ import numpy as np
 
 from codegen.runtime.kkt.refinement import refine
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
-from codegen.runtime.optimise.bounded import found, merit, moved, newton_system, shifts_to_try, step_along, with_duals
+from codegen.runtime.optimise.bounded import (
+    corrected_inertia,
+    barrier_objective,
+    moved,
+    newton_system,
+    first_delta_w,
+    step_along,
+    with_duals,
+)
 from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
@@ -21,7 +29,7 @@ UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solutio
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
-class Watch(NamedTuple):
+class Watchdog(NamedTuple):
     """Where full steps began: the iterate, its Newton step, and how many may still follow."""
 
     iterate: NamedTuple
@@ -29,27 +37,27 @@ class Watch(NamedTuple):
     left: int = FULL_STEPS
 
 
-class Doubts:
+class AccuracyMonitor:
     """When to measure what steps leave of the linear system: where they leave more of the equations than they should.
 
-    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
-    Once one was not, all are measured.
+    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubtful
+    ones. Once one was not, all are measured.
     """
 
     def __init__(self):
-        self.doubts, self.enough = 0, 1
+        self.doubtful, self.enough = 0, 1
 
     def add(self):
         """Take note of a step that left too much."""
-        self.doubts += 1
+        self.doubtful += 1
 
-    def are_enough(self):
+    def is_due(self):
         """Whether the next step has to be measured."""
-        return self.doubts >= self.enough
+        return self.doubtful >= self.enough
 
-    def judge(self, refined):
+    def record(self, refined):
         """Take note of whether a step that was measured had to be refined."""
-        self.doubts, self.enough = (1, 1) if refined else (0, 2 * self.enough)
+        self.doubtful, self.enough = (1, 1) if refined else (0, 2 * self.enough)
 
 
 def regularised_step(search, iterate, before, damping, careful):
@@ -59,38 +67,38 @@ def regularised_step(search, iterate, before, damping, careful):
     system is measured, and solved for again where that is much. There is no step where the system stays singular.
     """
     grid, system, point = search.grid, search.system, iterate.point
-    primal, singular, dual_shift = np.empty(point.unknowns.size), False, 0.0
-    at_once, least = shifts_to_try(before)
-    shift = max(damping, at_once)
-    while shift < 1e20:
-        gradient, diagonal = newton_system(search, iterate, point.gradient, shift, dual_shift)
+    primal, singular, delta_c = np.empty(point.unknowns.size), False, 0.0
+    at_once, least = first_delta_w(before)
+    delta_w = max(damping, at_once)
+    while delta_w < 1e20:
+        gradient, diagonal = newton_system(search, iterate, point.gradient, delta_w, delta_c)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            same = shift == before.value == 0.0 and not singular
-            given = before if same else found(before, shift, least, singular)
+            same = delta_w == before.delta_w == 0.0 and not singular
+            given = before if same else corrected_inertia(before, delta_w, least, singular)
             step = step_along(search, iterate, gradient, primal, given, refined)
             if abs(step.slope) < np.inf:
                 return step
-        elif dual_shift == 0.0 and (excess is None or excess < 0):
-            dual_shift, singular = 1e-8, True  # the equations may be dependent
+        elif delta_c == 0.0 and (excess is None or excess < 0):
+            delta_c, singular = 1e-8, True  # the equations may be dependent
             if INEQUALITIES:
-                dual_shift *= iterate.mu**0.25
+                delta_c *= iterate.mu**0.25
             continue
-        if shift == 0.0:
-            shift = least
+        if delta_w == 0.0:
+            delta_w = least
         else:
-            shift *= 100.0 if before.last == 0.0 else 8.0
+            delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
 
 
-def leaves_much(point, step, length, trial):
+def barely_reduces_residual(point, step, length, trial):
     """Whether a step of some length has left more than its part of the equations: they are curved, or it is inaccurate.
 
     Were they linear, 1 - `length` of each would be left.
     """
-    if UNBOUNDED and step.shift.value > 0.0:
+    if UNBOUNDED and step.inertia.delta_w > 0.0:
         return False  # it is far from a solution, where curvature is the reason
     return trial.residual > (1.0 - length + UNSOLVED) * point.residual
 
@@ -101,7 +109,7 @@ def damped(damping, step, length, shortened):
     A Hessian that is barely positive definite sends steps far beyond where it means something.
     """
     if length <= SHORT * step.longest and shortened >= SHORT_IN_TURN:
-        return 4.0 * max(step.shift.value, damping, LEAST_DAMPING)
+        return 4.0 * max(step.inertia.delta_w, damping, LEAST_DAMPING)
     if length < step.longest:
         return damping
     return damping / 2.0 if damping > LEAST_DAMPING else 0.0
@@ -117,37 +125,43 @@ def line_search(search, iterate, step, shortest, small_violation, filtered):
                 trial = with_duals(trial, step)
             return trial, length
         if length == step.longest and trial.point.violation >= iterate.point.violation:
-            better = corrected(search, iterate, step, trial.point, small_violation, filtered)
+            better = second_order_correction(search, iterate, step, trial.point, small_violation, filtered)
             if better is not None:
                 return better, length
         length *= 0.5
     return None, length
 
 
-def watched(search, iterate, step, watch, small_violation, filtered):
-    """(next iterate, length, watch) after a full step that is taken untested, in the hope that one soon is better.
+def watchdog_step(search, iterate, step, watchdog, small_violation, filtered):
+    """(next iterate, length, watchdog) after a full step that is taken untested, in the hope that one soon is better.
 
     The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
     better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
     """
     trial = moved(search, iterate, step.primal, step.longest)
-    better = is_better(trial, watch.iterate, watch.step, watch.step.longest, small_violation, filtered)
-    if not better and (watch.left == 1 or not trial.point.error < np.inf):
-        return watch.iterate, 0.0, None
+    better = is_better(trial, watchdog.iterate, watchdog.step, watchdog.step.longest, small_violation, filtered)
+    if not better and (watchdog.left == 1 or not trial.point.error < np.inf):
+        return watchdog.iterate, 0.0, None
     if INEQUALITIES:
         trial = with_duals(trial, step)
-    return trial, step.longest, None if better else watch._replace(left=watch.left - 1)
+    return trial, step.longest, None if better else watchdog._replace(left=watchdog.left - 1)
 
 
 def is_better(trial, iterate, step, length, small_violation, filtered):
     """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
     new, old = trial.point, iterate.point
     return new.error < np.inf and filtered.accept(
-        old.violation, merit(iterate), new.violation, merit(trial), step.slope, length, small_violation
+        old.violation,
+        barrier_objective(iterate),
+        new.violation,
+        barrier_objective(trial),
+        step.slope,
+        length,
+        small_violation,
     )
 
 
-def corrected(search, iterate, step, refused, small_violation, filtered):
+def second_order_correction(search, iterate, step, refused, small_violation, filtered):
     """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
 
     `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
@@ -160,7 +174,7 @@ def corrected(search, iterate, step, refused, small_violation, filtered):
         right[grid.is_multiplier] = residual
         correction = np.empty_like(step.primal)
         solve_kkt(grid, search.system, right, correction)
-        better = step_along(search, iterate, right, correction, step.shift, False)
+        better = step_along(search, iterate, right, correction, step.inertia, False)
         length = better.longest
         trial = moved(search, iterate, correction, length)
         if is_better(trial, iterate, step, step.longest, small_violation, filtered):

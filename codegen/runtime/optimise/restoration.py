@@ -9,7 +9,15 @@ Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), se
 import numpy as np
 
 from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
-from codegen.runtime.optimise.bounded import Shift, central_duals, merit, moved, newton_system, step_along, with_duals
+from codegen.runtime.optimise.bounded import (
+    InertiaCorrection,
+    central_duals,
+    barrier_objective,
+    moved,
+    newton_system,
+    step_along,
+    with_duals,
+)
 from codegen.runtime.stand_ins.example import INEQUALITIES
 from codegen.runtime.unknowns.point import evaluate
 
@@ -24,12 +32,12 @@ def restore(search, iterate, reduction, filtered, is_late):
     bounds, the weight and the duals are those of the restoration.
     """
     grid, damping = search.grid, 0.0
-    first, current = iterate.point.violation, begun(search, iterate)
+    first, current = iterate.point.violation, restoration_start(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
             return "time limit", current
         point = current.point
-        pull = attraction(grid, point)
+        pull = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, pull)
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
@@ -44,12 +52,12 @@ def restore(search, iterate, reduction, filtered, is_late):
             accepted = current
             if INEQUALITIES:
                 accepted = current._replace(mu=iterate.mu)
-            if filtered.lets_pass(accepted.point.violation, merit(accepted)):
+            if filtered.lets_pass(accepted.point.violation, barrier_objective(accepted)):
                 return "restored", accepted
     return "stalled", current
 
 
-def begun(search, iterate):
+def restoration_start(search, iterate):
     """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
     grid = search.grid
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
@@ -59,7 +67,7 @@ def begun(search, iterate):
     return start
 
 
-def attraction(grid, point):
+def residual_gradient(grid, point):
     """A' c, the gradient of half the squared residuals by primal unknowns, by the linearity of the Lagrangian."""
     with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
     pull = evaluate(grid, with_residuals).gradient - point.gradient
@@ -98,7 +106,7 @@ if INEQUALITIES:
 def damped_step(search, current, pull, damping):
     """(iterate, damping) after a step that lowers the sum of squares, or None."""
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
-    least = restoration_merit(grid, current)
+    least = restoration_objective(grid, current)
     while damping < 1e12:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
@@ -106,10 +114,10 @@ def damped_step(search, current, pull, damping):
         if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
             solve_kkt(grid, search.system, right, step, carried=True)
             step[grid.is_multiplier] = 0.0
-            taken = step_along(search, current, slopes, step, Shift(), False)
+            taken = step_along(search, current, slopes, step, InertiaCorrection(), False)
             trial = moved(search, current, step, taken.longest)
             expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
-            if trial.point.error < np.inf and restoration_merit(grid, trial) <= least + expected:
+            if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
                 if INEQUALITIES:
                     trial = with_duals(trial, taken)
                 return trial, max(damping / 5.0, 1e-12)
@@ -117,7 +125,7 @@ def damped_step(search, current, pull, damping):
     return None
 
 
-def restoration_merit(grid, current):
+def restoration_objective(grid, current):
     """Half the sum of squared residuals, with the restoration's barrier where there are bounds."""
     value = sum_of_squares(grid, current.point)
     if INEQUALITIES:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.kkt.apart import allocate_system
+from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
 from codegen.runtime.optimise.descent import slope_of
 from codegen.runtime.unknowns.layout import layout, multiplier_unknowns
@@ -25,18 +25,18 @@ class Attempt(NamedTuple):
     nearby: float
     shortest: float
     funnel: float
-    bend: float = 0.0
+    bulge: float = 0.0
 
 
 FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
 WARM = FROM_GUESS  # Newton's method needs no telling
-OTHERS = (
+CASCADE = (
     Attempt(0.1, 1e-3, 2.0),
     Attempt(1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
 )
 
 
-SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
+SMALL_DELTA_W = 1e-2  # below it, the Hessian is first tried as it is
 
 
 class Search(NamedTuple):
@@ -53,13 +53,13 @@ class Iterate(NamedTuple):
     point: NamedTuple
 
 
-class Shift(NamedTuple):
+class InertiaCorrection(NamedTuple):
     """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered.
 
     `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
     """
 
-    value: float = 0.0
+    delta_w: float = 0.0
     last: float = 0.0
     lowered: int = 0
     singular: bool = False
@@ -75,7 +75,7 @@ class Step(NamedTuple):
     gradient: np.ndarray
     slope: float
     longest: float
-    shift: NamedTuple
+    inertia: NamedTuple
     refined: bool
 
 
@@ -89,7 +89,7 @@ def begin(search, unknowns, attempt):
     return Iterate(evaluate(search.grid, unknowns))
 
 
-def with_multipliers(search, iterate):
+def with_least_squares_multipliers(search, iterate):
     """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
 
     All multipliers of `iterate` are zero.
@@ -98,7 +98,7 @@ def with_multipliers(search, iterate):
     if point.stationarity == 0.0:
         return iterate
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system, gradient)):
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, regularisation(grid, 1.0, 1e-12), system, gradient)):
         return iterate
     solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
@@ -110,16 +110,16 @@ def barrier_curvature(search, iterate):
     return 0.0
 
 
-def newton_system(search, iterate, gradient, shift, dual_shift):
+def newton_system(search, iterate, gradient, delta_w, delta_c):
     """Right-hand side and diagonal (unknowns,) of Newton's equations, given the gradient of the Lagrangian."""
-    return gradient, shifts(search.grid, shift, dual_shift)
+    return gradient, regularisation(search.grid, delta_w, delta_c)
 
 
-def shifts(grid, shift, dual_shift):
+def regularisation(grid, delta_w, delta_c):
     """Diagonal that shifts the Hessian by primal unknowns up, and that by multipliers down."""
-    if dual_shift == 0.0:
-        return shift * primal_ones(grid.steps)
-    return np.where(grid.is_multiplier, -dual_shift, shift)
+    if delta_c == 0.0:
+        return delta_w * primal_ones(grid.steps)
+    return np.where(grid.is_multiplier, -delta_c, delta_w)
 
 
 @lru_cache(maxsize=4)
@@ -128,7 +128,7 @@ def primal_ones(steps):
     return np.where(layout(steps).is_multiplier, 0.0, 1.0)
 
 
-def shifts_to_try(before):
+def first_delta_w(before):
     """The shift that is tried first, and the least one after none; `before` is that of the iterate before.
 
     Two changes to algorithm IC save factorisations. Where the iterate before needed a shift for its curvatures, a lower
@@ -136,24 +136,24 @@ def shifts_to_try(before):
     the lower the next one is.
     """
     least = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
-    at_once = before.value > 0.0 and least > SMALL_SHIFT and not before.singular
+    at_once = before.delta_w > 0.0 and least > SMALL_DELTA_W and not before.singular
     return least if at_once else 0.0, least
 
 
-def found(before, shift, least, singular):
+def corrected_inertia(before, delta_w, least, singular):
     """The shift that was enough; `least` was the least to try, `singular` says whether the matrix was without it."""
     singular = singular or before.singular
-    lowered = before.lowered + 1 if shift == least and not singular else 0
-    return Shift(shift, shift or before.last, lowered, singular)
+    lowered = before.lowered + 1 if delta_w == least and not singular else 0
+    return InertiaCorrection(delta_w, delta_w or before.last, lowered, singular)
 
 
-def step_along(search, iterate, gradient, primal, shift, refined):
+def step_along(search, iterate, gradient, primal, inertia, refined):
     """The step with a primal part, the gradient that it was solved for and a shift, and with its slope."""
     slope = slope_of(iterate.point.unknowns, gradient, primal, search.grid.is_multiplier)
-    return Step(primal, gradient, slope, 1.0, shift, refined)
+    return Step(primal, gradient, slope, 1.0, inertia, refined)
 
 
-def merit(iterate):
+def barrier_objective(iterate):
     """What a line search lowers: the cost."""
     return iterate.point.cost
 

@@ -1,1 +1,1 @@
-"""Particles that interact in pairs: motions, connections, passive points."""
+"""Particles that interact in pairs: motions, connections, tracer points."""

@@ -1,8 +1,8 @@
-"""The discrete action as a minimisation: places q_1 ... q_N-1 and one momentum P_k on each interval.
+"""The discrete action as a minimisation: positions q_1 ... q_N-1 and one momentum P_k on each interval.
 
 Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1 with c = ABSCISSA.
-Unknowns are one vector: inner places, then momenta. At a minimum the multipliers are 2 P_k, and the conditions for
-the places are the scheme's equations for momenta.
+Unknowns are one vector: inner positions, then momenta. At a minimum the multipliers are 2 P_k, and the conditions for
+the positions are the scheme's equations for momenta.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from codegen.runtime.stand_ins.example_pairs import (
     hamiltonian_gradient,
     hamiltonian_hessian,
 )
-from codegen.runtime.particles.pair_ladder import guessed_path
+from codegen.runtime.particles.pair_cascade import guessed_path
 
 
 def action_start(case):
@@ -23,12 +23,12 @@ def action_start(case):
 
 
 def action_states(case, unknowns):
-    """Places at all nodes, shape (N + 1, n, d), and the states (N, 2, n, d) at which H is evaluated."""
+    """Positions at all nodes, shape (N + 1, n, d), and the states (N, 2, n, d) at which H is evaluated."""
     inner = (case.steps - 1) * case.start.size
     between = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
-    places = np.concatenate([case.start[None], between, case.target[None]])
+    positions = np.concatenate([case.start[None], between, case.target[None]])
     momenta = unknowns[inner:].reshape(case.steps, *case.start.shape)
-    return places, np.stack([(1.0 - ABSCISSA) * places[:-1] + ABSCISSA * places[1:], momenta], axis=1)
+    return positions, np.stack([(1.0 - ABSCISSA) * positions[:-1] + ABSCISSA * positions[1:], momenta], axis=1)
 
 
 def action_cost(case, unknowns):
@@ -56,9 +56,9 @@ def action_cost_gradient(case, unknowns):
 
 def action_constraints(case, unknowns):
     """q_k+1 - q_k - h H_p on every interval, shape (ndN,)."""
-    places, states = action_states(case, unknowns)
+    positions, states = action_states(case, unknowns)
     velocities = action_gradients(case, states)[:, 1]
-    return (places[1:] - places[:-1] - case.duration / case.steps * velocities).ravel()
+    return (positions[1:] - positions[:-1] - case.duration / case.steps * velocities).ravel()
 
 
 def action_blocks(case, states):
@@ -70,7 +70,7 @@ def action_blocks(case, states):
 
 
 def action_columns(case, k):
-    """Where the places at both ends of interval k (None for given ones) and its momenta are among the unknowns."""
+    """Where the positions at both ends of interval k (None for given ones) and its momenta are among the unknowns."""
     size, inner = case.start.size, (case.steps - 1) * case.start.size
     left = slice(size * (k - 1), size * k) if k > 0 else None
     right = slice(size * k, size * (k + 1)) if k < case.steps - 1 else None
@@ -127,7 +127,7 @@ def action_hessian(case, unknowns, multipliers):
 
 def action_path(case, unknowns):
     """The states at the nodes, shape (N + 1, 2, n, d): p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
-    places, states = action_states(case, unknowns)
+    positions, states = action_states(case, unknowns)
     slopes = case.duration / case.steps * action_gradients(case, states)[:, 0]
     momenta = np.concatenate([states[:1, 1] + (1.0 - ABSCISSA) * slopes[:1], states[:, 1] - ABSCISSA * slopes])
-    return np.stack([places, momenta], axis=1)
+    return np.stack([positions, momenta], axis=1)

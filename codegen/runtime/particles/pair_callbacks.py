@@ -4,7 +4,7 @@ import numpy as np
 
 from codegen.runtime.stand_ins.example_pairs import POINTS
 from codegen.runtime.particles.pair_curvature import curvature_at
-from codegen.runtime.particles.pair_ladder import guessed_path, momenta_of
+from codegen.runtime.particles.pair_cascade import guessed_path, momenta_of
 from codegen.runtime.particles.pair_runge_kutta import advance_directions
 from codegen.runtime.particles.pair_shooting import Linearised, end_residual
 from codegen.runtime.particles.pair_trajectory import defects, discrete_cost, follow
@@ -64,7 +64,7 @@ def path_of(case, unknowns):
 
 
 def first_unknowns(case):
-    """Inner places and all momenta on the guessed path, shape (2ndN,)."""
+    """Inner positions and all momenta on the guessed path, shape (2ndN,)."""
     path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
@@ -72,7 +72,7 @@ def first_unknowns(case):
 def all_equations(case, unknowns):
     """Every step from a state minus the next state, shape (2ndN,).
 
-    Unknowns are the places at inner nodes, then the momenta at all nodes; the last places are target - sigma^2 p_N.
+    Unknowns are the positions at inner nodes, then the momenta at all nodes; the last ones are target - sigma^2 p_N.
     """
     return path_errors(case, path_of(case, unknowns))[0].ravel()
 

@@ -56,8 +56,8 @@ def require_possible(what, points):
         raise ValueError(f"{what} of point {row + 1} is {points[row]}, expected finite numbers")
     if not domain_margin(np.stack([points, np.zeros_like(points)])) > 0.0:
         row = next(k for k in range(len(points)) if not domain_margin(np.stack([points[k : k + 1]] * 2)) > 0.0)
-        place = ", ".join(f"{x:.6g}" for x in points[row])
-        raise ValueError(f"{what} of point {row + 1}, ({place}), is on or outside the boundary of the domain")
+        position = ", ".join(f"{x:.6g}" for x in points[row])
+        raise ValueError(f"{what} of point {row + 1}, ({position}), is on or outside the boundary of the domain")
     order = np.lexsort(points.T)
     same = np.flatnonzero((points[order[1:]] == points[order[:-1]]).all(axis=1))
     if same.size:

@@ -38,6 +38,6 @@ def linearised_field(hessians, points, k, own, parameters, directions, products)
     half = directions.shape[0] // 2
     for row in range(half):
         for c in range(directions.shape[1]):
-            by_place = products[row, c]
+            by_position = products[row, c]
             products[row, c] = products[half + row, c]
-            products[half + row, c] = -by_place
+            products[half + row, c] = -by_position

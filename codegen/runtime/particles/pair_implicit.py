@@ -51,7 +51,7 @@ def implicit_substep(before, step, a, b, own, parameters, near, gradient, point,
         change, size = moved(before, step, gradient, after)
         if is_settled(change, previous, size, max(near, ROUNDING)):
             return iteration + 1
-        # Places and momenta take turns, so that two iterations are compared.
+        # Positions and momenta take turns, so that two iterations are compared.
         if not change < np.inf or (iteration > 3 and change > 0.5 * earlier):
             break
         previous, earlier = change, previous
@@ -150,11 +150,11 @@ def direct_directions(hessian, step, a, b, before, after):
         for row in range(size):
             middle[row] = (1.0 - (a if row < half else b)) * before[row, c]
         for row in range(half):
-            place, momentum = before[row, c], before[half + row, c]
+            position, momentum = before[row, c], before[half + row, c]
             for column in range(size):
-                place += step * hessian[half + row, column] * middle[column]
+                position += step * hessian[half + row, column] * middle[column]
                 momentum -= step * hessian[row, column] * middle[column]
-            right[row], right[half + row] = place, momentum
+            right[row], right[half + row] = position, momentum
         solve_factored(matrix, pivots, right)
         for row in range(size):
             after[row, c] = right[row]

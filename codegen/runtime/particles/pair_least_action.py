@@ -2,7 +2,7 @@
 
 The action sum_k v.G(q)^-1 v/(2h) with v = q_k+1 - q_k, q midway and G = H_pp is bounded below and grows without bound
 where points are driven together, so that a method of descent finds a minimum from any path. Where only a sigma is
-asked for, |q_N - target|^2/(2 sigma^2) is added and the last places move as well. The method is BFGS with limited
+asked for, |q_N - target|^2/(2 sigma^2) is added and the last positions move as well. The method is BFGS with limited
 memory, which begins from the inverse of the second derivatives that leave out how G changes: a block-tridiagonal
 matrix. Source: Nocedal and Wright (2006), Numerical optimization, algorithms 7.4 and 7.5.
 """
@@ -27,15 +27,15 @@ SHORTEST = 2.0**-20  # least part of a step that is tried
 MOST_ENTRIES = 5_000_000  # entries of the matrices G of a path: of more particles than about 500 none is sought
 
 
-def action_of(case, places):
-    """The action of places at the nodes, shape (N + 1, n, d), its gradient by them, momenta (N, n, d), and all G^-1.
+def action_of(case, positions):
+    """The action of positions at the nodes, shape (N + 1, n, d), its gradient by them, momenta (N, n, d), and all G^-1.
 
     The action is infinite, and the rest None, where a path leaves the domain or G has no inverse.
     """
-    count, (n, d) = len(places) - 1, case.start.shape
+    count, (n, d) = len(positions) - 1, case.start.shape
     h, size = case.duration / count, n if BLOCKS == 1 else n * d
     states, matrices = np.zeros((count, 2, n, d)), np.empty((count, size, size))
-    states[:, 0] = 0.5 * (places[:-1] + places[1:])
+    states[:, 0] = 0.5 * (positions[:-1] + positions[1:])
     if not np.isfinite(states).all() or not all(domain_margin(z) > 0.0 for z in states):
         return np.inf, None, None, None
     for z, matrix in zip(states, matrices, strict=True):
@@ -44,17 +44,17 @@ def action_of(case, places):
         inverses = np.linalg.inv(matrices)
     except np.linalg.LinAlgError:
         return np.inf, None, None, None
-    ways = (places[1:] - places[:-1]).reshape(count, size, -1)
+    ways = (positions[1:] - positions[:-1]).reshape(count, size, -1)
     states[:, 1] = (inverses @ ways / h).reshape(count, n, d)
     parts = (states[:, 1].reshape(ways.shape) * ways).sum(axis=(1, 2))
     if not (parts >= 0.0).all():  # rounding has made G indefinite
         return np.inf, None, None, None
-    slopes, gradient = np.empty_like(states), np.zeros_like(places)
+    slopes, gradient = np.empty_like(states), np.zeros_like(positions)
     for z, slope in zip(states, slopes, strict=True):
         hamiltonian_gradient(z, case.own, case.parameters, slope)
     gradient[:-1] -= states[:, 1] + 0.5 * h * slopes[:, 0]
     gradient[1:] += states[:, 1] - 0.5 * h * slopes[:, 0]
-    missed = np.where(case.sigma > 0.0, 1.0, 0.0)[:, None] * (places[-1] - case.target)
+    missed = np.where(case.sigma > 0.0, 1.0, 0.0)[:, None] * (positions[-1] - case.target)
     weighted = missed / np.where(case.sigma > 0.0, case.sigma, 1.0)[:, None] ** 2
     gradient[-1] += weighted
     gradient[-1, case.sigma == 0.0] = 0.0
@@ -104,12 +104,12 @@ def direction(pivots, couplings, memory, gradient):
 
 
 def bent_path(case, count, bend):
-    """Places (count + 1, n, d) on the guessed way, in the middle aside by a part of its length, all to one hand."""
-    places, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
+    """Positions (count + 1, n, d) on the guessed way, in the middle aside by a part of its length, all to one hand."""
+    positions, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
     for k in range(count + 1):
-        guide(case.start, case.target, k / count, places[k])
+        guide(case.start, case.target, k / count, positions[k])
     aside = (case.target - case.start) @ (np.tri(d, d, -1) - np.tri(d, d, -1).T)  # a quarter of a turn in the plane
-    return places + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
+    return positions + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
 
 
 def path_intervals(case):
@@ -126,21 +126,21 @@ def momenta_of_least_action(case):
     """
     count = path_intervals(case)
     with np.errstate(all="ignore"):  # what is not finite is looked for wherever it matters
-        places, momenta = descended(case, count) if count else (None, None)
+        positions, momenta = descended(case, count) if count else (None, None)
     if momenta is None:
         return np.full(case.start.shape, np.nan)
-    state, slope = np.stack([0.5 * (places[0] + places[1]), momenta[0]]), np.empty((2, *case.start.shape))
+    state, slope = np.stack([0.5 * (positions[0] + positions[1]), momenta[0]]), np.empty((2, *case.start.shape))
     hamiltonian_gradient(state, case.own, case.parameters, slope)
     return momenta[0] + 0.5 * case.duration / count * slope[0]
 
 
 def descended(case, count):
-    """Places at the nodes, shape (N + 1, n, d), and momenta of the intervals, None where no guessed path has any."""
+    """Positions at the nodes, shape (N + 1, n, d), and momenta of the intervals, None where no guessed path has any."""
     memory, pivots, couplings = [], None, None
-    places = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
-    action, gradient, momenta, inverses = action_of(case, places)
+    positions = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
+    action, gradient, momenta, inverses = action_of(case, positions)
     if gradient is None:
-        return places, None
+        return positions, None
     for iteration in range(DESCENTS):
         if iteration % REFRESHED == 0:
             memory = []
@@ -154,15 +154,15 @@ def descended(case, count):
             break
         length, reached = 1.0, None
         while length >= SHORTEST and reached is None:
-            trial = places.copy()
+            trial = positions.copy()
             trial[1:] += length * way
             found = action_of(case, trial)
             reached = found if found[0] <= action - SUFFICIENT * length * decrease else None
             length *= 0.5
         if reached is None:
             break
-        step, change = trial[1:] - places[1:], reached[1][1:] - gradient[1:]
+        step, change = trial[1:] - positions[1:], reached[1][1:] - gradient[1:]
         if (step * change).sum() > 0.0:
             memory.append((step, change))
-        places, (action, gradient, momenta, inverses) = trial, reached
-    return places, momenta
+        positions, (action, gradient, momenta, inverses) = trial, reached
+    return positions, momenta

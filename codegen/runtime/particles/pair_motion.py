@@ -15,7 +15,7 @@ FAILURES = {
 def settings_for(start, own):
     """What steps are given beside parameters: own parameters, shape (n, k); ValueError when a shape does not fit."""
     if start.ndim != 3 or start.shape[0] != 2 or start.shape[2] != DIMENSION:
-        raise ValueError(f"start has shape {start.shape}, expected (2, n, {DIMENSION}): places, then momenta")
+        raise ValueError(f"start has shape {start.shape}, expected (2, n, {DIMENSION}): positions, then momenta")
     own = np.array([np.broadcast_to(np.asarray(values, dtype=float), start.shape[1:2]) for values in own])
     if not np.isfinite(own).all():
         raise ValueError("own parameters must be finite")

@@ -1,4 +1,4 @@
-"""Places and momenta moved along the field (H_p, -H_q)."""
+"""Positions and momenta moved along the field (H_p, -H_q)."""
 
 from numba import njit
 
@@ -9,9 +9,9 @@ def moved(before, step, gradient, after):
     change, size = 0.0, 0.0
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):
-            place = before[0, i, k] + step * gradient[1, i, k]
+            position = before[0, i, k] + step * gradient[1, i, k]
             momentum = before[1, i, k] - step * gradient[0, i, k]
-            change = max(change, abs(place - after[0, i, k]), abs(momentum - after[1, i, k]))
-            size = max(size, abs(place), abs(momentum))
-            after[0, i, k], after[1, i, k] = place, momentum
+            change = max(change, abs(position - after[0, i, k]), abs(momentum - after[1, i, k]))
+            size = max(size, abs(position), abs(momentum))
+            after[0, i, k], after[1, i, k] = position, momentum
     return change, size

@@ -30,11 +30,11 @@ def combined(z, h, gradients, weights, count, result):
     """Fill `result`, shape (2, n, d), with z + h sum_r weights[r] (H_p, -H_q)_r over the first `count` stages."""
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
-            place, momentum = z[0, i, k], z[1, i, k]
+            position, momentum = z[0, i, k], z[1, i, k]
             for r in range(count):
-                place += h * weights[r] * gradients[r, 1, i, k]
+                position += h * weights[r] * gradients[r, 1, i, k]
                 momentum -= h * weights[r] * gradients[r, 0, i, k]
-            result[0, i, k], result[1, i, k] = place, momentum
+            result[0, i, k], result[1, i, k] = position, momentum
 
 
 @njit(cache=True, error_model="numpy")

@@ -19,7 +19,7 @@ from codegen.runtime.lu import factor_matrix, solve_factored
 from codegen.runtime.particles.pair_algebra import cholesky, largest, solve_cholesky
 from codegen.runtime.particles.pair_curvature import curvature_at
 from codegen.runtime.particles.pair_runge_kutta import advance_directions
-from codegen.runtime.particles.pair_secant import secant_steps
+from codegen.runtime.particles.pair_broyden import broyden_steps
 from codegen.runtime.particles.pair_trajectory import defects, follow
 
 SOLVED, ROUNDED, LIMIT, STALLED, SINGULAR = 1, 2, 0, -5, -2  # how a Newton iteration ends; negative also: `follow`
@@ -201,7 +201,7 @@ def first_steps(case, h, factor, path, points):
     """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
     if factor is None or case.start.size <= DENSE:
         return 0
-    return secant_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
+    return broyden_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
 
 
 def shoot(case, factor, path, points, log):
@@ -246,7 +246,7 @@ def shoot(case, factor, path, points, log):
 
 
 def all_states(case, factor, path, points, log):
-    """Improve all states of `path` but the places at the start; otherwise as `shoot`.
+    """Improve all states of `path` but the positions at the start; otherwise as `shoot`.
 
     The residual is the largest of all defects of steps and of the end conditions.
     """

@@ -98,9 +98,9 @@ def domain_margin(z):
 
 
 @njit(cache=True, error_model="numpy")
-def guide(start, target, fraction, place):
+def guide(start, target, fraction, position):
     """A straight line from start to target."""
-    place[:] = start + fraction * (target - start)
+    position[:] = start + fraction * (target - start)
 
 
 def make_own():

@@ -15,7 +15,7 @@ from codegen.runtime.stand_ins.example import (
     interval_gradient, start_gradient,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import add_shared, read_shared
-from codegen.runtime.unknowns.equal_ends import release_tied
+from codegen.runtime.unknowns.tied_ends import release_tied
 
 
 @njit(error_model="numpy")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from codegen.runtime.stand_ins.example import NODE, SLACK_MULTIPLIERS, SLACKS
-from codegen.runtime.unknowns.frame import views
+from codegen.runtime.unknowns.time_grid import views
 from codegen.runtime.unknowns.point import evaluate
 
 

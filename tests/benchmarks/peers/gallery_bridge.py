@@ -8,7 +8,7 @@ import numpy as np
 
 from codegen.compiler import build
 from codegen.loading import load
-from codegen.machine_code.ahead import prepare
+from codegen.machine_code.ahead_of_time import prepare
 from codegen.machine_code.processes import compilers
 
 from .casadi_gallery import Array, PreparedGallery

@@ -11,7 +11,7 @@ from codegen.compiler import build
 from codegen.drivers.ipopt import _Callbacks
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.loading import load
-from codegen.machine_code.ahead import prepare
+from codegen.machine_code.ahead_of_time import prepare
 from codegen.machine_code.processes import compilers
 from codegen.solutions.result import Run
 

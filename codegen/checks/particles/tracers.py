@@ -16,7 +16,7 @@ DIGITS = 50
 
 
 def findings(model: PairwiseModel, module: Any, states: list[Any]) -> Iterator[Finding]:
-    """All evidence about a module that carries passive points, from some states of particles."""
+    """All evidence about a module that carries tracer points, from some states of particles."""
     if not model.passive:
         return
     own, parameters = np.ones((states[0].shape[1], len(model.own))), np.array(model.defaults)
@@ -27,7 +27,7 @@ def findings(model: PairwiseModel, module: Any, states: list[Any]) -> Iterator[F
 
 
 def exact_velocity(model: PairwiseModel, point: Any, state: Any, own: Any) -> tuple[list[Any], list[Any]]:
-    """The velocity of a passive point and its gradient, row after row, from the author's pair term with 50 digits."""
+    """The velocity of a tracer point and its gradient, row after row, from the author's pair term with 50 digits."""
     size = len(model.coordinates)
     rest = dict.fromkeys(model.first.p, sympy.S.Zero)
     rest |= {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
@@ -48,31 +48,31 @@ def _kernels(
 ) -> Iterator[Finding]:
     errors, slope_errors, size, block = [], [], len(model.coordinates), int(module.BLOCK)
     for state in states:
-        places = np.abs(state[0]).max() * generator.uniform(-0.7, 0.7, (size, block))
-        places[:, 0] = state[0, 0] + 1e-9  # where digits are lost most easily
+        positions = np.abs(state[0]).max() * generator.uniform(-0.7, 0.7, (size, block))
+        positions[:, 0] = state[0, 0] + 1e-9  # where digits are lost most easily
         rates, gradients, alone = np.empty(size * block), np.empty(size * size * block), np.empty(size * block)
-        module.passive_gradient(places.ravel(), state, own, parameters, rates, gradients)
-        module.passive_velocity(places.ravel(), state, own, parameters, alone)
+        module.tracer_gradient(positions.ravel(), state, own, parameters, rates, gradients)
+        module.tracer_velocity(positions.ravel(), state, own, parameters, alone)
         for m in range(min(3, block)):
-            velocity, gradient = exact_velocity(model, places[:, m], state, own)
+            velocity, gradient = exact_velocity(model, positions[:, m], state, own)
             for found in (rates, alone):
                 errors.append(_error(found.reshape(size, block)[:, m], velocity))
             slope_errors.append(_error(gradients.reshape(size * size, block)[:, m], gradient))
-    yield small_error("derivatives", "velocity of passive points against 50 digits", max(errors), 1e-12)
-    yield small_error("derivatives", "its derivative by place against 50 digits", max(slope_errors), 1e-12)
+    yield small_error("derivatives", "velocity of tracer points against 50 digits", max(errors), 1e-12)
+    yield small_error("derivatives", "its derivative by position against 50 digits", max(slope_errors), 1e-12)
 
 
 def _company(module: Any, state: Any, own: Any, parameters: Any) -> Finding:
-    """A passive point on a particle moves as it does."""
+    """A tracer point on a particle moves as it does."""
     _, count, size = state.shape
     block = int(module.BLOCK)
     gradient, rates, error = np.empty(state.shape), np.empty(size * block), 0.0
     module.hamiltonian_gradient(state, own, parameters, gradient)
     for i in range(count):
-        places = np.repeat(state[0, i], block)
-        module.passive_velocity(places, state, own, parameters, rates)
+        positions = np.repeat(state[0, i], block)
+        module.tracer_velocity(positions, state, own, parameters, rates)
         error = max(error, float(np.abs(rates.reshape(size, block)[:, 0] - gradient[1, i]).max()))
-    return small_error("consistency", "passive points on particles", error / float(np.abs(gradient[1]).max()), 1e-12)
+    return small_error("consistency", "tracer points on particles", error / float(np.abs(gradient[1]).max()), 1e-12)
 
 
 def _way_back(module: Any, state: Any, own: Any, parameters: Any, generator: np.random.Generator) -> Iterator[Finding]:
@@ -86,7 +86,7 @@ def _way_back(module: Any, state: Any, own: Any, parameters: Any, generator: np.
     there, back, tangents, inverse = (np.empty((count, *[size] * k)) for k in (1, 1, 2, 2))
     module.carry_points(points, h, 0.0, 1.0, stages, own, parameters, there, tangents)
     module.carry_points(there, h, 1.0, 0.0, stages, own, parameters, back, inverse)
-    yield small_error("consistency", "passive points carried there and back", float(np.abs(back - points).max()), 1e-13)
+    yield small_error("consistency", "tracer points carried there and back", float(np.abs(back - points).max()), 1e-13)
     error = float(np.abs(inverse @ tangents - np.eye(size)).max())
     yield small_error("consistency", "the derivatives of both", error, 1e-12)
 

@@ -11,7 +11,7 @@ from codegen.model.definitions import Model, prescribed
 from codegen.model.values import values_at_guess
 
 
-def trial_points(
+def sample_points(
     model: Model, elsewhere: Mapping[sympy.Symbol, float] | None = None
 ) -> list[dict[sympy.Symbol, float]]:
     """States, controls, end values and times: where the author expects the motion, and drawn at random.
@@ -23,7 +23,7 @@ def trial_points(
     ends = [value.symbol for value in model.end_values]
     symbols = [*model.coordinates, *model.rates, *model.controls, *ends, model.time]
     first, *others = [{**(elsewhere or {}), **expected_values(model, share)} for share in (0.0, 0.5, 1.0)]
-    likely, *drawn = expressions.trial_points(symbols, fixed, first)
+    likely, *drawn = expressions.sample_points(symbols, fixed, first)
     return [likely, *({**drawn[0], **point, **fixed} for point in others), *drawn]
 
 
@@ -35,8 +35,8 @@ def expected_values(model: Model, share: float) -> dict[sympy.Symbol, float]:
     constants = _constants(model)
     duration = expressions.rounded_at(model.duration, constants)
     at = {**constants, model.time: share * (duration or 0.0)}
-    told = {**_middles(model), **_between_ends(model, share), **dict(model.guess)}
-    numbers = {symbol: expressions.rounded_at(value, at) for symbol, value in told.items()}
+    guessed = {**_middles(model), **_between_ends(model, share), **dict(model.guess)}
+    numbers = {symbol: expressions.rounded_at(value, at) for symbol, value in guessed.items()}
     return {model.time: at[model.time]} | {symbol: number for symbol, number in numbers.items() if number is not None}
 
 

@@ -8,7 +8,7 @@ from codegen.runtime.stand_ins.example import SCALED
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
+def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Pin what is given in the `element` (ROWS, WIDTH) of interval k."""
     pin_ends(k, steps, diagonal, element)
 

@@ -10,13 +10,13 @@ from codegen.runtime.stand_ins.example import (
     START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import global_index, root_index
-from codegen.runtime.optimise.steepness import add_entry
+from codegen.runtime.optimise.derivative_magnitudes import add_entry
 
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
+def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Add the Hessians of the boundary conditions to the first or last `element` (ROWS, WIDTH); pin what is given.
 
     `unknowns` and `diagonal` (N STRIDE + NODE,) are those of a body, `parts` (ELEMENT + SHARED,) as in `fill_parts`.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from codegen.runtime.optimise.curvature import falling_direction
+from codegen.runtime.optimise.negative_curvature import negative_curvature_direction
 
 NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
 ESCAPES = 3  # how often a saddle point is left
@@ -19,12 +19,12 @@ def is_below(point, saddle):
     return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
 
 
-def steps_aside(grid, unknowns, curvature, escapes):
+def escape_steps(grid, unknowns, curvature, escapes):
     """Steps along the falling direction to both sides; the more escapes there were, the longer.
 
     The first are a tenth of the greatest unknown long, or of one where that is smaller.
     """
-    direction = falling_direction(grid, unknowns, curvature)
+    direction = negative_curvature_direction(grid, unknowns, curvature)
     size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
     direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
     return direction, -direction

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from sympy import Expr
 
 from codegen.derive.pairwise import PairDerivatives
-from codegen.derive.passive import PassiveDerivatives, passive_derivatives
+from codegen.derive.tracers import TracerDerivatives, tracer_derivatives
 from codegen.lower.blocks import BlockLoop, entry, packed
 from codegen.lower.kernels import Line
 from codegen.lower.pair_writer import Writer
@@ -23,20 +23,20 @@ BLOCK = 128
 """Points of a block: all that is known about them stays in the cache nearest to the processor."""
 
 
-def passive_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
-    """The velocity of passive points; and the velocity with its derivative by their places. None if not asked for."""
+def tracer_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
+    """The velocity of tracer points; and the velocity with its derivative by their positions. None if not asked for."""
     if not model.passive:
         return ()
-    passive, size = passive_derivatives(model, derivatives), len(model.coordinates)
+    tracers, size = tracer_derivatives(model, derivatives), len(model.coordinates)
     writer = Writer(model, derivatives)
-    velocity = [(_entry("rates", a), value) for a, value in enumerate(passive.velocity)]
-    gradient = [(_entry("gradients", k), value) for k, value in enumerate(passive.gradient)]
-    shapes = f"`rates`, shape ({size}*BLOCK,), with the velocities of passive points at `places`"
+    velocity = [(_entry("rates", a), value) for a, value in enumerate(tracers.velocity)]
+    gradient = [(_entry("gradients", k), value) for k, value in enumerate(tracers.gradient)]
+    shapes = f"`rates`, shape ({size}*BLOCK,), with the velocities of tracer points at `positions`"
     return (
-        _loop(writer, passive, "passive_velocity", f"Fill {shapes}.", ("rates",), velocity),
+        _loop(writer, tracers, "tracer_velocity", f"Fill {shapes}.", ("rates",), velocity),
         _loop(
-            writer, passive, "passive_gradient",
-            f"Fill {shapes}, and `gradients`, shape ({size * size}*BLOCK,), with their derivatives by place.",
+            writer, tracers, "tracer_gradient",
+            f"Fill {shapes}, and `gradients`, shape ({size * size}*BLOCK,), with their derivatives by position.",
             ("rates", "gradients"), [*velocity, *gradient],
         ),
     )  # fmt: skip
@@ -44,19 +44,19 @@ def passive_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[B
 
 def _loop(
     writer: Writer,
-    passive: PassiveDerivatives,
+    tracers: TracerDerivatives,
     name: str,
     summary: str,
     filled: tuple[str, ...],
     outputs: Sequence[tuple[str, Expr]],
 ) -> BlockLoop:
     model = writer.model
-    reads = {s: _entry("places", a) for a, s in enumerate(model.first.q)}
+    reads = {s: _entry("positions", a) for a, s in enumerate(model.first.q)}
     own = {s: _of_point(code) for s, code in writer.single_codes.items()}
     pair_scalars = {s for s, _ in writer.derivatives.pair.scalars}
     reads |= writer.codes("j") | {s: code for s, code in own.items() if s in pair_scalars}
-    made = writer.summed(passive.assignments, reads, outputs, own)
-    codes = [_entry("places", a) for a in range(len(model.coordinates))]
+    made = writer.summed(tracers.assignments, reads, outputs, own)
+    codes = [_entry("positions", a) for a in range(len(model.coordinates))]
     sums = [accurate_sum(e, model, codes) for e in writer.singles]
     scalars = {code: _entry("scalars", k) for k, code in enumerate(sums)}
     lengths = f"{len(sums)}*BLOCK" if len(sums) > 1 else "BLOCK"
@@ -66,7 +66,7 @@ def _loop(
     return BlockLoop(
         name=name,
         summary=summary,
-        arguments=("places", "z", "own", "parameters", *filled),
+        arguments=("positions", "z", "own", "parameters", *filled),
         head=(*singles, *(line for line in made.inputs if line.code.startswith("parameters["))),
         before=(
             *(Line(target, code) for code, target in scalars.items()),

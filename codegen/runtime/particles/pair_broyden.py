@@ -11,7 +11,7 @@ from numba import njit
 from codegen.runtime.particles.pair_algebra import solve_cholesky
 from codegen.runtime.particles.pair_trajectory import follow
 
-SECANTS = 40  # iterations, each of which keeps two vectors
+BROYDEN_STEPS = 40  # iterations, each of which keeps two vectors
 PATIENCE = 6  # iterations after which the residual must have halved
 ENOUGH = 1e-4  # relative accuracy of implicit steps, as a part of that of the arrival before
 
@@ -43,13 +43,13 @@ def approximate_inverse(factor, left, right, count, values, change):
 
 
 @njit(cache=True, error_model="numpy")
-def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, points):
+def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, points):
     """Improve path[0, 1], shape (n, d), as long as the residual falls; return how many steps were made.
 
     `path` and `points` belong to the best momenta at the end, whose residual the caller has to look at.
     """
     size = target.size
-    left, right = np.empty((SECANTS, size)), np.empty((SECANTS, size))
+    left, right = np.empty((BROYDEN_STEPS, size)), np.empty((BROYDEN_STEPS, size))
     step, change, residual = np.empty(size), np.empty(size), np.empty(size)
     momenta = path[0, 1].copy()
     moved, kept = momenta.reshape(size), momenta.copy()
@@ -57,7 +57,7 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
     scale = max(np.abs(target).max(), 1e-300)
     start, best, halved, waited, made, is_kept = norm, norm, norm, 0, 0, True
     approximate_inverse(factor, left, right, 0, residual, step)
-    while made < SECANTS and error > tolerance and waited < PATIENCE:
+    while made < BROYDEN_STEPS and error > tolerance and waited < PATIENCE:
         for k in range(size):
             step[k] = -step[k]
             moved[k] += step[k]

@@ -22,7 +22,7 @@ def test_what_grows_from_a_guess_of_zero(interpreted, monkeypatch, residual, cos
     unknowns, gradient = guess.copy(), np.zeros(guess.size)
     unknowns[index], gradient[index] = 1e5, -2.0 * abs(cost)
     point = first._replace(unknowns=unknowns, gradient=gradient, residual=residual, cost=cost)
-    monkeypatch.setitem(module.__dict__, "at_limits", lambda grid, unknowns: np.zeros(unknowns.size, bool))
-    grown = module.runaways(grid, guess, point, False)
+    monkeypatch.setitem(module.__dict__, "at_bounds", lambda grid, unknowns: np.zeros(unknowns.size, bool))
+    grown = module.diverging_unknowns(grid, guess, point, False)
     assert grown.any() == has_run_away
     assert not grown[np.arange(grown.size) != index].any()

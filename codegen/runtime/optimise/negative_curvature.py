@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from codegen.runtime.kkt.apart import allocate_system
+from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
 from codegen.runtime.unknowns.layout import free_unknowns
 
@@ -10,29 +10,29 @@ FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this c
 ITERATIONS = 4
 
 
-def least_shift(grid, unknowns, system, curvature=0.0):
+def least_delta_w(grid, unknowns, system, curvature=0.0):
     """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
 
     `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where no
     shift helps.
     """
-    shift = FLAT
-    while shift < 1e20:
-        diagonal = np.where(grid.is_multiplier, -FLAT, shift + curvature)
+    delta_w = FLAT
+    while delta_w < 1e20:
+        diagonal = np.where(grid.is_multiplier, -FLAT, delta_w + curvature)
         if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
-            return shift
-        shift *= 10.0
+            return delta_w
+        delta_w *= 10.0
     return np.inf
 
 
-def falling_direction(grid, unknowns, curvature=0.0):
+def negative_curvature_direction(grid, unknowns, curvature=0.0):
     """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
 
     `curvature` is what a barrier adds to the Hessian's diagonal.
     """
     system = allocate_system(grid)
     direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_shift(grid, unknowns, system, curvature) == np.inf:
+    if least_delta_w(grid, unknowns, system, curvature) == np.inf:
         return np.zeros(unknowns.size)
     free = free_unknowns(grid) & ~grid.is_multiplier
     for _ in range(ITERATIONS):

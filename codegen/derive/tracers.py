@@ -1,4 +1,4 @@
-"""The velocity of a particle without momentum, and its derivative by place, from the derivatives of the pair term."""
+"""The velocity of a particle without momentum, and its derivative by position, from those of the pair term."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from codegen.model.pairwise import PairwiseModel
 
 
 @dataclass(frozen=True)
-class PassiveDerivatives:
-    """What particle j contributes to the velocity of a passive particle i: `velocity`, d entries, and `gradient`.
+class TracerDerivatives:
+    """What particle j contributes to the velocity of a tracer point i: `velocity`, d entries, and `gradient`.
 
     Entry a*d + b of the gradient is the derivative of velocity component a by coordinate b. `assignments` are
     differences, scalars and derivatives by them that both are written in.
@@ -26,7 +26,7 @@ class PassiveDerivatives:
     gradient: tuple[Expr, ...]
 
 
-def passive_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> PassiveDerivatives:
+def tracer_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> TracerDerivatives:
     """Put p_i = 0 into the derivatives of the pair term.
 
     Raises ExpressionError where a particle without momentum does not stay so, where it does not only follow the
@@ -43,7 +43,7 @@ def passive_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> P
         else:
             assignments.append((symbol, reduced))
     entries = {(row, column): value for row, column, value in pair.hessian}
-    return PassiveDerivatives(
+    return TracerDerivatives(
         assignments=tuple(assignments),
         velocity=tuple(value.xreplace(known) for value in pair.gradient[size : 2 * size]),
         gradient=tuple(
@@ -58,28 +58,28 @@ def _require_passive(model: PairwiseModel) -> None:
         for q in model.first.q:
             if not identically_zero(sympy.diff(term, q).xreplace(rest)):
                 raise ExpressionError(
-                    f"the system has no passive points: without momentum, {name} still changes with {q}",
+                    f"the system has no tracer points: without momentum, {name} still changes with {q}",
                     "leave out passive=True, or write kinetic energies alone",
                 )
     for p in model.first.p:
         if not identically_zero(sympy.diff(model.self_term, p).xreplace(rest)):
             raise ExpressionError(
-                f"passive points would move by themselves: self_term changes with {p} where momenta vanish",
+                f"tracer points would move by themselves: self_term changes with {p} where momenta vanish",
                 "leave out passive=True, or write a self_term of second degree in momenta",
             )
         if sympy.diff(model.pair_term, p).xreplace(rest).free_symbols & set(model.first.own):
             raise ExpressionError(
-                f"a passive point has no {', '.join(model.own)}, on which its velocity depends",
+                f"a tracer point has no {', '.join(model.own)}, on which its velocity depends",
                 "leave out passive=True, or own parameters",
             )
     _require_company(model)
 
 
 def _require_company(model: PairwiseModel) -> None:
-    """A passive point that lies on a particle has its velocity: the limit of the pair term gives that of self_term."""
+    """A tracer point that lies on a particle has its velocity: the limit of the pair term gives that of self_term."""
     if model.limit is None:
         raise ExpressionError(
-            "the system has no passive points: where one meets a particle, its velocity has no limit",
+            "the system has no tracer points: where one meets a particle, its velocity has no limit",
             "leave out passive=True, or write a pair_term that is continuous",
         )
     rest = dict.fromkeys(model.first.p, sympy.S.Zero)
@@ -88,7 +88,7 @@ def _require_company(model: PairwiseModel) -> None:
         met = sympy.diff(model.limit, p).xreplace(rest).xreplace(alone)
         if not identically_zero(met - sympy.diff(model.self_term, p)):
             raise ExpressionError(
-                "a passive point would leave the particle that it lies on: self_term is not half the limit of "
+                "a tracer point would leave the particle that it lies on: self_term is not half the limit of "
                 "pair_term at coincidence",
                 "leave out self_term, or passive=True",
             )

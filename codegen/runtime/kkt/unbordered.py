@@ -3,7 +3,7 @@
 from numba import njit
 
 from codegen.runtime.arrays import zero_matrix, zero_vector
-from codegen.runtime.kkt.condensation import condense, expand
+from codegen.runtime.kkt.static_condensation import condense, recover_condensed
 from codegen.runtime.kkt.elements import BLOCK
 from codegen.runtime.stand_ins.example import BODIES, CARRIED, ELEMENT, NODE, STRIDE
 from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body, fill_parts
@@ -54,4 +54,4 @@ def substitute(gradient, carried, steps, upper, inverse, order, inverses, coupli
         if CARRIED:
             last[LAST] = -1.0 if carried else 0.0
         backward(upper[body], order[body], steps, carried, last, right)
-        expand(slopes, inverses[body], couplings[body], steps, right, solution)
+        recover_condensed(slopes, inverses[body], couplings[body], steps, right, solution)

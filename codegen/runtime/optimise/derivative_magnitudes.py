@@ -5,7 +5,7 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.elements import LOCAL_IS_MULTIPLIER
-from codegen.runtime.kkt.ends_flat import note_ends
+from codegen.runtime.kkt.ends_linear import note_ends
 from codegen.runtime.stand_ins.example import (
     BODIES,
     COUPLINGS,

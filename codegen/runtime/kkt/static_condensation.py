@@ -50,7 +50,7 @@ def scatter(hessian, gradient, k, element, coupling):
 
 
 @njit(error_model="numpy", inline="always")
-def subtract_condensed(coupling, inverse, element):
+def subtract_schur_complement(coupling, inverse, element):
     """Subtract B' inverse(C) B from `element` (ROWS, WIDTH); B, `coupling` (CONDENSED, WIDTH), has its columns."""
     for i in TOUCHED:
         for a in range(CONDENSED):
@@ -80,7 +80,7 @@ def condense(gradient, inverses, couplings, steps, right):
 
 
 @njit(error_model="numpy")
-def expand(gradient, inverses, couplings, steps, solved, step):
+def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):

@@ -10,7 +10,7 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen.checks.particles import passive
+from codegen.checks.particles import tracers
 from codegen.compiler import build
 from codegen.errors import ExpressionError, ModuleError, NumericsError
 from codegen.model.from_file import load_problem
@@ -201,8 +201,8 @@ def problem() -> Connect:
     [
         ("exp(-s)", "i.p[0]**2/(2*i.own[0])", "without momentum, pair_term still changes with x_i"),
         ("i.p[0]*j.p[0]*exp(-s)", "i.p[0]**2/2 + i.q[0]**2", "without momentum, self_term still changes with x_i"),
-        ("i.p[0]*j.p[0]*exp(-s)", "i.p[0]**2/2 + i.p[0]", "passive points would move by themselves"),
-        ("i.own[0]*j.own[0]*i.p[0]*j.p[0]*exp(-s)", "i.own[0]**2*i.p[0]**2/2", "a passive point has no m"),
+        ("i.p[0]*j.p[0]*exp(-s)", "i.p[0]**2/2 + i.p[0]", "tracer points would move by themselves"),
+        ("i.own[0]*j.own[0]*i.p[0]*j.p[0]*exp(-s)", "i.own[0]**2*i.p[0]**2/2", "a tracer point has no m"),
         ("i.p[0]*j.p[0]/sqrt(s)", "i.p[0]**2/2", "its velocity has no limit"),
         ("i.p[0]*j.p[0]*exp(-s)", "i.p[0]**2", "would leave the particle that it lies on"),
     ],
@@ -219,7 +219,7 @@ def test_modules_that_carry_nothing_say_so(interpreted):
     assert any("passive=True" in line for line in made.metadata["left_out"])
     assert not hasattr(made, "carry")
     with pytest.raises(ModuleError, match="carries no points"):
-        flow.require_passive(made)
+        flow.require_tracers(made)
 
 
 def test_unusable_points_and_times(module):
@@ -264,7 +264,7 @@ def findings(module):
     states = [0.4 * scale * generator.uniform(-1.0, 1.0, (2, 3, 2)) for scale in (1.0, 0.02)]
 
     def made_findings(**changes):
-        return list(passive.findings(replace(model, **changes), made, states))
+        return list(tracers.findings(replace(model, **changes), made, states))
 
     return made_findings
 
@@ -281,7 +281,7 @@ def test_checks_see_another_kernel(findings):
 
 def test_checks_see_a_wrong_derivative_and_company(module, findings, monkeypatch):
     made = module("midpoint", "plate")
-    right = made.passive_gradient, made.passive_velocity
+    right = made.tracer_gradient, made.tracer_velocity
 
     def wrong_gradient(*arguments):
         right[0](*arguments)
@@ -291,7 +291,7 @@ def test_checks_see_a_wrong_derivative_and_company(module, findings, monkeypatch
         right[1](*arguments)
         arguments[-1][:] *= 1 + 1e-9
 
-    monkeypatch.setattr(made, "passive_gradient", wrong_gradient)
-    monkeypatch.setattr(made, "passive_velocity", wrong_velocity)
+    monkeypatch.setattr(made, "tracer_gradient", wrong_gradient)
+    monkeypatch.setattr(made, "tracer_velocity", wrong_velocity)
     failed = {finding.subject for finding in findings() if not finding.passed}
-    assert {"its derivative by place against 50 digits", "passive points on particles"} <= failed
+    assert {"its derivative by position against 50 digits", "tracer points on particles"} <= failed

@@ -30,12 +30,12 @@ from codegen.runtime.stand_ins.example import (
     TIED,
     metadata,
 )
-from codegen.runtime.optimise.steepness import KIND_IS_MULTIPLIER, KINDS, add_entry, measure_intervals
+from codegen.runtime.optimise.derivative_magnitudes import KIND_IS_MULTIPLIER, KINDS, add_entry, measure_intervals
 
 SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
 LEAST = 1e-150  # what is below, or above its inverse, is no size
 LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
-DUST = 1e-6  # the same beside the other terms of every equation
+NEGLIGIBLE = 1e-6  # the same beside the other terms of every equation
 
 # Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
 NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
@@ -71,13 +71,13 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes)
         for i in range(ROOT):
             for j in range(i + 1):
                 add_entry(kinds[first + i], kinds[first + j], abs(matrix[i, j]), tables)
-    forget_dust(size, tables[1])
+    drop_negligible_sizes(size, tables[1])
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
             size[j] = GIVEN[j]
     for j in range(KINDS):
         bound[j] = bound[j] if size[j] == 0.0 else 0.0
-    spread(size, rest, tables[1])
+    balance_sizes(size, rest, tables[1])
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     if TIED:
@@ -181,7 +181,7 @@ def fit_bounds(lower, upper, kinds, size):
 
 
 @njit(error_model="numpy")
-def forget_dust(size, effect):
+def drop_negligible_sizes(size, effect):
     """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
     for j in range(KINDS):
         least = np.inf
@@ -192,12 +192,12 @@ def forget_dust(size, effect):
                     others = max(others, effect[i, k] * size[k])
             if effect[i, j] > 0.0:
                 least = min(least, others / effect[i, j])
-        if least < np.inf and size[j] < DUST * least:
+        if least < np.inf and size[j] < NEGLIGIBLE * least:
             size[j] = 0.0
 
 
 @njit(error_model="numpy")
-def spread(size, rest, effect):
+def balance_sizes(size, rest, effect):
     """Give unknowns without a size the least one with which they balance an equation, until nothing is new."""
     for _ in range(KINDS):
         found, is_new = zero_vector(KINDS), False

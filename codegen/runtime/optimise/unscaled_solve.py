@@ -3,7 +3,7 @@
 from codegen.runtime.optimise.messages import describe
 from codegen.runtime.optimise.newton_linear import minimise
 from codegen.runtime.unknowns.point import lagrangian
-from codegen.runtime.optimise.verdict import final_status
+from codegen.runtime.optimise.termination import final_status
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):

@@ -1,17 +1,17 @@
-"""Newton's method for blocks of passive points: when it has come to an end, and linear equations of each point.
+"""Newton's method for blocks of tracer points: when it has come to an end, and linear equations of each point.
 
 A matrix of each point, d rows of c columns, is kept entry after entry, with all points of the block in each: in an
-array of shape (d*c*BLOCK,). Places, velocities and their changes have shape (d*BLOCK,).
+array of shape (d*c*BLOCK,). Positions, velocities and their changes have shape (d*BLOCK,).
 """
 
 import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example_pairs import DIMENSION
-from codegen.runtime.stand_ins.example_passive import BLOCK
+from codegen.runtime.stand_ins.example_tracers import BLOCK
 
 MOST = 30  # iterations of Newton's method
-SETTLED = 1e-15  # a change of a place, in units of length, that is not made any more
+SETTLED = 1e-15  # a change of a position, in units of length, that is not made any more
 NEAR = 3e-5  # a change after which the derivative at hand serves for another iteration
 
 
@@ -61,11 +61,11 @@ def times(matrices, tangents, products):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def moved_places(places, changes):
-    """Add `changes` to the places; return the largest of them."""
+def moved_positions(positions, changes):
+    """Add `changes` to the positions; return the largest of them."""
     largest = 0.0
     for k in range(DIMENSION * BLOCK):
-        places[k] += changes[k]
+        positions[k] += changes[k]
         if abs(changes[k]) > largest:
             largest = abs(changes[k])
     return largest
@@ -103,10 +103,10 @@ def has_settled(change, previous, is_chord):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def without_unsettled(places, changes):
-    """Make those points of a block NaN for which Newton's method has found no place."""
+def without_unsettled(positions, changes):
+    """Make those points of a block NaN for which Newton's method has found no position."""
     for m in range(BLOCK):
         for a in range(DIMENSION):
             if abs(changes[a * BLOCK + m]) > 1e-13:
                 for b in range(DIMENSION):
-                    places[b * BLOCK + m] = np.nan
+                    positions[b * BLOCK + m] = np.nan

@@ -23,10 +23,10 @@ BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
-def remove_unfit_code(functions, identity):
+def remove_invalid_code(functions, identity):
     """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
     damaged = []
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         try:
             data = file.read_bytes()
         except FileNotFoundError:  # another process was quicker
@@ -54,16 +54,16 @@ def remove_partial_bytecode(file):
         pass
 
 
-def seal_new_code(functions):
+def add_new_checksums(functions):
     """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
     if any(function.stats.cache_misses for function in functions):
         with suppress(OSError):
-            seal_code(functions)
+            add_checksums(functions)
 
 
-def seal_code(functions):
+def add_checksums(functions):
     """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         data = file.read_bytes()
         if SEAL not in data:
             temporary = file.with_name(f".{file.name}.{os.getpid()}")
@@ -74,7 +74,7 @@ def seal_code(functions):
                 temporary.unlink(missing_ok=True)
 
 
-def kept_code(functions):
+def machine_code_cache(functions):
     """The files in which numba keeps compiled functions of the modules that some functions belong to."""
     statistics = [(getattr(function, "stats", None), function) for function in functions]
     places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}

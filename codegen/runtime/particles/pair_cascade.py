@@ -69,13 +69,13 @@ def guessed_path(start, target, steps, duration, own, parameters):
     return path
 
 
-def climb(case, method, guess):
+def run_cascade(case, method, guess):
     """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
     (path, points), factor = room(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
-    rungs = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
-    for name, attempt in rungs:
+    cascade = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
+    for name, attempt in cascade:
         path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
         log[:] = 0.0
         outcome, made, residual, *note = attempt(case, factor, path, points, log)
@@ -99,7 +99,7 @@ if QUADRATIC:
         """Shoot from a path of least action as well as whatever led to `path`, and keep what costs less.
 
         With a sigma, equations are solved by any stationary point of the cost, such as two points that ought to change
-        places and end together half way. Returns iterations, the residual if something cheaper was found, and a note.
+        positions and end together half way. Returns iterations, the residual if something cheaper was found, a note.
         """
         other, other_points = room(case)
         log[:] = 0.0
@@ -269,7 +269,7 @@ ATTEMPTS = {
 
 def described(case, method, guess=None):
     """The fields of a Solution."""
-    outcome, path, points, iterations, tangents, residual, attempts = climb(case, method, guess)
+    outcome, path, points, iterations, tangents, residual, attempts = run_cascade(case, method, guess)
     status = "solved" if outcome > 0 else "not connected"
     message = (
         attempts[-1]

@@ -38,7 +38,7 @@ def condense(gradient, inverses, couplings, steps, right):
 
 
 @njit(error_model="numpy")
-def expand(gradient, inverses, couplings, steps, solved, step):
+def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with what was `solved` for, which is all there is."""
     for i in range(step.size):
         step[i] = solved[i]

@@ -3,7 +3,7 @@
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
-from codegen.runtime.kkt.ends_flat import add_end_terms
+from codegen.runtime.kkt.ends_linear import add_end_terms
 from codegen.runtime.stand_ins.example import (
     BODIES,
     ELEMENT,

@@ -1,12 +1,12 @@
-"""Passive points, which have no momenta, carried along the motion of particles, forwards or backwards."""
+"""Tracer points, which have no momenta, carried along the motion of particles, forwards or backwards."""
 
 import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example_pairs import DIMENSION, POINTS
-from codegen.runtime.stand_ins.example_passive import BLOCK
+from codegen.runtime.stand_ins.example_tracers import BLOCK
 from codegen.runtime.particles.pair_trajectory import defects
-from codegen.runtime.particles.passive_substeps import passive_step
+from codegen.runtime.particles.tracer_substeps import tracer_step
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -16,13 +16,13 @@ def carry_points(points, h, first, last, stages, own, parameters, carried, jacob
     `jacobians`, shape (n, d, d), gets the derivatives of that map, unless it is empty. Times are in steps.
     """
     count, square = points.shape[0], DIMENSION * DIMENSION
-    places, velocities = np.empty(DIMENSION * BLOCK), np.empty((4, DIMENSION * BLOCK))
+    positions, velocities = np.empty(DIMENSION * BLOCK), np.empty((4, DIMENSION * BLOCK))
     tangents = np.empty(square * BLOCK if jacobians.size > 0 else 0)
     for start in range(0, count, BLOCK):
         for m in range(BLOCK):
             row = min(start + m, count - 1)
             for a in range(DIMENSION):
-                places[a * BLOCK + m] = points[row, a]
+                positions[a * BLOCK + m] = points[row, a]
         velocities[:] = 0.0
         for e in range(tangents.size):
             tangents[e] = 1.0 if (e // BLOCK) % (DIMENSION + 1) == 0 else 0.0
@@ -32,10 +32,10 @@ def carry_points(points, h, first, last, stages, own, parameters, carried, jacob
             k = begin + turn if last > first else end - 1 - turn
             share = min(high, k + 1.0) - max(low, float(k))
             step = h * share if last > first else -h * share
-            passive_step(k, step, stages, own, parameters, places, tangents, velocities, turn)
+            tracer_step(k, step, stages, own, parameters, positions, tangents, velocities, turn)
         for m in range(min(BLOCK, count - start)):
             for a in range(DIMENSION):
-                carried[start + m, a] = places[a * BLOCK + m]
+                carried[start + m, a] = positions[a * BLOCK + m]
             for e in range(square if jacobians.size > 0 else 0):
                 jacobians[start + m, e // DIMENSION, e % DIMENSION] = tangents[e * BLOCK + m]
 
@@ -49,11 +49,11 @@ def stages_of(case, path):
 
 
 def carry(case, stages, points, first=0.0, last=None, derivative=False):
-    """Carry passive points, shape (m, d), along the motion whose `stages` are given, from one time to another.
+    """Carry tracer points, shape (m, d), along the motion whose `stages` are given, from one time to another.
 
     Times are in steps, from 0 to the number of steps; by default the points are carried from the first to the last, and
     from `first` back to an earlier `last` by the inverse of that map. A time between two nodes is reached by part of a
-    step. Returns the places, shape (m, d), and the derivatives of the map, shape (m, d, d), or None. A point outside
+    step. Returns the positions, shape (m, d), and the derivatives of the map, shape (m, d, d), or None. A point outside
     the domain of the particles stays where it is; one for which an implicit step has no solution becomes NaN. Raises
     ValueError when points or times are unusable.
     """

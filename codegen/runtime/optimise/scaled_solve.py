@@ -20,14 +20,14 @@ from codegen.runtime.stand_ins.example import (
     variable_bounds,
     with_pinned_values,
 )
-from codegen.runtime.unknowns.frame import NONE, plain_grid
+from codegen.runtime.unknowns.time_grid import NONE, plain_grid
 from codegen.runtime.optimise.messages import describe
 from codegen.runtime.optimise.newton import minimise
-from codegen.runtime.optimise.limits import bounds_of
+from codegen.runtime.optimise.active_bounds import bounds_of
 from codegen.runtime.unknowns.point import evaluate, lagrangian
-from codegen.runtime.optimise.rounding import is_solved
-from codegen.runtime.optimise.sizes import IS_SLACK, fill_sizes
-from codegen.runtime.optimise.verdict import VIOLATED, final_status, own_values
+from codegen.runtime.optimise.convergence_test import is_solved
+from codegen.runtime.optimise.scaling_factors import IS_SLACK, fill_sizes
+from codegen.runtime.optimise.termination import VIOLATED, final_status, unscaled_unknowns
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
@@ -42,19 +42,19 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     if scaling == "auto":
         grid = scaled_grid(grid, unknowns)
-    start = in_parts(grid, unknowns)
+    start = scaled_unknowns(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status = final_status(grid, in_parts(grid, unknowns), point, status)
+    status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = final_status(grid, unknowns, point, status)
-    own = in_units(grid, point)
+    own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations
@@ -68,11 +68,11 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
-        unknowns = own_values(grid, point.unknowns)
+        unknowns = unscaled_unknowns(grid, point.unknowns)
         finer = scaled_grid(plain_grid(grid), unknowns)
-        if not is_steeper(finer, grid):
+        if not has_larger_derivatives(finer, grid):
             break
-        begin = in_parts(finer, unknowns)
+        begin = scaled_unknowns(finer, unknowns)
         same = evaluate(finer, begin)
         if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
             return "solved", finer, begin, same, total
@@ -97,13 +97,13 @@ def nearly_holds(grid, point):
     return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
 
 
-def is_steeper(finer, grid):
+def has_larger_derivatives(finer, grid):
     """Whether a grid's forces, ones where it has no sizes, are far larger than those of a grid that has sizes."""
     large = finer.forces if finer.sizes.size else 1.0
     return (large > np.where(grid.is_multiplier, COARSE, COARSE_COST) * grid.forces).any()
 
 
-def in_parts(grid, unknowns):
+def scaled_unknowns(grid, unknowns):
     """Unknowns in parts of sizes where the grid has them."""
     return unknowns / grid.sizes if grid.sizes.size else unknowns
 
@@ -162,7 +162,7 @@ def kinds_of(steps):
         return chain
 
 
-def in_units(grid, point):
+def unscaled_point(grid, point):
     """A point in the problem's own units; its stationarity is the change of the cost with parts of sizes."""
     if not grid.sizes.size:
         return point

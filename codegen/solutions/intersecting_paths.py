@@ -7,7 +7,7 @@ import numpy as np
 from codegen.loading import Vector
 
 
-def crossings(start: Vector, target: Vector) -> list[tuple[int, int]]:
+def intersecting_paths(start: Vector, target: Vector) -> list[tuple[int, int]]:
     """Numbers, from 1, of points whose segments from start to target, arrays of shape (n, d), cross; none unless d = 2.
 
     Segments that only touch or overlap are not counted.

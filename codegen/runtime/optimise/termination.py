@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from codegen.runtime.kkt.apart import allocate_system
+from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
 from codegen.runtime.optimise.callbacks import hessian, jacobian
 from codegen.runtime.stand_ins.example import INEQUALITIES, ROOT, SHARED
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
-from codegen.runtime.optimise.limits import at_limits
+from codegen.runtime.optimise.active_bounds import at_bounds
 from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.shared import least_duration
 
@@ -29,12 +29,12 @@ def final_status(grid, guess, point, status):
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
-        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+        status == "rank-deficient" and not is_finite_matrix(grid, unscaled_unknowns(grid, point.unknowns))
     ):
         return "non-finite"
-    if SHARED and not least_duration(grid, own_values(grid, point.unknowns)) > 0.0:
+    if SHARED and not least_duration(grid, unscaled_unknowns(grid, point.unknowns)) > 0.0:
         return "unbounded"
-    if runaways(grid, guess, point, status == "solved").any():
+    if diverging_unknowns(grid, guess, point, status == "solved").any():
         return "unbounded"
     if status in ("infeasible", "stalled") and point.residual <= HOLDS:
         return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
@@ -43,7 +43,7 @@ def final_status(grid, guess, point, status):
     return status
 
 
-def own_values(grid, unknowns):
+def unscaled_unknowns(grid, unknowns):
     """Unknowns in the problem's own units."""
     return unknowns * grid.sizes if grid.sizes.size else unknowns
 
@@ -63,7 +63,7 @@ def largest_multiplier(grid, point):
     return np.abs(point.unknowns[grid.is_multiplier]).max(initial=0.0)
 
 
-def runaways(grid, guess, point, is_stationary):
+def diverging_unknowns(grid, guess, point, is_stationary):
     """Boolean mask of unknowns that have grown beyond reason, and that go on growing.
 
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
@@ -78,7 +78,7 @@ def runaways(grid, guess, point, is_stationary):
     if not grown.any():
         return grown
     if INEQUALITIES:
-        grown &= ~at_limits(grid, unknowns)
+        grown &= ~at_bounds(grid, unknowns)
     if is_stationary:
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
@@ -92,7 +92,7 @@ def newton_step(grid, point):
     """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
     system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
     if INEQUALITIES:
-        shift[at_limits(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
+        shift[at_bounds(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
     if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient) != 0:
         return np.full(step.size, np.inf)
     solve_kkt(grid, system, point.gradient, step, carried=True)

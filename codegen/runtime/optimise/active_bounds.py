@@ -19,7 +19,7 @@ def units_of(grid):
     return grid.sizes if grid.sizes.size else np.ones(grid.is_multiplier.size)
 
 
-def at_limits(grid, unknowns):
+def at_bounds(grid, unknowns):
     """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
     lower, upper = bounds_of(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from sympy import Abs, Max, Min, Symbol, cos
 
-from codegen.model.kinks import kinks
+from codegen.model.nonsmooth_costs import kinks
 from codegen.solutions.notes import notes
 
 u, x, m = Symbol("u", real=True), Symbol("x", real=True), Symbol("m", real=True)
