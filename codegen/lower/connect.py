@@ -51,7 +51,7 @@ class ParticlesModule(PairwiseModule):
 
 
 def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> ConnectModule:
-    """Write every loop over pairs, and what surrounds it, as strings."""
+    """Write every loop over pairs, with the tables and texts of its module, as strings."""
     model = program.model
     singles, loops = pair_loops(model, derivatives)
     around = particle_loops(model, singles)

@@ -19,9 +19,9 @@ from codegen.runtime.kkt import refinement
 from codegen.runtime.optimise import (
     barrier,
     bounded,
-    curvature,
     exact_bounds,
     filter,
+    negative_curvature,
     newton,
     newton_steps,
     restoration,
@@ -40,7 +40,7 @@ def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
         loop = newton, newton_steps, restoration
-        for module in (*loop, barrier, bounded, unbounded, curvature, exact_bounds, refinement):
+        for module in (*loop, barrier, bounded, unbounded, negative_curvature, exact_bounds, refinement):
             for name in set(vars(module)) & LINEAR_ALGEBRA:
                 patch.setattr(module, name, getattr(dense_problem, name))
         patch.setattr(unbounded, "regularisation", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))

@@ -9,7 +9,7 @@ import sympy
 from interpreted import text_of, without_compilation
 
 from codegen import Control, Phases, body_number, canonical_pair, control, coordinate, states, together
-from codegen.checks import CHECKS, Context
+from codegen.checks import CHECKS, Context, apply
 from codegen.errors import ExpressionError
 from codegen.model import normalise
 from codegen.naming import Choices
@@ -183,6 +183,19 @@ def test_a_wrong_quadrature_is_found():
     assert not finding.passed
     with pytest.raises(ExpressionError):
         normalise(replace(with_area(), integral=[True]))
+
+
+@pytest.mark.parametrize("method", ["variational", "hamiltonian"])
+def test_integrals_of_velocities_are_checked_in_phases(method):
+    """Each phase is as its author wrote it, the equations are in velocities or momenta."""
+    x, v = coordinate("x")
+    u = control("u")
+    motion = {"lagrangian": v**2, "force": {x: u}, "cost": u**2, "duration": 1}
+    first = Control(**motion, start={x: 0, v: 0}, integral=[u**2 + v**2 <= 9])
+    model = normalise(Phases(first, Control(**motion, end={x: 1, v: 0}, integral=[u * v <= 9])))
+    program, scheme = transcribe(model, method=method), find("midpoint", method)
+    findings = list(apply("integrals", Context(Choices(), model, program, scheme, None)))
+    assert [finding.passed for finding in findings] == [True, True]
 
 
 @pytest.mark.parametrize("scheme", ["position-verlet", "yoshida-4", "suzuki-4"])

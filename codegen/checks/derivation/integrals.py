@@ -7,6 +7,7 @@ which the problem is discretised. Along a motion with a constant rate their diff
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import mpmath
 from sympy import Expr, Symbol
@@ -15,6 +16,8 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.derivation.discrete_equations import constant_controls, in_time, inner_motion
 from codegen.checks.evaluation import DIGITS, function_of, random_points
 from codegen.discretise import STEP, at_nodes, repeated
+from codegen.model import legendre
+from codegen.transcribe.forms import rewritten
 from codegen.transcribe.program import ControlProgram
 
 _STEP = mpmath.mpf(10) ** -22
@@ -26,7 +29,10 @@ def check(context: Context) -> Iterator[Finding]:
     if not context.model.integrals:
         yield does_not_apply("integrals", "there are no conditions on integrals")
         return
-    program, model = context.control, context.control.model
+    original = context.control.model  # that of a phase is as its author wrote it
+    transform = legendre.lagrangian_form if context.control.method == "variational" else legendre.hamiltonian_form
+    model = rewritten(original, transform(original.with_free_ends))
+    program = replace(context.control, model=model)
     substitution, rates = _smooth_motion(context, program)
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
     symbols += [free.symbol for free in model.free_parameters]

@@ -1,8 +1,9 @@
 """The KKT matrix: elements of intervals, their factorisation, substitution with its factors.
 
-`system` is what solvers call: factor, then solve. It is `apart` where no unknown is shared by intervals, else
-`bordered`; both have `frontal` eliminate the elements of one body, from `elements` with its ends (`ends_flat`,
-`ends_curved`) and with what stays inside an interval kept or eliminated beforehand (`element_kept`,
-`element_condensed`, `element_barrier`, by `condensation` and `inverse`). `symmetric` chooses pivots, `substitution`
-solves.
+`system` is what solvers call: factor, then solve. It is `unbordered` where no unknown is shared by intervals, else
+`bordered`: shared unknowns are the separator between bodies, eliminated last from the Schur complement of all others.
+Both have `frontal` eliminate the elements of one body, from `elements` with its ends (`ends_linear`, `ends_nonlinear`)
+and with controls and slacks of an interval kept (`element_uncondensed`) or statically condensed (`element_condensed`,
+`element_barrier`, by `static_condensation`, which recovers them afterwards, and `inverse`). `symmetric` chooses pivots
+and counts negative eigenvalues, `substitution` solves, `refinement` improves what it finds.
 """

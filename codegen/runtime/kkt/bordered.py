@@ -1,4 +1,4 @@
-"""Factor the KKT matrix, and solve with its factors, where bodies share unknowns, which come last."""
+"""Factor the KKT matrix, and solve with its factors, where bodies share unknowns: the separator, which comes last."""
 
 import numpy as np
 from numba import njit

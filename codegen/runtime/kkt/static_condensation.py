@@ -1,4 +1,4 @@
-"""What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery."""
+"""Static condensation of unknowns inside an interval: entries, Schur complement, right-hand sides, recovery."""
 
 import numpy as np
 from numba import njit
@@ -51,7 +51,10 @@ def scatter(hessian, gradient, k, element, coupling):
 
 @njit(error_model="numpy", inline="always")
 def subtract_schur_complement(coupling, inverse, element):
-    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH); B, `coupling` (CONDENSED, WIDTH), has its columns."""
+    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH), which leaves the Schur complement.
+
+    B, `coupling` (CONDENSED, WIDTH), has its columns.
+    """
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0

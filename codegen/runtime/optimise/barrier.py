@@ -17,7 +17,7 @@ from numba import njit
 from codegen.runtime.optimise.descent import slope_of
 
 
-RELAXED = 1e-8, 1e-12  # greatest and least relaxation of a bound, relative to its value where that exceeds one
+RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
 PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
 
 
@@ -39,12 +39,12 @@ def finite_bounds(lower, upper):
     return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
 
 
-def relaxation(mu):
+def relaxation(mu, least):
     """How much farther away bounds are taken to be while the barrier's weight is mu, relative to their magnitudes.
 
     Where equations hold an unknown on its bound, its dual is mu / relaxation: it stays moderate for every mu.
     """
-    return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu))
+    return min(RELAXED, max(least, PER_WEIGHT * mu))
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,6 +11,8 @@ import numpy as np
 from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
 from codegen.runtime.optimise.barrier import (
+    LEAST_RELAXED,
+    RELAXED,
     add_barrier,
     finite_bounds,
     measure_optimality,
@@ -55,7 +57,8 @@ CASCADE = (
 class Search(NamedTuple):
     """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
 
-    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound.
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound. Bounds are relaxed
+    by `least` at least, in parts of their magnitudes.
     """
 
     grid: NamedTuple
@@ -63,6 +66,7 @@ class Search(NamedTuple):
     system: tuple[NamedTuple, int]
     equations: np.ndarray
     box: tuple[np.ndarray, np.ndarray]
+    least: float = LEAST_RELAXED
 
 
 class Measured(NamedTuple):
@@ -92,7 +96,7 @@ class Iterate(NamedTuple):
 
 
 class InertiaCorrection(NamedTuple):
-    """The Hessian's shift at an iterate, and the last one that was not zero."""
+    """delta_w, the Hessian's shift at an iterate, and the last one that was not zero."""
 
     delta_w: float = 0.0
     last: float = 0.0
@@ -126,7 +130,7 @@ def begin(search, unknowns, attempt):
     unknowns = push_inside(*search.box, unknowns, attempt.push)
     if TIED:
         unknowns = with_tied_values(search.grid, unknowns)  # nodes move with the shared unknowns that they equal
-    distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu) * bounds.magnitude
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu, search.least) * bounds.magnitude
     duals = central_duals(mu, distance) if attempt is WARM else np.ones(distance.size)
     return Iterate(evaluate(search.grid, unknowns), mu, distance, np.log(distance).sum(), duals)
 
@@ -137,7 +141,7 @@ def central_duals(mu, distance):
 
 
 def with_least_squares_multipliers(search, iterate):
-    """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
+    """An iterate whose multipliers solve stationarity by least squares (36), zero where that is huge or singular.
 
     All multipliers of `iterate` are zero.
     """
@@ -206,13 +210,27 @@ def decreased_mu(iterate, least):
     return mu
 
 
+def falling_relaxation(search, iterate, mu):
+    """By how much bounds are relaxed less once the iterate's weight is lowered to mu."""
+    return relaxation(iterate.mu, search.least) - relaxation(mu, search.least)
+
+
+def with_relaxed_bounds(search):
+    """The search with bounds that stay as relaxed as they are at first.
+
+    Where equations force unknowns onto their bounds, and all multipliers are huge, the relaxation is what gives the
+    feasible set an inside; IPOPT keeps it as well.
+    """
+    return search._replace(least=RELAXED)
+
+
 def with_barrier_parameter(search, iterate, mu):
     """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
-    bounds, by = search.bounds, relaxation(iterate.mu) - relaxation(mu)
+    bounds, by = search.bounds, falling_relaxation(search, iterate, mu)
     iterate = iterate._replace(mu=mu)
     if by == 0.0:
         return iterate
-    least = 0.1 * relaxation(mu) * bounds.magnitude
+    least = 0.1 * relaxation(mu, search.least) * bounds.magnitude
     distance = iterate.distance - by * bounds.magnitude
     outside = distance < least
     if not outside.any():

@@ -1,4 +1,4 @@
-"""The direction along which the cost curves downwards most while the equations hold to first order."""
+"""The direction of most negative curvature of the Lagrangian while the equations hold to first order."""
 
 import numpy as np
 
@@ -6,15 +6,15 @@ from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
 from codegen.runtime.unknowns.layout import free_unknowns
 
-FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
+FLAT = 1e-8  # a delta_w that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
 
 
 def least_delta_w(grid, unknowns, system, curvature=0.0):
-    """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
+    """A delta_w that makes the Hessian on the equations' null space positive definite; the system is factored with it.
 
-    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where no
-    shift helps.
+    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where none
+    is enough.
     """
     delta_w = FLAT
     while delta_w < 1e20:
@@ -26,7 +26,7 @@ def least_delta_w(grid, unknowns, system, curvature=0.0):
 
 
 def negative_curvature_direction(grid, unknowns, curvature=0.0):
-    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no delta_w helps.
 
     `curvature` is what a barrier adds to the Hessian's diagonal.
     """

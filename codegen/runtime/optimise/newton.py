@@ -17,6 +17,7 @@ from codegen.runtime.optimise.bounded import (
     barrier_curvature,
     begin,
     central_duals,
+    falling_relaxation,
     is_acceptable,
     is_closed,
     is_optimal,
@@ -27,6 +28,7 @@ from codegen.runtime.optimise.bounded import (
     search_on,
     with_barrier_parameter,
     with_least_squares_multipliers,
+    with_relaxed_bounds,
 )
 from codegen.runtime.optimise.negative_curvature import FLAT
 from codegen.runtime.optimise.exact_bounds import within_bounds
@@ -64,11 +66,11 @@ if INEQUALITIES:
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    Where the search from the guess fails, it begins anew in other ways; if none succeeds, the end of the first one is
-    reported. With `warm`, the barrier of bounds begins with a small weight and leaves unknowns close to them. A row
-    (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate, and the
-    barrier's weight where there is one. `max_iterations` is for all searches together; steps of the restoration are not
-    counted.
+    Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
+    succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
+    leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
+    `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
+    steps of the restoration are not counted.
     """
     search, first, total = search_on(grid), None, 0
     primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
@@ -168,7 +170,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
     inertia, length, damping, shortened, watchdog, monitor = InertiaCorrection(), 0.0, 0.0, 0, None, AccuracyMonitor()
     if INEQUALITIES:
-        low = 0  # iterations with the last weight
+        low, loose = 0, None  # iterations with the last weight; the iterate before bounds were relaxed less
     for iteration in range(max_iterations + 1):
         if INEQUALITIES:
             iterate = measured_iterate(search, iterate)
@@ -194,6 +196,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
             mu = decreased_mu(iterate, LEAST_PART * tolerance)
             if mu < iterate.mu:
                 filtered.empty()
+                if loose is None and falling_relaxation(search, iterate, mu) > 0.0:
+                    loose = iterate
                 iterate, shortened, watchdog = with_barrier_parameter(search, iterate, mu), 0, None
             low += mu <= LEAST_PART * tolerance
         careful = monitor.is_due()
@@ -227,6 +231,10 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
             filtered.add(point.violation, barrier_objective(iterate))
             status, trial = restored(search, iterate, 0.9, filtered, log)
+            if INEQUALITIES and loose is not None and status in UNLUCKY:
+                search, iterate, loose, shortened, watchdog = with_relaxed_bounds(search), loose, None, 0, None
+                filtered.empty()
+                continue
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
             trial = with_least_squares_multipliers(search, trial)

@@ -1,4 +1,4 @@
-"""Newton's steps: the Hessian's shift that makes them lead downhill, and how far to go along them.
+"""Newton's steps: inertia correction, which makes them lead downhill, line search, second-order correction, watchdog.
 
 Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
 large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
@@ -61,10 +61,10 @@ class AccuracyMonitor:
 
 
 def regularised_step(search, iterate, before, damping, careful):
-    """A Newton step with the least shift of the Hessian, from `damping` on, that makes it one of descent, or None.
+    """A Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step, or None.
 
-    This is algorithm IC; `before` is the shift at the last iterate. With `careful`, what the step leaves of the linear
-    system is measured, and solved for again where that is much. There is no step where the system stays singular.
+    This is algorithm IC; `before` is the correction at the last iterate. With `careful`, what the step leaves of the
+    linear system is measured, and solved for again where that is much. None where the system stays singular.
     """
     grid, system, point = search.grid, search.system, iterate.point
     primal, singular, delta_c = np.empty(point.unknowns.size), False, 0.0

@@ -1,7 +1,7 @@
 """Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
 
-What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
-they are that already, it is solved as it is.
+What is solved is the same problem in other units, those in which its numbers are of ordinary size (see
+`scaling_factors`); where they are that already, it is solved as it is.
 """
 
 from functools import lru_cache
@@ -33,6 +33,7 @@ from codegen.runtime.optimise.termination import VIOLATED, final_status, unscale
 COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
 WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
+LARGE_CORRECTION = 1e-3  # part of the cost
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -126,12 +127,17 @@ def scaled_grid(grid, unknowns):
 
 
 def corrected_cost(grid, point):
-    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
+    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth.
+
+    That is so to first order. A large correction belongs to multipliers without limit, as where equations force
+    unknowns onto their bounds, and says nothing: the cost stays as it is.
+    """
+    corrected = lagrangian(grid, point)
     if INEQUALITIES:
-        gap = remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
-        return float(lagrangian(grid, point) - gap) / grid.weight
-    else:
-        return float(lagrangian(grid, point)) / grid.weight
+        corrected -= remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
+    if abs(corrected - point.cost) > LARGE_CORRECTION * abs(point.cost):
+        corrected = point.cost
+    return float(corrected) / grid.weight
 
 
 if INEQUALITIES:

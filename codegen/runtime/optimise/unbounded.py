@@ -54,7 +54,7 @@ class Iterate(NamedTuple):
 
 
 class InertiaCorrection(NamedTuple):
-    """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered.
+    """delta_w, the Hessian's shift at an iterate, its last value above zero, and how often in turn it was lowered.
 
     `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
     """
@@ -90,7 +90,7 @@ def begin(search, unknowns, attempt):
 
 
 def with_least_squares_multipliers(search, iterate):
-    """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
+    """An iterate whose multipliers solve stationarity by least squares (36), zero where that is huge or singular.
 
     All multipliers of `iterate` are zero.
     """
@@ -116,7 +116,7 @@ def newton_system(search, iterate, gradient, delta_w, delta_c):
 
 
 def regularisation(grid, delta_w, delta_c):
-    """Diagonal that shifts the Hessian by primal unknowns up, and that by multipliers down."""
+    """Diagonal with delta_w on the Hessian by primal unknowns, and -delta_c on the multipliers' block."""
     if delta_c == 0.0:
         return delta_w * primal_ones(grid.steps)
     return np.where(grid.is_multiplier, -delta_c, delta_w)

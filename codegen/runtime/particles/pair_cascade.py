@@ -1,4 +1,4 @@
-"""Which attempts are made to connect given points, in which order, and what is reported about them.
+"""The globalisation cascade of the boundary-value problem: attempts to connect given points, in their order.
 
 Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
 path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
