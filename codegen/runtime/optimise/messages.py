@@ -21,7 +21,7 @@ from codegen.runtime.stand_ins.example import (
     interval_gradient,
     metadata,
 )
-from codegen.runtime.tabulated.table_ranges import OUTSIDE, tables_beyond
+from codegen.runtime.tabulated.table_ranges import OUTSIDE_TABLE, tables_beyond
 from codegen.runtime.unknowns.time_grid import plain_grid
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.optimise.active_bounds import at_bounds, prescribed_beyond
@@ -41,7 +41,7 @@ REMEDIES = {
     " relax a condition or bound",
 }
 if RANGED:
-    REMEDIES[OUTSIDE] = "keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
+    REMEDIES[OUTSIDE_TABLE] = "keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
 LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
@@ -55,7 +55,7 @@ def describe(grid, guess, point, status):
     if RANGED and status == "solved":
         beyond = tables_beyond(grid, point.unknowns)
         if beyond:
-            return OUTSIDE, f"{OUTSIDE}: {beyond}; {REMEDIES[OUTSIDE]}"
+            return OUTSIDE_TABLE, f"{OUTSIDE_TABLE}: {beyond}; {REMEDIES[OUTSIDE_TABLE]}"
     if status == "solved":
         return status, f"all equations hold to {point.error:.1e}"
     if SCALED and grid.sizes.size:

@@ -8,7 +8,7 @@ from codegen.runtime.optimise.tolerances import checked_tolerance
 from codegen.runtime.stand_ins.example_step import PARTS, RANGED, STAGES, STATE, energy, step_equations
 from codegen.runtime.stepping.composition import advance_parts, allocate_parts, parts_residual
 from codegen.runtime.stepping.step_newton import advance, allocate_work
-from codegen.runtime.tabulated.table_steps import LEFT
+from codegen.runtime.tabulated.table_steps import LEFT_TABLE
 
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
@@ -18,7 +18,7 @@ FAILURES = {
 
 
 if RANGED:
-    FAILURES[LEFT] = (
+    FAILURES[LEFT_TABLE] = (
         "outside a table",
         "{}; keep the motion inside, take a wider table, or give it outside='clamp' or 'extend'",
     )

@@ -5,7 +5,7 @@ from numba import njit
 
 from codegen.runtime.stand_ins.example_step import FRACTIONS, PARTS, RANGED, STAGES, STATE, step_equations
 from codegen.runtime.stepping.step_newton import advance, allocate_work
-from codegen.runtime.tabulated.table_steps import LEFT, left_tables
+from codegen.runtime.tabulated.table_steps import LEFT_TABLE, left_tables
 
 
 @njit(cache=True, error_model="numpy")
@@ -26,7 +26,7 @@ def advance_parts(state, t, given, work, interval):
     for part in range(PARTS):
         outcome = advance(here, t, lengths[part], given, inner_work, interval)
         if RANGED and outcome >= 0 and left_tables(here, interval, t, lengths[part], given[0], inputs) >= 0:
-            return LEFT
+            return LEFT_TABLE
         if outcome < 0:
             return outcome
         iterations += outcome

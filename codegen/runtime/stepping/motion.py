@@ -16,7 +16,7 @@ from codegen.runtime.stepping.body_motion import FAILURES, energies, largest_res
 from codegen.runtime.stepping.composition import advance_parts, allocate_parts
 from codegen.runtime.stepping.step_newton import advance, allocate_work
 from codegen.runtime.tabulated.table_left import range_left
-from codegen.runtime.tabulated.table_steps import LEFT, left_tables
+from codegen.runtime.tabulated.table_steps import LEFT_TABLE, left_tables
 
 
 class Grid(NamedTuple):
@@ -69,7 +69,7 @@ def follow(start, steps, h, given, every, path, before):
         else:
             outcome = advance(state, k * h, h, given, work, interval)
             if RANGED and outcome >= 0 and left_tables(state, interval, k * h, h, given[0], inputs) >= 0:
-                outcome = LEFT
+                outcome = LEFT_TABLE
         total = 0.0
         for i in range(size):
             total += abs(after[i])
@@ -111,7 +111,7 @@ def integrate(grid, every):
     measured = rows if outcome == 0 else 1 + steps // every
     residual = largest_residual(before, path, measured, steps, grid.h, grid.given, every)
     status, message = describe(grid, steps, iterations, outcome)
-    if RANGED and outcome == LEFT:
+    if RANGED and outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], steps * grid.h))
     q, p = path[:rows, : size // 2].copy(), path[:rows, size // 2 :].copy()
     return status, message, steps, t, q, p, energy, residual if steps else np.nan, iterations

@@ -12,8 +12,8 @@ from codegen.runtime.stand_ins.example_tables import (
 from codegen.runtime.unknowns.phases import node_times
 from codegen.runtime.unknowns.shared import read_shared
 
-OUTSIDE = "outside a table"  # the status of what would be solved, were the table wider
-INSIDE = 1e-8  # parts of a range by which an input may be outside, which is rounding
+OUTSIDE_TABLE = "outside a table"  # the status of what would be solved, were the table wider
+TABLE_MARGIN = 1e-8  # parts of a range by which an input may be outside, which is rounding
 
 
 def tables_beyond(grid, unknowns):
@@ -21,7 +21,7 @@ def tables_beyond(grid, unknowns):
     index, found = np.zeros(3, np.int64), np.zeros(2)
     farthest_outside(unknowns, grid.steps, grid.h, grid.parameters, index, found)
     value, excess = found
-    if not excess > INSIDE:
+    if not excess > TABLE_MARGIN:
         return ""
     body, k, j = map(int, index)
     t = duration_of(grid, unknowns) * k / grid.steps

@@ -5,8 +5,8 @@ from numba import njit
 
 from codegen.runtime.stand_ins.example_tables import RANGED, RANGES, step_inputs
 
-LEFT = -4  # what tells that a step has left the range of a table
-INSIDE = 1e-8  # parts of a range by which an input may be outside, which is rounding
+LEFT_TABLE = -4  # what tells that a step has left the range of a table
+TABLE_MARGIN = 1e-8  # parts of a range by which an input may be outside, which is rounding
 
 
 @njit(cache=True, error_model="numpy")
@@ -20,7 +20,7 @@ def left_tables(state, interval, t, length, parameters, inputs):
     step_inputs(state, interval, t, length, parameters, inputs)
     for j in range(RANGED):
         least, greatest = parameters[RANGES[j, 0]], parameters[RANGES[j, 1]]
-        margin = INSIDE * (greatest - least)
+        margin = TABLE_MARGIN * (greatest - least)
         if inputs[j, 0] < least - margin or inputs[j, 1] > greatest + margin:
             return j
     return -1
