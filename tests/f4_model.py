@@ -1,4 +1,4 @@
-"""The model from which the tables of `problems/time_to_climb.py` are made, and the making of their files.
+"""The model from which the tables of `problems/published/time_to_climb.py` are made, and the making of their files.
 
     python tests/f4_model.py        writes problems/data/f4_*.csv anew
 

@@ -16,9 +16,9 @@ def problem() -> Control:
     alpha, T = control("alpha"), free_parameter("T", 300, lower=100, upper=600)
     S, g, Isp = parameters(S=49.2386, g=9.80665, Isp=1600)
 
-    thrust = Table("data/f4_thrust.csv", inputs=("mach", "altitude"), output="thrust")
-    C_D0, C_La, kappa = (Table("data/f4_aerodynamics.csv", "mach", output) for output in ("C_D0", "C_La", "kappa"))
-    density, sound = (Table("data/f4_atmosphere.csv", "altitude", output) for output in ("density", "sound"))
+    thrust = Table("../data/f4_thrust.csv", inputs=("mach", "altitude"), output="thrust")
+    C_D0, C_La, kappa = (Table("../data/f4_aerodynamics.csv", "mach", output) for output in ("C_D0", "C_La", "kappa"))
+    density, sound = (Table("../data/f4_atmosphere.csv", "altitude", output) for output in ("density", "sound"))
 
     M = v / sound(h)
     pressure = density(h) * v**2 / 2
@@ -38,6 +38,6 @@ def problem() -> Control:
         end_conditions=[Eq(v, sound(h))],
         bounds={h: (100, 20000), v: (10, None), gamma: (-1.5, 1.5), alpha: (-8 * pi / 180, 8 * pi / 180)},
         path={"Mach number": M <= 1.8},
-        guess={m: 19030 - 7 * time()},
+        guess={v: 136 + time() / 2, m: 19030 - 7 * time()},
         steps=100,
     )
