@@ -25,7 +25,7 @@ def cache_folder() -> Path:
     return Path(home) / "variational-codegen"
 
 
-def place_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
+def path_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
     """Where the cache keeps the module of a problem file with these arguments and choices, if it has been built.
 
     What further files the problem reads is known from the last build; what they hold now is part of the place.
