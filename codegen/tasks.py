@@ -67,11 +67,11 @@ def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = T
 TASKS = {
     task.name: task
     for task in (
-        _task("simulate", "simulations", "every", "solve make_grid energy path_residual"),
+        _task("simulate", "simulations", "every tables", "solve make_grid energy path_residual"),
         _task(
             "control",
             "optimisation",
-            "warm doublings accuracy guesses",
+            "warm doublings accuracy guesses tables",
             "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
             "constraints jacobian hessian stationarity evaluate worst_row unpack",
         ),

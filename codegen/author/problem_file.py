@@ -21,6 +21,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, cast
 
+from codegen.author.data_files import beside
 from codegen.author.set_values import converted
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError, clause
 
@@ -116,7 +117,7 @@ def written_problem(path: Path, arguments: Mapping[str, str]) -> tuple[str, Any,
 
     from codegen.author.symbols import recorded_declarations
 
-    with _fresh_module(path) as module, redirect_stdout(sys.stderr):
+    with _fresh_module(path) as module, beside(path.parent), redirect_stdout(sys.stderr):
         with _blaming(path):
             exec(code, module.__dict__)
         function = _problem_function(path, module)

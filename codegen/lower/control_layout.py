@@ -8,6 +8,7 @@ from typing import Any
 from sympy import Expr, Symbol
 
 from codegen.derive import ControlDerivatives
+from codegen.expressions.table_functions import tables_of
 from codegen.lower.kernels import Line
 from codegen.lower.printer import array_code, scalar_code
 from codegen.transcribe.program import ControlProgram, EndElement, Unknown
@@ -21,7 +22,8 @@ def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
 def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
     """The number of bodies, whether it is more than one, the shared unknowns of each and in all, and their conditions.
 
-    Then whether there are phases, inequalities, and a right-hand side that takes part in the elimination.
+    Then whether there are phases, inequalities, and a right-hand side that takes part in the elimination, and how many
+    numbers tables have.
     """
     own, shared, couplings = program.own, len(program.shared), len(program.couplings)
     return (
@@ -38,6 +40,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("UNBOUNDED", int(not program.has_inequalities)),
         ("SCALED", int(not derivatives.linear_quadratic)),
         ("CARRIED", int(carries_right_hand_side(program, derivatives))),
+        ("TABLED", sum(table.shape.count for table in tables_of(program.model))),
     )
 
 

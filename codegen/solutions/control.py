@@ -37,6 +37,11 @@ def control_result(
         status, message = contradicted(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
+    elif status == "solved" and (outside := _beyond_tables(module, grid, unknowns)):
+        status = "outside a table"
+        message = (
+            f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
+        )
     elif status != "solved" and driver != "newton":
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
@@ -58,6 +63,12 @@ def control_result(
         names=component_names(metadata), stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary,
         grid=run.grid,
     )  # fmt: skip
+
+
+def _beyond_tables(module: ControlModule, grid: Grid, unknowns: Vector) -> str:
+    """Which table is read outside its range, where that matters, or nothing."""
+    beyond = getattr(module, "tables_beyond", None)
+    return beyond(grid, unknowns) if beyond else ""
 
 
 def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:

@@ -22,6 +22,7 @@ from codegen.solutions import output
 from codegen.solutions.result import Result, Run, Watch
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
+from codegen.solving.other_tables import with_tables
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
 from codegen.solving.run import run_and_verify
@@ -75,6 +76,7 @@ def outcome_of(
     begin = time.perf_counter()
     module: Any = request.problem if path is None else loading.load(path)
     load_seconds = time.perf_counter() - begin
+    module = with_tables(module, request.tables)
     driver, warm, points = request.driver_for(module), start(module), _points(request, module)
     said: list[str] = []
     if path is not None and driver.name == "newton":
