@@ -53,8 +53,8 @@ CASES = {
     "catalyst_mixing": Case("published/catalyst_mixing", indirect.catalyst_mixing),
     "robbins": Case("published/robbins", lambda: 19.43182, 5e-6),  # extrapolated from CTBenchmarks.jl
     "space_shuttle_heating": Case(
-        "published/space_shuttle_reentry", lambda: -math.radians(30.6255), 2e-6, {"heat_limit": 70.0}
-    ),  # dymos
+        "published/space_shuttle_reentry", lambda: -math.radians(30.62548), 1e-6, {"heat_limit": 70.0}
+    ),  # peers/casadi_shuttle.py, 120 elements of degree five; dymos has 30.6255
     "double_integrator_effort": Case("double_integrator_effort", lambda: 12.0),
     "bryson_denham": Case("bryson_denham", lambda: 4.0),
     "linear_tangent_steering": Case("published/linear_tangent_steering", indirect.linear_tangent_steering),
