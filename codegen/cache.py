@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
 from codegen import emit
+from codegen.author.data_files import digest_of
 from codegen.author.problem_file import input_digest
 from codegen.naming import Choices, choice_texts, module_name, versions
 
@@ -22,10 +25,48 @@ def cache_folder() -> Path:
     return Path(home) / "variational-codegen"
 
 
-def place_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
-    """Where the cache keeps the module of a problem file with these arguments and choices, if it has been built."""
+def path_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
+    """Where the cache keeps the module of a problem file with these arguments and choices, if it has been built.
+
+    What further files the problem reads is known from the last build; what they hold now is part of the place.
+    """
     digest = input_digest(path, arguments, *choice_texts(choices), *versions(), _own_digest())
-    return cache_folder() / digest[:20] / f"{module_name(path, arguments, choices)}.py"
+    name = f"{module_name(path, arguments, choices)}.py"
+    return _with_files(digest, name, [(read, digest_of(path.parent / read)) for read in _files_read(digest, name)])
+
+
+def place_of_text(path: Path, arguments: Mapping[str, str], choices: Choices, text: str) -> Path:
+    """Where the cache is to keep a text that was just derived; what files it was made from is noted there."""
+    digest = input_digest(path, arguments, *choice_texts(choices), *versions(), _own_digest())
+    name = f"{module_name(path, arguments, choices)}.py"
+    files = _READ.findall(text.partition('"""')[0])
+    if files or _files_read(digest, name):
+        emit.write(_note(digest, name), json.dumps([read for read, _ in files]) + "\n")
+    return _with_files(digest, name, files)
+
+
+_READ = re.compile(r"^# Reads (.+), sha256 ([0-9a-f]{64})$", re.MULTILINE)
+"""A line in the header of a module that tells of a further file that it was made from."""
+
+
+def _with_files(digest: str, name: str, files: Iterable[tuple[str, str]]) -> Path:
+    """The place that belongs to a digest and to what further files hold."""
+    parts = [part for pair in files for part in pair]
+    if parts:
+        digest = hashlib.sha256("\0".join([digest, *parts]).encode()).hexdigest()
+    return cache_folder() / digest[:20] / name
+
+
+def _note(digest: str, name: str) -> Path:
+    return cache_folder() / digest[:20] / f"{name}.reads.json"
+
+
+def _files_read(digest: str, name: str) -> list[str]:
+    """The files that the last build of a problem has read beside the problem file."""
+    try:
+        return [str(file) for file in json.loads(_note(digest, name).read_text(encoding="utf-8"))]
+    except (OSError, UnicodeDecodeError, ValueError, TypeError):  # without a note it is derived, and noted anew
+        return []
 
 
 def kept_text(store: Path) -> str:

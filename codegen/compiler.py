@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen import cache, emit
+from codegen.author.data_files import recorded_files
 from codegen.author.problem_file import split_points
 from codegen.deadline import BUILD, Stages, described, extent
 from codegen.errors import ArgumentError, FileError
@@ -74,16 +75,17 @@ def build(
     for key, value in settings.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
-    store = cache.place_of(path, settings, choices)
+    store = cache.path_of(path, settings, choices)
     text = cache.kept_text(store)
     is_new = not text
     if is_new:
         with _DERIVING:
-            text = cache.kept_text(store)  # another thread may have derived it meanwhile
+            store = cache.path_of(path, settings, choices)  # another thread may have derived it meanwhile
+            text = cache.kept_text(store)
             is_new = not text
             if is_new:
                 text = generate(path, settings, choices, time_limit)
-                _keep(store, text)
+                store = _kept(path, settings, choices, text)
     target, written = _placed(store, text, out) if out is not None else (_found(store, text), is_new)
     return Build(target, store.stem, time.perf_counter() - begin, not is_new, written)
 
@@ -92,9 +94,12 @@ _DERIVING = threading.Lock()
 """Problem files are run with their folder on the path and their output redirected, which threads cannot do at once."""
 
 
-def _keep(store: Path, text: str) -> None:
+def _kept(path: Path, settings: Mapping[str, str], choices: Choices, text: str) -> Path:
+    """Where the cache keeps a text from now on."""
     try:
+        store = cache.place_of_text(path, settings, choices, text)
         emit.write(store, text)
+        return store
     except FileError as error:
         raise FileError(error.finding, "make room there, or let CODEGEN_CACHE_DIR name another folder") from error
 
@@ -116,7 +121,7 @@ def _placed(store: Path, text: str, out: Path | str) -> tuple[Path, bool]:
 
 def stored(path: Path, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
     """Where the cache keeps the module of a problem file once it has been built."""
-    return cache.place_of(path, arguments, chosen(scheme))
+    return cache.path_of(path, arguments, chosen(scheme))
 
 
 def generate(path: Path, arguments: Mapping[str, str], choices: Choices, time_limit: float = BUILD) -> str:
@@ -125,8 +130,9 @@ def generate(path: Path, arguments: Mapping[str, str], choices: Choices, time_li
     with _rare_collections(), stages.limited():
         from codegen.model.from_file import load_problem
 
-        model = load_problem(path, arguments)
-        return generate_from_model(model, choices, origin_of(path, arguments, choices), stages)
+        with recorded_files() as files:
+            model = load_problem(path, arguments)
+        return generate_from_model(model, choices, origin_of(path, arguments, choices, files), stages)
 
 
 @contextmanager

@@ -83,6 +83,10 @@ class PointsError(CodegenError):
     """A file of points cannot be read, or its points cannot be connected: duplicates, points outside the domain."""
 
 
+class TableError(CodegenError):
+    """A file of a table cannot be read, or its rows are no table: unsorted, twice, missing, not finite."""
+
+
 class LandmarkError(CodegenError):
     """Landmarks that no map can match: not finite, not as many in both images, or two at one place."""
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen import __version__
+from codegen.author.data_files import DataFile
 from codegen.author.problem_file import input_digest
 from codegen.errors import ArgumentError
 
@@ -40,8 +41,11 @@ def chosen(
     return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
 
 
-def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Origin:
-    """The header's record of where a module comes from; it names no folder, so that any machine makes the same text."""
+def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices, files: Iterable[DataFile] = ()) -> Origin:
+    """The header's record of where a module comes from; it names no folder, so that any machine makes the same text.
+
+    `files` are those that the problem file has read.
+    """
     from codegen.lower.module import Origin
 
     settings = (shlex.quote(f"{key}={value}") for key, value in sorted(arguments.items()))
@@ -51,7 +55,8 @@ def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Ori
     words += [f"--controls {choices.controls}"] if choices.controls != "interval" else []
     words += ["(in the general form, for measurements)"] if choices.general else []
     inputs = input_digest(path, arguments, *choice_texts(choices), *versions())
-    return Origin(path.name, " ".join(words), inputs, versions())
+    reads = dict.fromkeys(f"{file.path}, sha256 {file.digest}" for file in files)
+    return Origin(path.name, " ".join(words), inputs, versions(), tuple(reads))
 
 
 def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:

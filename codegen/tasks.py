@@ -57,7 +57,7 @@ def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = T
         frozenset(options.split()),
         tuple(functions.split()),
         result=Home(f"solutions.{name}", f"{name}_result"),
-        numbers=Home(f"solutions.{name}", "numbers_kept"),
+        numbers=Home(f"solutions.{name}", "stored_numbers"),
         parts=Home("machine_code.parts", f"{name}_parts"),
         is_whole=is_whole,
         touch=Home("machine_code.parts", f"{name}_touched"),
@@ -67,11 +67,11 @@ def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = T
 TASKS = {
     task.name: task
     for task in (
-        _task("simulate", "simulations", "every", "solve make_grid energy path_residual"),
+        _task("simulate", "simulations", "every tables", "solve make_grid energy path_residual"),
         _task(
             "control",
             "optimisation",
-            "warm doublings accuracy guesses",
+            "warm doublings accuracy guesses tables",
             "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
             "constraints jacobian hessian stationarity evaluate worst_row unpack",
         ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from malformed_conditions import MALFORMED_CONDITIONS
 from malformed_phases import MALFORMED_PHASES
+from malformed_tables import MALFORMED_TABLES
 from malformed_templates import Malformed, declaring, file_text, optimal, simulation
 
 from codegen.errors import (
@@ -207,5 +208,6 @@ MALFORMED: tuple[Malformed, ...] = (
     *_STRUCTURE,
     *MALFORMED_CONDITIONS,
     *MALFORMED_PHASES,
+    *MALFORMED_TABLES,
 )
 """All of them; a file is to be written as `broken.py`, which some fragments name."""

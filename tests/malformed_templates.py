@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from codegen.errors import CodegenError
 
 
 @dataclass(frozen=True)
 class Malformed:
-    """A malformed problem file, and the error class and the part of its message that reading it must cause."""
+    """A malformed problem file, and the error class and the part of its message that reading it must cause.
+
+    `files` are pairs (name, text) of what lies beside it.
+    """
 
     id: str
     text: str
     error: type[CodegenError]
     fragment: str
+    files: tuple[tuple[str, str], ...] = ()
+
+    def write(self, folder: Path) -> Path:
+        """Write the problem as `broken.py` into a folder, and what lies beside it; return its path."""
+        for name, text in (*self.files, ("broken.py", self.text)):
+            (folder / name).write_bytes(text.encode(errors="surrogateescape"))
+        return folder / "broken.py"
 
 
 PRELUDE = '''"""A malformed problem."""

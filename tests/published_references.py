@@ -125,6 +125,7 @@ PUBLISHED = (
     Published("alp_rider", 2030.85609, "C", 1e-4, "Betts, example 10.1"),
     Published("dynamic_soaring", 0.0635869566, "B", 1e-5, "yapss dynamic_soaring"),
     Published("reorientation", 28.63041, "B", 1e-5, "PSOPT reorientation"),
+    Published("time_to_climb", 321.0, "B", 1e-2, "dymos min_time_climb, asserted to 1e-2, other interpolation"),
     Published("missile", 40.9175, "C", 1e-3, "PSOPT missile"),
     Published("geodesic", 5549.68, "B", 1e-4, "PSOPT geodesic, 5549.682 and 5549.676"),
     Published("mountain_car", 102.479, "C", 5e-3, "dymos mountain_car"),

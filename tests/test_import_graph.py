@@ -14,6 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "codegen"
 FLOORS = (
     ("__init__", "mangling", "runtime"),
     ("errors", "machine", "tasks"),
+    ("tables",),
     ("drawing", "expressions", "files", "loading", "schemes"),
     ("author", "emit", "machine_code", "terminal"),
     ("model", "solutions"),
@@ -31,7 +32,7 @@ FLOORS = (
 )
 """Folders of the package, and files beside them: what stands on a floor imports from lower ones only."""
 
-NUMERIC = ("tasks", "drawing", "loading", "runtime", "machine_code", "solutions", "drivers", "plots")
+NUMERIC = ("tables", "tasks", "drawing", "loading", "runtime", "machine_code", "solutions", "drivers", "plots")
 """What runs without sympy."""
 
 SYMBOLIC = ("model", "expressions", "schemes", "discretise", "transcribe", "derive", "lower", "emit", "verify",

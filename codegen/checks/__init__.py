@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from codegen import compiler, emit, naming, schemes
+from codegen.author.data_files import recorded_files
 from codegen.author.problem_file import split_points
 from codegen.checks.base import Check, Context, Finding, does_not_apply, not_measured
 from codegen.checks.derivation import (
@@ -26,7 +27,7 @@ from codegen.checks.derivation import (
     symplecticity,
 )
 from codegen.checks.derivation.phases import phase_contexts
-from codegen.checks.module import assembly, derivatives, given_values, layout, provenance, sparsity
+from codegen.checks.module import assembly, derivatives, given_values, layout, provenance, sparsity, tables
 from codegen.checks.particles import pairwise
 from codegen.checks.solution import holonomic_drift, optimum, second_order
 from codegen.deadline import CHECK, Overdue, interrupted_after
@@ -43,6 +44,7 @@ _ROWS = (
     Check("sparsity", sparsity.check),
     Check("given values", given_values.check),
     Check("assembly", assembly.check),
+    Check("tables", tables.check),
     Check("discrete equations", discrete_equations.check, runs_the_module=False, of_each_phase=True),
     Check("integrals", integrals.check, runs_the_module=False, of_each_phase=True),
     Check("momentum matching", momentum_matching.check),
@@ -163,10 +165,11 @@ def _prepared(path: Path, arguments: Mapping[str, str], choices: Choices, module
     """The context of all checks, and the text that a fresh derivation makes; each stage runs once."""
     from codegen import derive, lower, transcribe
 
-    model = load_problem(path, arguments)
+    with recorded_files() as files:
+        model = load_problem(path, arguments)
     assert isinstance(model, Model), "particles have checks of their own"
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     fresh = lower.lower(program, derive.derivatives(program))
-    text = emit.render(fresh, naming.origin_of(path, arguments, choices))
+    text = emit.render(fresh, naming.origin_of(path, arguments, choices, files))
     scheme = schemes.find(program.scheme, program.method)
     return Context(choices, model, program, scheme, load(module)), text

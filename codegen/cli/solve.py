@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,12 +12,12 @@ import typer
 
 from codegen.cli.options import (
     Controls,
+    ControlSites,
     Every,
     Json,
     Log,
     Method,
     Out,
-    Place,
     Problem,
     Repeat,
     Scheme,
@@ -24,7 +25,7 @@ from codegen.cli.options import (
     Steps,
     positive,
 )
-from codegen.errors import one_line
+from codegen.errors import ArgumentError, one_line
 from codegen.tasks import TASKS
 from codegen.terminal import console, following, working
 
@@ -38,7 +39,7 @@ def solve(
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
     method: Method = None,
-    controls: Place = Controls.INTERVAL,
+    controls: ControlSites = Controls.INTERVAL,
     driver: Annotated[
         str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")
     ] = "newton",
@@ -66,6 +67,9 @@ def solve(
         float | None,
         typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
     ] = None,
+    table: Annotated[
+        list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
+    ] = [],  # noqa: B006
     guesses: Annotated[
         int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
     ] = 1,
@@ -85,7 +89,7 @@ def solve(
         problem, driver, arguments=parse_arguments(set_, problem), scheme=scheme, method=method,
         controls=controls.value, out=out, steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings,
         accuracy=accuracy, guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit,
-        scaling=scaling, log=log,
+        scaling=scaling, log=log, tables=files_of(table),
     )  # fmt: skip
     if save is not None:
         output.require_writable(save, output.ARCHIVES, "--save")
@@ -100,6 +104,19 @@ def solve(
     if not outcome.result.solved:
         typer.echo(one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}"), err=True)
         raise typer.Exit(1)
+
+
+def files_of(items: Sequence[str]) -> dict[str, Path] | None:
+    """The files of `--table`, by the names of tables; ArgumentError for what is not of the form NAME=FILE."""
+    files: dict[str, Path] = {}
+    for item in items:
+        name, equals, file = item.partition("=")
+        if not (name and equals and file):
+            raise ArgumentError(f"--table {item!r} is not of the form NAME=FILE", "write --table thrust=other.csv")
+        if name in files:
+            raise ArgumentError(f"--table gives {name} twice", "give it once")
+        files[name] = Path(file)
+    return files or None
 
 
 def _tell(outcome: Outcome, json: bool, log: bool) -> None:

@@ -15,6 +15,7 @@ from sympy.core.function import AppliedUndef
 
 from codegen.errors import ExpressionError
 from codegen.expressions import special_functions
+from codegen.expressions.table_functions import TableFunction
 from codegen.expressions.zeros import identically_zero
 
 PRINTABLE = (
@@ -22,6 +23,7 @@ PRINTABLE = (
     *(sympy.sinh, sympy.cosh, sympy.tanh, sympy.asinh, sympy.acosh, sympy.atanh),
     *(sympy.exp, sympy.log, sympy.Abs, sympy.Min, sympy.Max, sympy.Piecewise),
     *(sympy.erf, sympy.erfc, special_functions.gamma, special_functions.lgamma, special_functions.OrderedBase),
+    TableFunction,
 )
 """Functions that the printer knows how to write as numba code."""
 
@@ -39,6 +41,9 @@ _WIDE = 100
 
 def checked(value: Any, what: str) -> sympy.Expr:
     """Sympify a scalar; ExpressionError names `what` when it is no finite real scalar of known functions."""
+    if hasattr(value, "data") and callable(value) and hasattr(value.data, "shape"):
+        call = f"{value.data.shape.name}({', '.join(value.data.shape.inputs)})"
+        raise ExpressionError(f"{what} is a {type(value).__name__}", f"call it, as in {call}")
     if isinstance(value, (str, bool)) or value is None:
         raise ExpressionError(f"{what} is {value!r}", "give a sympy expression or a number")
     try:

@@ -99,7 +99,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         metadata=tuple(metadata(program, derivatives, loops)),
         constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
         runtime=(*_special(loops, around), *step, "counts", "pair_motion", "motion"),
-        sizes=(("IMPLICIT", int(implicit)), ("STATE", 0), ("PARTS", 0)),
+        sizes=(("IMPLICIT", int(implicit)), ("STATE", 0), ("PARTS", 0), ("RANGED", 0)),
         own=tuple(Argument(name, "") for name in model.own),
         start=model.start,
         own_values=model.own_values,

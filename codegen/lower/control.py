@@ -9,6 +9,7 @@ from sympy import Dummy, Symbol, expand
 
 from codegen.derive import ControlDerivatives, ElementDerivatives
 from codegen.discretise import STEP, at_nodes
+from codegen.expressions.table_functions import tables_of
 from codegen.lower import control_guesses, phases
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
@@ -17,24 +18,36 @@ from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.lower.module import ControlModule, arguments_of
 from codegen.lower.printer import array_code, scalar_code
 from codegen.lower.statement import description
+from codegen.lower.table_ranges import Input, inputs_kernel, range_constants, ranged_inputs
+from codegen.lower.tables import (
+    described_tables,
+    table_arguments,
+    table_constants,
+    table_kernels,
+    table_metadata,
+    table_runtime,
+)
 from codegen.model.nonsmooth_costs import kinks
 from codegen.transcribe.program import ControlProgram, EndElement
 
 
 def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> ControlModule:
     """Write every kernel and table of a control problem as strings."""
-    model = program.model
-    couplings, curved = lower_couplings(program), layout.is_curved(derivatives)
+    model, tables = program.model, tables_of(program.model)
+    couplings, curved = lower_couplings(program), layout.has_nonlinear_ends(derivatives)
+    first = len(layout.parameters(program))
+    ranged = ranged_inputs(tables, first)
     kernels = (
         *_all_interval_kernels(program, derivatives),
         *_control_kernels(program, derivatives),
         *_end_kernels(program, program.start, derivatives.start, "start", curved),
         *_end_kernels(program, program.end, derivatives.end, "end", curved),
         *couplings.kernels,
+        *_inputs_kernels(program, ranged),
     )
     boundary_code = array_code if program.bodies > 1 else scalar_code
     numbers_bodies = program.body is not None and any(v.value.has(program.body) for v in program.boundary_values)
-    first = next(iter(program.boundary_values), None)
+    given = next(iter(program.boundary_values), None)
     parts = (control_guesses.guesses, layout.duration, layout.bounds)
     if program.phases:
         parts = (phases.guesses, phases.duration, phases.bounds)
@@ -42,25 +55,33 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         template="control.py.j2",
         name=model.name,
         title=model.title,
-        description=tuple(description(program, kernels)),
+        description=tuple(description(program, kernels, described_tables(tables))),
         left_out=tuple(left_out(program, derivatives)),
-        metadata=(*metadata(program, kernels), *_warnings(program)),
+        metadata=(*metadata(program, kernels), *_warnings(program), *table_metadata(tables)),
         constants=(
             *layout.constants(program, derivatives),
             *couplings.constants,
             *(phases.constants(program) if program.phases else ()),
+            *table_constants(tables),
+            *range_constants(ranged),
         ),
-        kernels=kernels,
-        runtime=_runtime(program, derivatives),
-        sizes=layout.sizes(program, derivatives),
+        kernels=(*table_kernels(tables, first), *kernels),
+        runtime=(
+            *table_runtime(tables),
+            *(("table_rows",) if tables else ()),
+            *(("table_ranges",) if ranged else ()),
+            *_runtime(program, derivatives),
+        ),
+        sizes=(*layout.sizes(program, derivatives), ("RANGED", len(ranged))),
         arguments=arguments_of(model),
+        table_arguments=table_arguments(tables),
         steps=model.steps,
         boundary_values=tuple(
             Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values
         ),
         boundary_inputs=(Line("body", "np.arange(BODIES)"),) if numbers_bodies else (),
         coupling_kinds=(tuple(k.name for k in couplings.kernels),) if couplings.kernels else (),
-        boundary_example=f'as in {first.where}={{"{first.quantity}": 0.5}}' if first else "of which there are none",
+        boundary_example=f'as in {given.where}={{"{given.quantity}": 0.5}}' if given else "of which there are none",
         **layout.pins(program),
         **layout.views(program),
         **{name: value for part in parts for name, value in part(program).items()},
@@ -84,7 +105,7 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     ends = (("start", program.start), ("end", program.end))
     if dependent := tuple((name, where) for where, end in ends for name in end.dependent):
         entries.append(("dependent_values", repr(dependent)))
-    if decided := tuple((name, where) for where, end in ends for _, name in end.decided if name):
+    if decided := tuple((name, where) for where, end in ends for _, name in end.determined if name):
         entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
     return entries
 
@@ -172,6 +193,29 @@ def _interval_kernels(
     )  # fmt: skip
 
 
+def _inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Kernel, ...]:
+    """What tells with which inputs tables are read, on every kind of interval and at both ends, where that matters."""
+    if not ranged:
+        return ()
+    codes = _codes(program, program.element_symbols)
+    kernels = [
+        inputs_kernel(
+            f"{stem}_inputs", f"on an interval{where}", ("unknowns", "t", "h", "parameters"), codes, ranged,
+            (share.element, share.cost),
+        )
+        for (stem, where), share in zip(phases.named_elements(program), program.interval_elements, strict=True)
+    ]  # fmt: skip
+    for name, end, node in (
+        ("start", program.start, program.left_symbols),
+        ("end", program.end, program.right_symbols),
+    ):
+        codes = _codes(program, (*node, *program.shared_symbols))
+        read = (end.element, end.cost)
+        arguments = ("unknowns", "t", "parameters")
+        kernels.append(inputs_kernel(f"{name}_inputs", f"at the {name}", arguments, codes, ranged, read))
+    return tuple(kernels)
+
+
 def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
     """The controls' block of the Hessian, where it is the same on all of length h."""
     if not derivatives.condensed or program.has_inequalities or program.phases:
@@ -240,7 +284,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(("tied_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),
         "iteration_log", "lagrangian", "norms", "point", "elements",
-        "ends_nonlinear" if layout.is_curved(derivatives) else "ends_linear",
+        "ends_nonlinear" if layout.has_nonlinear_ends(derivatives) else "ends_linear",
         "symmetric",
         *(condensed if derivatives.condensed else ("element_uncondensed",)),
         "frontal", "substitution", "bordered" if program.shared else "unbordered", "system", "convergence_test",

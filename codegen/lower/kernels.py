@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
+from codegen.lower.lookups import with_lookups
 from codegen.lower.printer import scalar_code, stabilised, with_decimal_roots
 
 CACHED = ('@njit(cache=True, error_model="numpy")',)
@@ -82,12 +83,14 @@ def kernel(
         body, reduced = _with_common(names, expressions, {s.name for s in codes} | set(arguments))
     after = [int(e.count_ops()) for e in (*(value for _, value in body), *reduced)]
     count = len(outputs)
+    taken = {s.name for s in codes} | set(arguments) | {str(s) for s, _ in body}
+    pairs, reduced = with_lookups(body, reduced, taken)
     return Kernel(
         name=name,
         summary=summary,
         arguments=tuple(arguments),
         inputs=inputs,
-        body=tuple(Line(str(s), scalar_code(e)) for s, e in body),
+        body=tuple(Line(target, code) for target, code in pairs),
         outputs=tuple(
             Line(output.target, scalar_code(e), output.comment, output.operator)
             for output, e in zip(outputs, reduced[:count], strict=True)

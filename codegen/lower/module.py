@@ -27,12 +27,16 @@ def arguments_of(model: Model | PairwiseModel) -> tuple[Argument, ...]:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a generated module comes from: source file, the command that makes it again, hash, versions."""
+    """Where a generated module comes from: source file, the command that makes it again, hash, versions.
+
+    `reads` has a line for each further file that it was made from.
+    """
 
     source: str
     command: str
     inputs: str
     versions: tuple[str, ...]
+    reads: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,8 @@ class Choice:
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
-    `boundary_values` is code in the arguments and in `boundary_inputs`. Guesses, pinned values and bounds are
+    `boundary_values` is code in the arguments and in `boundary_inputs`. `table_arguments` has the name of the argument
+    that takes other numbers for tables, where there are any. Guesses, pinned values and bounds are
     assignments to views of the unknowns; their `..._inputs` read what they depend on. `node_times` is code of the times
     at nodes. The duration is the argument `duration_arguments` with its default, or code of the unknowns where it is
     free; `grid_duration` is what the grid divides into steps. `bound_lines` has one group where there are inequalities,
@@ -85,6 +90,7 @@ class ControlModule(Module):
     boundary_values: tuple[Line, ...]
     boundary_inputs: tuple[Line, ...]
     boundary_example: str
+    table_arguments: tuple[str, ...]
     duration_arguments: tuple[str, ...]
     default_durations: tuple[str, ...]
     grid_duration: str
@@ -118,10 +124,12 @@ class ControlModule(Module):
 class SimulateModule(Module):
     """A module that solves an initial value problem.
 
-    `duration` and `start_values` are code in the arguments; `start` is the initial state (q, p) as code that reads
+    `duration` and `start_values` are code in the arguments; `table_arguments` has the name of the argument that takes
+    other numbers for tables, where there are any; `start` is the initial state (q, p) as code that reads
     the arguments and the targets of `start_values`, whose comments are the names of the prescribed quantities.
     """
 
+    table_arguments: tuple[str, ...]
     duration: str
     start_values: tuple[Line, ...]
     start: tuple[Line, ...]

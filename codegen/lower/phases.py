@@ -6,6 +6,7 @@ from typing import Any
 
 from sympy import Expr, Max, Min, oo
 
+from codegen.expressions.table_functions import tables_of
 from codegen.lower.control_guesses import shared_guesses
 from codegen.lower.control_layout import bound_views, common_code, duration_inputs, inputs, slack_bounds
 from codegen.lower.kernels import Line
@@ -39,6 +40,12 @@ def choices(program: ControlProgram) -> tuple[Choice, ...]:
         arguments = ("unknowns", "t", "h", "parameters", derivative)
         branches = tuple(zip(ends, names, strict=False))
         out.append(Choice(f"interval_{derivative}", summary, arguments, branches, names[-1]))
+    if any(table.shape.outside == "error" for table in tables_of(program.model)):
+        names = [f"{stem}_inputs" for stem in stems]
+        summary = "Least and greatest `inputs` (RANGED, 2) with which tables are read on an interval."
+        arguments = ("unknowns", "t", "h", "parameters", "inputs")
+        branches = tuple(zip(ends, names, strict=False))
+        out.append(Choice("interval_inputs", summary, arguments, branches, names[-1]))
     return tuple(out)
 
 

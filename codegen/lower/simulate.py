@@ -12,9 +12,19 @@ from codegen.derive import StepDerivatives
 from codegen.discretise import STEP
 from codegen.expressions import StraightLine, values_of
 from codegen.expressions.checks import longer_than
+from codegen.expressions.table_functions import tables_of
 from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
 from codegen.lower.module import SimulateModule, arguments_of
 from codegen.lower.printer import readable, scalar_code
+from codegen.lower.table_ranges import Input, inputs_kernel, range_constants, ranged_inputs
+from codegen.lower.tables import (
+    described_tables,
+    table_arguments,
+    table_constants,
+    table_kernels,
+    table_metadata,
+    table_runtime,
+)
 from codegen.transcribe.program import StepProgram
 
 _LONG = 1000
@@ -28,7 +38,8 @@ def _arguments(program: StepProgram) -> tuple[str, ...]:
 
 def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
     """Write every kernel of an initial value problem as strings."""
-    model = program.model
+    model, tables = program.model, tables_of(program.model)
+    ranged = ranged_inputs(tables, len(model.parameters))
     kernels = (
         *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
         _equations_kernel(program),
@@ -37,20 +48,22 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
             ("state", "t", "parameters"), _codes(program), (), program.energy,
             straight_line=needed(program.state_assignments, (program.energy,)),
         ),
+        *((_inputs_kernel(program, ranged),) if ranged else ()),
     )  # fmt: skip
     quantity = program.start_values[0].quantity
     return SimulateModule(
         template="simulate.py.j2",
         name=model.name,
         title=model.title,
-        description=tuple(_description(program, kernels)),
+        description=tuple(_description(program, kernels, described_tables(tables))),
         left_out=tuple(_left_out(program, derivatives)),
-        metadata=tuple(_metadata(program, derivatives, kernels)),
-        constants=tuple(_constants(program)),
-        kernels=kernels,
-        runtime=_runtime(program),
-        sizes=_sizes(program, derivatives),
+        metadata=(*_metadata(program, derivatives, kernels), *table_metadata(tables)),
+        constants=(*_constants(program), *table_constants(tables), *range_constants(ranged)),
+        kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
+        runtime=(*table_runtime(tables), *(("table_steps", "table_left") if ranged else ()), *_runtime(program)),
+        sizes=(*_sizes(program, derivatives), ("RANGED", len(ranged))),
         arguments=arguments_of(model),
+        table_arguments=table_arguments(tables),
         steps=model.steps,
         duration=scalar_code(model.duration),
         start_values=tuple(
@@ -147,6 +160,15 @@ def _equations_kernel(program: StepProgram) -> Kernel:
     )  # fmt: skip
 
 
+def _inputs_kernel(program: StepProgram, ranged: Sequence[Input]) -> Kernel:
+    """What tells with which inputs a step reads tables."""
+    codes = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
+    codes |= {symbol: code for symbol, code in _codes(program).items() if symbol not in codes}
+    read = [value for _, value in program.equations]
+    arguments = ("state", "interval", *_arguments(program)[1:])
+    return inputs_kernel("step_inputs", "in a step", arguments, codes, ranged, read)
+
+
 def _constants(program: StepProgram) -> list[Line]:
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
     lines = [
@@ -220,7 +242,7 @@ def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:
     return out
 
 
-def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
+def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequence[str]) -> list[str]:
     lines = ["One step from t_k to t_k1 = t_k + h (suffixes _k and _k1 mark its nodes):", ""]
     if program.fractions:
         lengths = ", ".join(symbol.name for symbol in program.lengths)
@@ -237,6 +259,7 @@ def _description(program: StepProgram, kernels: Sequence[Kernel]) -> list[str]:
     if program.velocities:
         lines += ["", "Velocities of the step are unknowns in place of positions, so that no digits cancel:", ""]
         lines += [f"    {v} = ({after} - {before})/{_divisor(time)}" for v, after, before, time in program.velocities]
+    lines += ["", "Tables:", "", *(f"    {line}" for line in tables)] if tables else []
     lines += ["", "Operations of one evaluation, before and after common subexpressions are shared:", ""]
     lines += [f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
     return lines

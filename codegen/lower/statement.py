@@ -23,8 +23,8 @@ _WIDTH = 110
 Pairs = Sequence[tuple[str, Expr]]
 
 
-def description(program: ControlProgram, kernels: Sequence[Kernel]) -> list[str]:
-    """The lines of the docstring below the title: the problem, then operation counts."""
+def description(program: ControlProgram, kernels: Sequence[Kernel], tables: Sequence[str] = ()) -> list[str]:
+    """The lines of the docstring below the title: the problem, its `tables`, then operation counts."""
     operations = [f"{k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
     blocks = [
         *_problem(program),
@@ -33,6 +33,7 @@ def description(program: ControlProgram, kernels: Sequence[Kernel]) -> list[str]
         *_end(program, "start", program.start, program.left_symbols),
         *_end(program, "end", program.end, program.right_symbols),
         *_couplings(program),
+        *([_block("Tables, by which other values are found as described:", tables)] if tables else []),
         _block("Operations per interval, before and after common subexpressions are shared:", operations),
     ]
     return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]

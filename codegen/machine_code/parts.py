@@ -30,6 +30,8 @@ def control_parts(module: Any) -> Calls:
         calls += _barrier_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
         calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
+    if hasattr(module, "tables_beyond"):
+        calls.append(lambda: module.tables_beyond(grid, unknowns))
     return [*calls, lambda: module.unpack(grid, unknowns), lambda: module.sizes_of_terms(grid, unknowns)]
 
 

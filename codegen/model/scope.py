@@ -21,6 +21,7 @@ from codegen.author.symbols import (
     Velocity,
 )
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
+from codegen.expressions.table_functions import tables_of
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.relations import MOVING, STATIC, Entry
 
@@ -119,6 +120,7 @@ def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control:
             if not isinstance(symbol, _ALLOWED[entry.role]):
                 raise _misplaced(symbol, entry, form)
         _require_common(entry)
+        _require_tables(entry)
     acting = {s for e in entries if e.role in ("force", "dynamics", "path") for s in e.expression.free_symbols}
     for u in kinds.controls:
         if u not in acting:
@@ -157,6 +159,21 @@ def _require_common(entry: Entry) -> None:
         raise ExpressionError(
             f"{entry.what} depends on body and on the free parameter {min(free)}", "let it depend on one of them"
         )
+
+
+_NUMBERS = ("duration", "start", "end", "lower bound", "upper bound", "first guess", "scale", "periodic")
+"""Roles of what is a number before a solver has tables."""
+
+
+def _require_tables(entry: Entry) -> None:
+    """Tables belong into what kernels evaluate, and those of steps, which have no slope, into guesses."""
+    for table in tables_of(entry.expression):
+        name = table.shape.name
+        if entry.role in _NUMBERS:
+            raise ExpressionError(f"{entry.what} reads table {name}", "make it a number or a parameter")
+        if table.shape.kind == "steps" and entry.role != "guess":
+            remedy = "give the table another kind; steps, which have no slope, are for guesses"
+            raise ExpressionError(f"{entry.what} reads table {name} of steps", remedy)
 
 
 def _misplaced(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | ExpressionError:

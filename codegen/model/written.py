@@ -10,9 +10,11 @@ import sympy
 
 from codegen.author.problem import Control, Problem
 from codegen.author.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
-from codegen.errors import ExpressionError, SymbolError
+from codegen.errors import ExpressionError, SymbolError, TableError
+from codegen.expressions.table_functions import tables_of
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.relations import Entry, checked_mapping, checked_sequence, entry_of, value_entries
+from codegen.tables.data import TableData
 
 
 def written_entries(problem: Problem, form: str, jump: Sequence[Entry] = ()) -> list[Entry]:
@@ -44,12 +46,26 @@ def jump_entries(jumps: Any, switches: int) -> list[list[Entry]]:
     ]
 
 
+def require_one_table_a_name(entries: Iterable[Entry]) -> None:
+    """Refuse different tables of the same name."""
+    seen: dict[str, TableData] = {}
+    for table in tables_of([entry.expression for entry in entries]):
+        other = seen.setdefault(table.shape.name, table)
+        if other != table:
+            raise TableError(
+                f"two tables are called {table.shape.name}, from {other.source} and {table.source}",
+                'give one of them another name, as in Table(..., name="drag_2")',
+            )
+
+
 def used_quantities(entries: Iterable[Entry]) -> list[Quantity]:
     """All declared quantities of the expressions, partners included, in the order of declaration.
 
-    Raises SymbolError for a symbol that was never declared.
+    Raises SymbolError for a symbol that was never declared, and TableError for two tables of one name.
     """
     found: set[Quantity] = set()
+    entries = list(entries)
+    require_one_table_a_name(entries)
     for entry in entries:
         for symbol in _symbols(entry):
             if not isinstance(symbol, Quantity):

@@ -14,10 +14,10 @@ from codegen.solutions.result import (
     Result,
     Run,
     component_names,
+    contradicted,
     max_norm,
     origin,
     other_driver,
-    taken_back,
 )
 
 LARGE_MULTIPLIERS = 100.0
@@ -34,9 +34,14 @@ def control_result(
     status, message = attempt.status, attempt.message
     if status == "solved" and not _is_accurate(module, scaled, attempt):
         conditions = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
-        status, message = taken_back(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
+        status, message = contradicted(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
+    elif status == "solved" and (outside := _beyond_tables(module, grid, unknowns)):
+        status = "outside a table"
+        message = (
+            f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
+        )
     elif status != "solved" and driver != "newton":
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
@@ -60,7 +65,13 @@ def control_result(
     )  # fmt: skip
 
 
-def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:
+def _beyond_tables(module: ControlModule, grid: Grid, unknowns: Vector) -> str:
+    """Which table is read outside its range, where that matters, or nothing."""
+    beyond = getattr(module, "tables_beyond", None)
+    return beyond(grid, unknowns) if beyond else ""
+
+
+def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:
     """How many numbers the generated solver keeps: it was measured to need 26 for every unknown."""
     intervals = run.steps * int(metadata.get("phases", 1))
     return 26 * (intervals + 1) * (len(metadata["node"]) + len(metadata["interval"]))

@@ -22,6 +22,7 @@ STATUSES = {
     "saddle point": "the guess is stationary but no minimum",
     "unbounded": "the cost decreases without limit along the equations",
     "non-finite": "an expression became infinite or NaN",
+    "outside a table": "the solution reads a table outside its range",
     "singular": "the equations of one step have no unique solution",
     "newton failed": "Newton's method did not converge within one step",
     "not connected": "no attempt found a motion from the given points to their targets",
@@ -221,7 +222,7 @@ def origin(metadata: Mapping[str, Any], driver: str, run: Run, attempt: Attempt,
     return {**own, "driver": driver, "steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
 
 
-def taken_back(driver: str, finding: str, remedy: str) -> tuple[str, str]:
+def contradicted(driver: str, finding: str, remedy: str) -> tuple[str, str]:
     """Status and message where a driver claims what is not so."""
     return "inaccurate", f"{driver} reported success, but {finding}; {remedy}"
 

@@ -41,6 +41,9 @@ def solve(*positional: Any, **options: Any) -> Result:
     - `steps`: the number of intervals N; by default the problem's own;
     - `repeat`: the time is the least of so many solves, of which those that compile are not counted.
 
+    For problems with tables, `tables` maps their names to other files of the same columns, with as many breakpoints;
+    nothing is built anew.
+
     For an optimisation:
 
     - `warm`: the `unknowns` of an earlier result to start from, shape (n,), on any grid, or a file of `--save`;

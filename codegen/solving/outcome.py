@@ -22,9 +22,10 @@ from codegen.solutions import output
 from codegen.solutions.result import Result, Run, Watch
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
+from codegen.solving.other_tables import with_tables
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
-from codegen.solving.run import assessed
+from codegen.solving.run import run_and_verify
 from codegen.solving.warm_start import start_of
 
 LEAST_TIME = 1e-9
@@ -75,6 +76,7 @@ def outcome_of(
     begin = time.perf_counter()
     module: Any = request.problem if path is None else loading.load(path)
     load_seconds = time.perf_counter() - begin
+    module = with_tables(module, request.tables)
     driver, warm, points = request.driver_for(module), start(module), _points(request, module)
     said: list[str] = []
     if path is not None and driver.name == "newton":
@@ -167,11 +169,11 @@ def _solved(
             steps, request.every, start, points, _tolerance(request, grid), near, request.max_iterations,
             max(left, LEAST_TIME), watch, request.scaling, grid,
         )  # fmt: skip
-        result = assessed(module, driver, run, request.repeat)
+        result = run_and_verify(module, driver, run, request.repeat)
         left -= result.seconds_solve
         while request.accuracy is not None and result.status in _TOO_TIGHT and _looser(run) != run.tolerance:
             run = replace(run, tolerance=_looser(run), guess=result.unknowns)
-            result = assessed(module, driver, run, request.repeat)
+            result = run_and_verify(module, driver, run, request.repeat)
             left -= result.seconds_solve
         return result
 

@@ -48,6 +48,7 @@ class Request:
     accuracy: float | None = None
     guesses: int = 1
     points: PointSet | Path | str | None = None
+    tables: Mapping[str, Path | str] | None = None
     tolerance: float | None = None
     max_iterations: int | None = None
     time_limit: float | None = None
@@ -82,6 +83,8 @@ class Request:
                 raise ArgumentError(f"{_option(name)} {getattr(self, name)!r} is no name", "give one as text")
         if not (self.points is None or isinstance(self.points, Path | str) or hasattr(self.points, "target")):
             raise ArgumentError(f"--points {type(self.points).__name__}", "give a file, or a PointSet")
+        if self.tables is not None and not _are_files(self.tables):
+            raise ArgumentError(f"tables are {self.tables!r}", 'give names and files, such as {"thrust": "other.csv"}')
         if not isinstance(self.arguments, Mapping) or not all(isinstance(name, str) for name in self.arguments):
             raise ArgumentError(f"arguments are {self.arguments!r}", 'give names and values, such as {"craft": 3}')
         if not isinstance(self.out, str | Path | None):
@@ -159,6 +162,13 @@ def _meaningless(name: str, task: Task, driver: Driver) -> ArgumentError:
 def _option(name: str) -> str:
     """The option of the command line for an argument of `codegen.solve`."""
     return "--set" if name == "arguments" else f"--{name.replace('_', '-')}"
+
+
+def _are_files(value: Any) -> bool:
+    """Whether a value maps names to paths."""
+    return isinstance(value, Mapping) and all(
+        isinstance(name, str) and isinstance(file, Path | str) for name, file in value.items()
+    )
 
 
 def _number(value: Any) -> float:

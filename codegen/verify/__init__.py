@@ -6,6 +6,8 @@ nothing is shared with the stages that made it but the expressions themselves.
 
 from __future__ import annotations
 
+from codegen.expressions.table_functions import tables_of
+from codegen.lower.control_layout import parameters
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram
 from codegen.verify.control import verify_control
@@ -13,11 +15,14 @@ from codegen.verify.couplings import verify_couplings
 from codegen.verify.execution import Text
 from codegen.verify.particles import verify_particles
 from codegen.verify.steps import verify_step
+from codegen.verify.tables import verify_tables
 
 
 def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:
     """Raise VerificationError, naming the entry, where a kernel is not what its program says."""
-    parts = Text(text)
+    tables = () if isinstance(program, PairwiseProgram) else tables_of(program.model)
+    parts = Text(text, tables)
+    verify_tables(tables, _first_place(program), parts)
     if isinstance(program, ControlProgram):
         verify_control(program, parts)
         verify_couplings(program, parts)
@@ -25,3 +30,8 @@ def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -
         verify_step(program, parts)
     else:
         verify_particles(program, parts)
+
+
+def _first_place(program: ControlProgram | StepProgram | PairwiseProgram) -> int:
+    """How many numbers stand before those of tables, where kernels read them."""
+    return len(parameters(program) if isinstance(program, ControlProgram) else program.model.parameters)

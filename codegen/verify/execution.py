@@ -5,20 +5,27 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from types import CodeType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from codegen.expressions.special_functions import STEMS
+from codegen.lower.lookups import ORDERS, function_name
+from codegen.tables.data import TableData
+from codegen.tables.evaluation import derivative
 from codegen.verify.tape import Arithmetic
 
 
 class Text:
-    """The text of a module, of which parts are executed without compiling them to machine code."""
+    """The text of a module, of which parts are executed without compiling them to machine code.
 
-    def __init__(self, text: str) -> None:
+    Functions that look `tables` up have those themselves in their indices when kernels are executed.
+    """
+
+    def __init__(self, text: str, tables: Sequence[TableData] = ()) -> None:
+        self._tables = {function_name(table.shape): table for table in tables}
         self._imports: list[ast.stmt] = []
         self._parts: dict[str, ast.stmt] = {}
         self._codes: dict[tuple[str, ...], CodeType] = {}
@@ -48,24 +55,31 @@ class Text:
         """Some functions, and what they call, in another arithmetic than that of floating-point numbers."""
         key = tuple(names)
         if key not in self._codes:
-            needed = [node for node in self._needed(names) if isinstance(node, ast.FunctionDef)]
-            functions = [node for node in needed if node.name not in STEMS]
+            needed = self._needed(names, {*STEMS, *self._tables})
+            functions = [node for node in needed if isinstance(node, ast.FunctionDef)]
             body: list[ast.stmt] = [_Rewritten().function(node) for node in functions]
             module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
         namespace = _namespace(arithmetic)
+        namespace |= {name: _looked_up(table, arithmetic) for name, table in self._tables.items()}
         exec(self._codes[key], namespace)
         return {name: namespace[name] for name in names if name in self._parts}
 
-    def _needed(self, names: Iterable[str]) -> list[ast.stmt]:
-        """The parts with these names and those that they read, in the order of the text."""
+    def _needed(self, names: Iterable[str], replaced: Collection[str] = ()) -> list[ast.stmt]:
+        """The parts with these names and those that they read, in the order of the text, without what is replaced."""
         waiting, found = list(names), set[str]()
         while waiting:
             name = waiting.pop()
-            if name in self._parts and name not in found:
+            if name in self._parts and name not in found and name not in replaced:
                 found.add(name)
                 waiting += _read(self._parts[name])
         return list(dict.fromkeys(node for name, node in self._parts.items() if name in found))
+
+
+def _looked_up(table: TableData, a: Arithmetic) -> Callable[..., Any]:
+    """What an emitted look-up returns, of the table itself and in an arithmetic."""
+    orders = ORDERS[len(table.shape.inputs)]
+    return lambda parameters, *at: tuple(derivative(table, order, at, a.real) for order in orders)
 
 
 def _read(part: ast.stmt) -> set[str]:

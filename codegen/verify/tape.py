@@ -14,6 +14,9 @@ from typing import Any
 import sympy
 from sympy import Basic, Expr, Symbol
 
+from codegen.expressions.table_functions import TableFunction
+from codegen.tables.evaluation import derivative
+
 
 @dataclass(frozen=True)
 class Arithmetic:
@@ -96,6 +99,8 @@ def _condition(part: Basic, given: list[Any], a: Arithmetic) -> Any:
 
 
 def _function(part: Basic, given: list[Any], a: Arithmetic) -> Any:
+    if isinstance(part, TableFunction):
+        return derivative(part.table, part.order, given, a.real)
     name = type(part).__name__
     own = {"Abs": a.absolute, "Max": a.maximum, "Min": a.minimum, "sign": a.sign}
     if name in own:

@@ -19,9 +19,7 @@ from codegen.model.from_file import load_problem
 
 @pytest.mark.parametrize("case", MALFORMED, ids=lambda case: case.id)
 def test_malformed_file_is_refused_in_one_line(case: Malformed, tmp_path: Path) -> None:
-    file = tmp_path / "broken.py"
-    file.write_text(case.text, encoding="utf-8")
-    error = refusal(file)
+    error = refusal(case.write(tmp_path))
     assert type(error) is case.error
     assert case.fragment in str(error)
 

@@ -17,7 +17,7 @@ class TestMalformedProblems:
     def test_refused_in_one_line(self, folder, monkeypatch, command, case):
         # A cache of its own, below the folder whose contents are compared.
         monkeypatch.setenv("CODEGEN_CACHE_DIR", str(folder / "cache"))
-        (folder / "broken.py").write_text(case.text)
+        case.write(folder)
         before = contents(folder)
         assert_refused(run(command, "broken.py"), "broken.py")
         assert contents(folder) == before

@@ -88,3 +88,9 @@ def test_a_rod_takes_about_as_many_iterations_as_ipopt(rod):
     assert solution.status == "solved"
     assert solution.cost == pytest.approx(0.03712799148568963, rel=1e-7)
     assert solution.iterations <= 20
+
+
+def test_no_step_leaves_more_than_its_part_of_linear_equations(rod):
+    """One minus its length, but for a tenth."""
+    residual, length = rod.solve(100).log[:, [1, 4]].T
+    np.testing.assert_array_less(residual[1:], (1.0 - length[1:] + 0.1) * residual[:-1] + 1e-7)

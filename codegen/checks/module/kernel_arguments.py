@@ -9,6 +9,7 @@ from sympy import Symbol
 
 from codegen.checks.evaluation import Point
 from codegen.discretise import STEP
+from codegen.expressions.table_functions import numbers_of
 from codegen.lower.phases import named_elements
 from codegen.transcribe.program import ControlProgram
 
@@ -31,6 +32,7 @@ def pattern_of(module: Any, share: str) -> list[tuple[int, int]]:
 
 
 def parameter_vector(point: Point, program: ControlProgram) -> Any:
-    """A row of `grid.parameters`: parameters, boundary values, and behind them the shared unknowns."""
+    """A row of `grid.parameters`: parameters, boundary values, shared unknowns, and behind them numbers of tables."""
     boundary = [value.symbol for value in program.boundary_values]
-    return np.array([point[s] for s in (*program.model.parameters, *boundary, *program.shared_symbols)])
+    symbols = (*program.model.parameters, *boundary, *program.shared_symbols)
+    return np.array([*(point[s] for s in symbols), *numbers_of(program.model)])

@@ -19,6 +19,7 @@ from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import kernel_stems, other_symbols, parameter_vector
 from codegen.checks.module.step_kernels import step_length
 from codegen.discretise import STEP
+from codegen.expressions.table_functions import numbers_of
 from codegen.transcribe.program import ControlProgram, StepProgram
 from codegen.verify.couplings import shared_symbols
 
@@ -160,6 +161,7 @@ def _differing_grid(module: Any, program: ControlProgram, flat: FlatVector) -> s
     """The vector of unknowns and the table of parameters that the module makes."""
     grid = module.make_grid(_STEPS)
     parameters = len(program.model.parameters) + len(program.boundary_values) + len(program.shared)
+    parameters += len(numbers_of(program.model))
     if grid.parameters.shape != (program.bodies, parameters):
         return f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, parameters)}"
     for name, found, wanted in (
@@ -246,7 +248,8 @@ def _step_run(module: Any, program: StepProgram) -> str:
         return np.array([point[symbol] for symbol in group])
 
     length = step_length(point, program)
-    base = (at(program.left_symbols), point[program.model.time], length, at(program.model.parameters))
+    parameters = np.array([*at(program.model.parameters), *numbers_of(program.model)])
+    base = (at(program.left_symbols), point[program.model.time], length, parameters)
     size, whole = len(program.unknowns), len(interval)
     problem = _run(module, "step_equations", (base[0], at(interval), *base[1:]), residual=(whole,))
     problem = problem or _run(module, "energy", (base[0], base[1], base[3]))

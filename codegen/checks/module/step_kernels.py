@@ -12,6 +12,7 @@ from sympy import Expr, Symbol
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import DIGITS, Function, Point, function_of, gradient, random_points
 from codegen.checks.module.agreement import Agreement
+from codegen.expressions.table_functions import numbers_of
 from codegen.transcribe.program import StepProgram
 
 _SHORTER = (1.0, 0.1, 0.01, 1e-3)
@@ -102,7 +103,8 @@ def _expanded(value: Expr, assignments: Sequence[tuple[Symbol, Expr]]) -> Expr:
 
 def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, Any, Any]:
     state = np.array([point[symbol] for symbol in program.left_symbols])
-    parameters = np.array([point[symbol] for symbol in program.model.parameters])
+    numbers = numbers_of(program.model)
+    parameters = np.array([*(point[symbol] for symbol in program.model.parameters), *numbers], dtype=float)
     return state, point[program.model.time], step_length(point, program), parameters
 
 

@@ -12,6 +12,7 @@ from codegen.runtime.stand_ins.example import (
     INEQUALITIES,
     NODE,
     PHASES,
+    RANGED,
     ROOT,
     SCALED,
     SHARED,
@@ -20,6 +21,7 @@ from codegen.runtime.stand_ins.example import (
     interval_gradient,
     metadata,
 )
+from codegen.runtime.tabulated.table_ranges import OUTSIDE_TABLE, tables_beyond
 from codegen.runtime.unknowns.time_grid import plain_grid
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
 from codegen.runtime.optimise.active_bounds import at_bounds, prescribed_beyond
@@ -39,6 +41,8 @@ REMEDIES = {
     "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
     " relax a condition or bound",
 }
+if RANGED:
+    REMEDIES[OUTSIDE_TABLE] = "keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
 LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
 
@@ -49,6 +53,10 @@ def describe(grid, guess, point, status):
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:
             return "infeasible", f"infeasible: {beyond}; change the value or the bound"
+    if RANGED and status == "solved":
+        beyond = tables_beyond(grid, point.unknowns)
+        if beyond:
+            return OUTSIDE_TABLE, f"{OUTSIDE_TABLE}: {beyond}; {REMEDIES[OUTSIDE_TABLE]}"
     if status == "solved":
         return status, f"all equations hold to {point.error:.1e}"
     if SCALED and grid.sizes.size:

@@ -38,6 +38,7 @@ from codegen.runtime.optimise.newton_steps import (
     Watchdog,
     damped,
     barely_reduces_residual,
+    is_inaccurate,
     line_search,
     regularised_step,
     watchdog_step,
@@ -200,7 +201,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                     loose = iterate
                 iterate, shortened, watchdog = with_barrier_parameter(search, iterate, mu), 0, None
             low += mu <= LEAST_PART * tolerance
-        careful = monitor.is_due()
+        careful, before = monitor.is_due(), inertia
         trial, step = None, regularised_step(search, iterate, inertia, damping, careful)
         if step is not None:
             inertia = step.inertia
@@ -212,8 +213,14 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and barely_reduces_residual(point, step, length, trial.point):
+            if trial is not None and not careful and barely_reduces_residual(point, step, length, trial.point):
                 monitor.add()
+                if monitor.is_due() and is_inaccurate(search, iterate, step):
+                    step = regularised_step(search, iterate, before, damping, True) or step
+                    inertia = step.inertia
+                    trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
+                if monitor.is_due():
+                    monitor.record(step.refined)
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.kkt.refinement import refine
+from codegen.runtime.kkt.refinement import ACCURATE, inaccuracy, linear_residual, refine
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
 from codegen.runtime.optimise.bounded import (
     corrected_inertia,
@@ -38,10 +38,10 @@ class Watchdog(NamedTuple):
 
 
 class AccuracyMonitor:
-    """When to measure what steps leave of the linear system: where they leave more of the equations than they should.
+    """When to measure what a step leaves of the linear system: where it left more of the equations than it should.
 
-    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubtful
-    ones. Once one was not, all are measured.
+    Curvature may be the reason, so that a step that was measured and found accurate makes it take twice as many
+    doubtful ones. After one that was not, the next is measured, and refined, before it is taken.
     """
 
     def __init__(self):
@@ -52,7 +52,7 @@ class AccuracyMonitor:
         self.doubtful += 1
 
     def is_due(self):
-        """Whether the next step has to be measured."""
+        """Whether a step has to be measured: the one that has just left too much, or the next."""
         return self.doubtful >= self.enough
 
     def record(self, refined):
@@ -91,6 +91,14 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
+
+
+def is_inaccurate(search, iterate, step):
+    """Whether a step leaves so much of its linear system that it has to be refined."""
+    grid, point = search.grid, iterate.point
+    _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
+    left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
+    return inaccuracy(grid, step.gradient, step.primal, left) > ACCURATE
 
 
 def barely_reduces_residual(point, step, length, trial):

@@ -7,7 +7,7 @@ imported and tested; never included anywhere.
 import numpy as np
 from numba import njit
 
-STATE, STAGES, UNKNOWNS, PARTS = 2, 0, 1, 0
+STATE, STAGES, UNKNOWNS, PARTS, RANGED = 2, 0, 1, 0, 0
 ITERATED, CONSTANT, SYSTEM = 1, 0, 0
 FRACTIONS = np.empty((0, 1))
 

@@ -5,15 +5,23 @@ from numba import njit
 
 from codegen.runtime.optimise.counts import checked_count
 from codegen.runtime.optimise.tolerances import checked_tolerance
-from codegen.runtime.stand_ins.example_step import PARTS, STAGES, STATE, energy, step_equations
+from codegen.runtime.stand_ins.example_step import PARTS, RANGED, STAGES, STATE, energy, step_equations
 from codegen.runtime.stepping.composition import advance_parts, allocate_parts, parts_residual
 from codegen.runtime.stepping.step_newton import advance, allocate_work
+from codegen.runtime.tabulated.table_steps import LEFT_TABLE
 
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
     -2: ("singular", "the equations of the step have no unique solution; use more steps, or check the parameters"),
     -3: ("newton failed", "Newton's method did not converge; use more steps, or raise max_iterations"),
 }
+
+
+if RANGED:
+    FAILURES[LEFT_TABLE] = (
+        "outside a table",
+        "{}; keep the motion inside, take a wider table, or give it outside='clamp' or 'extend'",
+    )
 
 
 def settings_for(start):

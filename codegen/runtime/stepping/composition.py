@@ -3,8 +3,9 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.stand_ins.example_step import FRACTIONS, PARTS, STAGES, STATE, step_equations
+from codegen.runtime.stand_ins.example_step import FRACTIONS, PARTS, RANGED, STAGES, STATE, step_equations
 from codegen.runtime.stepping.step_newton import advance, allocate_work
+from codegen.runtime.tabulated.table_steps import LEFT_TABLE, left_tables
 
 
 @njit(cache=True, error_model="numpy")
@@ -18,10 +19,14 @@ def advance_parts(state, t, given, work, interval):
     """Make all steps of the base scheme from `state`, shape (STATE,); otherwise as `advance` for the last of them."""
     inner_work, lengths, here = work
     iterations = 0
+    if RANGED:
+        inputs = np.empty((RANGED, 2))
     for i in range(STATE):
         here[i] = state[i]
     for part in range(PARTS):
         outcome = advance(here, t, lengths[part], given, inner_work, interval)
+        if RANGED and outcome >= 0 and left_tables(here, interval, t, lengths[part], given[0], inputs) >= 0:
+            return LEFT_TABLE
         if outcome < 0:
             return outcome
         iterations += outcome

@@ -11,10 +11,12 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.optimise.counts import checked_count, checked_times
-from codegen.runtime.stand_ins.example_step import PARTS, STAGES, STATE
+from codegen.runtime.stand_ins.example_step import PARTS, RANGED, STAGES, STATE
 from codegen.runtime.stepping.body_motion import FAILURES, energies, largest_residual, settings_for
 from codegen.runtime.stepping.composition import advance_parts, allocate_parts
 from codegen.runtime.stepping.step_newton import advance, allocate_work
+from codegen.runtime.tabulated.table_left import range_left
+from codegen.runtime.tabulated.table_steps import LEFT_TABLE, left_tables
 
 
 class Grid(NamedTuple):
@@ -56,6 +58,8 @@ def follow(start, steps, h, given, every, path, before):
         work = allocate_parts(h, given)
     else:
         work = allocate_work(h, given)
+    if RANGED:
+        inputs = np.empty((RANGED, 2))
     rows, iterations, wait = 1, 0, every
     for i in range(size):
         path[0, i] = now[i]
@@ -64,6 +68,8 @@ def follow(start, steps, h, given, every, path, before):
             outcome = advance_parts(state, k * h, given, work, interval)
         else:
             outcome = advance(state, k * h, h, given, work, interval)
+            if RANGED and outcome >= 0 and left_tables(state, interval, k * h, h, given[0], inputs) >= 0:
+                outcome = LEFT_TABLE
         total = 0.0
         for i in range(size):
             total += abs(after[i])
@@ -105,6 +111,8 @@ def integrate(grid, every):
     measured = rows if outcome == 0 else 1 + steps // every
     residual = largest_residual(before, path, measured, steps, grid.h, grid.given, every)
     status, message = describe(grid, steps, iterations, outcome)
+    if RANGED and outcome == LEFT_TABLE:
+        message = message.format(range_left(grid, path[rows - 1], steps * grid.h))
     q, p = path[:rows, : size // 2].copy(), path[:rows, size // 2 :].copy()
     return status, message, steps, t, q, p, energy, residual if steps else np.nan, iterations
 

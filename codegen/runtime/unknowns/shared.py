@@ -2,7 +2,17 @@
 
 from numba import njit
 
-from codegen.runtime.stand_ins.example import BODIES, COUPLINGS, OWN, PHASES, ROOT, SHARED, duration_of, phase_durations
+from codegen.runtime.stand_ins.example import (
+    BODIES,
+    COUPLINGS,
+    OWN,
+    PHASES,
+    ROOT,
+    SHARED,
+    TABLED,
+    duration_of,
+    phase_durations,
+)
 
 
 @njit(error_model="numpy", inline="always")
@@ -22,6 +32,8 @@ def read_shared(unknowns, body, parameters):
     """Copy a body's shared ones of `unknowns` (n,) behind its `parameters` (BODIES, P + SHARED), where kernels read."""
     first = unknowns.size - ROOT
     behind = parameters.shape[1] - SHARED
+    if TABLED:
+        behind -= TABLED
     for j in range(SHARED):
         parameters[body, behind + j] = unknowns[first + root_index(body, j)]
 

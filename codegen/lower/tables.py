@@ -1,0 +1,100 @@
+"""The tables of a module as strings: look-up functions, numbers, and what is said of them."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from sympy import sstr
+
+from codegen.lower.kernels import Kernel, Line
+from codegen.lower.lookups import function_name
+from codegen.tables.data import KINDS, OUTSIDE, TableData
+
+FORCED = ('@njit(error_model="numpy", forceinline=True)',)
+"""Decorator of functions that become part of their callers, where derivatives that nobody reads are left out."""
+
+
+def table_kernels(tables: Sequence[TableData], first: int) -> tuple[Kernel, ...]:
+    """A function for every table, whose numbers stand among the parameters from the index `first` on."""
+    kernels = []
+    for table in tables:
+        kernels.append(_kernel(table, first))
+        first += table.shape.count
+    return tuple(kernels)
+
+
+def _kernel(table: TableData, first: int) -> Kernel:
+    shape = table.shape
+    sizes, names = ", ".join(map(str, shape.sizes)), ("x", "y")[: len(shape.sizes)]
+    stem, kind = {"monotone": "cubic"}.get(shape.kind, shape.kind), "curve" if len(names) == 1 else "surface"
+    code, lines = f"{stem}_{kind}(parameters, {first}, {sizes}, {', '.join(names)})", []
+    if shape.outside == "clamp" and shape.kind != "steps":
+        for name, size in zip(names, shape.sizes, strict=True):
+            lines.append(Line(f"{name}, in_{name}", f"within(parameters, {first}, {size}, {name})"))
+            first += size
+        code = f"clamped_{kind}({', '.join(f'in_{name}' for name in names)}, *{code})"
+    told = " and ".join(f"{name} = {given}" for name, given in zip(names, shape.inputs, strict=True))
+    summary = f"The table {shape.name} of {told}, with its derivatives up to the third order."
+    return Kernel(function_name(shape), summary, ("parameters", *names), (), tuple(lines), (), (code,), 0, 0, FORCED)
+
+
+def table_constants(tables: Sequence[TableData]) -> tuple[Line, ...]:
+    """The numbers of all tables, and how many there are."""
+    if not tables:
+        return ()
+    written = "".join(f'    "{table.shape.name}": {_array(table)},\n' for table in tables)
+    count = sum(table.shape.count for table in tables)
+    return (
+        Line("TABLED", str(count), "numbers of tables behind the parameters"),
+        Line("TABLES", f"{{\n{written}}}", "breakpoints, then values and slopes there"),
+    )
+
+
+def _array(table: TableData) -> str:
+    text = ", ".join(repr(number) for number in table.numbers)
+    lines = textwrap.wrap(text, 108, initial_indent=" " * 8, subsequent_indent=" " * 8, break_on_hyphens=False)
+    return "np.array([\n" + "\n".join(lines) + "\n    ])"
+
+
+def table_metadata(tables: Sequence[TableData]) -> list[tuple[str, str]]:
+    """What a reader of another file has to know of each table."""
+    if not tables:
+        return []
+    entries: dict[str, dict[str, Any]] = {}
+    for table in tables:
+        shape = table.shape
+        entries[shape.name] = {
+            "file": table.source, "inputs": shape.inputs, "output": shape.output, "kind": shape.kind,
+            "outside": shape.outside, "sizes": shape.sizes,
+        }  # fmt: skip
+    return [("tables", repr(entries))]
+
+
+def table_arguments(tables: Sequence[TableData]) -> tuple[str, ...]:
+    """The argument that takes other numbers, where there are tables."""
+    return ("tables",) if tables else ()
+
+
+def table_runtime(tables: Sequence[TableData]) -> tuple[str, ...]:
+    """The runtime files that look-ups need."""
+    if not tables:
+        return ()
+    inputs = {len(table.shape.inputs) for table in tables}
+    files = [name for count, name in ((1, "table_curves"), (2, "table_surfaces")) if count in inputs]
+    return ("table_cells", *files, "table_numbers")
+
+
+def described_tables(tables: Sequence[TableData]) -> list[str]:
+    """Every table in a line or two, for the docstring of a module."""
+    lines = []
+    for table in tables:
+        shape, axes = table.shape, table.axes
+        ranges = " and ".join(
+            f"{name} ({axis.size} from {axis[0]:g} to {axis[-1]:g})"
+            for name, axis in zip(shape.inputs, axes, strict=True)
+        )
+        lines.append(f"{shape.name} = {shape.output} of {ranges}, from {sstr(table.source)}:")
+        lines.append(f"    {shape.kind}, {KINDS[shape.kind]}; {OUTSIDE[shape.outside]}")
+    return lines

@@ -1,0 +1,1 @@
+"""Tables in kernels: splines through numbers that stand behind the parameters."""
