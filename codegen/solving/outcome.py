@@ -31,7 +31,7 @@ from codegen.solving.warm_start import start_of
 LEAST_TIME = 1e-9
 """Seconds in which a search does not begin."""
 ACCURATE_SCHEME = "gauss-4"
-"""The scheme where accuracy is asked for: of those of a higher order it is there for every method.
+"""The scheme where accuracy is asked for, and no path inequality: of a higher order it is there for every method.
 
 With controls that are constant on intervals it has no false optima on singular arcs, where midpoints alternate.
 """
@@ -109,8 +109,22 @@ def _made(request: Request) -> compiler.Build:
     )  # fmt: skip
     if request.accuracy is not None and request.scheme is None:
         with suppress(SchemeError):
-            return build(scheme=ACCURATE_SCHEME)
+            made = build(scheme=ACCURATE_SCHEME)
+            if not _has_path_inequalities(made.path):
+                return made
     return build(scheme=request.scheme)
+
+
+def _has_path_inequalities(path: Path) -> bool:
+    """Whether a module imposes inequalities inside intervals.
+
+    With a control that is constant on an interval they hold where they are strictest, and that error is of order one
+    where there are several stages.
+    """
+    meanings: Any = loading.load(path).metadata.get("meanings", {})
+    return any(
+        text.startswith("slack of ") and not text.startswith("slack of the integral") for text in meanings.values()
+    )
 
 
 def _tolerance(request: Request, grid: Matrix | None) -> float | None:

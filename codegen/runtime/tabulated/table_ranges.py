@@ -25,13 +25,13 @@ def tables_beyond(grid, unknowns):
     if not excess > TABLE_MARGIN:
         return ""
     body, k, j = map(int, index)
-    t = duration_of(grid, unknowns) * grid.nodes[max(0, min(k, grid.steps))] / grid.steps
+    t = duration_of(grid, unknowns) * grid.nodes[min(max(k, 0), grid.steps)] / grid.steps
     if PHASES:
-        t = node_times(grid, unknowns)[max(0, min(k, grid.steps))]
+        t = node_times(grid, unknowns)[min(k, grid.steps)]
     where = f"on interval {k}" if 0 <= k < grid.steps else f"at node {max(0, k - 1)}"
     whose = f" of body {body}" if BODIES > 1 else ""
     least, greatest = grid.parameters[body, RANGES[j]]
-    return f"{RANGE_NAMES[j]} is {value:g} {where} (t = {t:.3g}){whose}, outside {least:g} to {greatest:g}"
+    return f"{RANGE_NAMES[j]} is {value:g} {where} (t = {max(0.0, t):.3g}){whose}, outside {least:g} to {greatest:g}"
 
 
 @njit(cache=True, error_model="numpy")
