@@ -73,7 +73,29 @@ _ARGUMENTS = (
     _used("in-duration", "duration reads table f", ExpressionError, duration="2 + table(parameter('k', 1))"),
     _used("in-bounds", "reads table f", ExpressionError, bounds="{f: (-table(parameter('k', 1)), 1)}"),
     _used("uncalled", "force of q is a Table; call it, as in f(q)", ExpressionError, force="{q: table}"),
+    _curve("of-steps", "reads table f of steps", call='Table("t.csv", "q", "f", kind="steps")', error=ExpressionError),
     _used("of-undeclared", "was never declared", SymbolError, force='{q: f + table(Symbol("z"))}'),
 )
 
-MALFORMED_TABLES: tuple[Malformed, ...] = (*_FILES, *_ARGUMENTS)
+
+def _start(
+    id_: str, fragment: str, text: str = "t,q,f\n0,0,1\n1,1,1\n", call: str = 'Trajectory("t.csv")'
+) -> Malformed:
+    """A control of an oscillator that starts from the trajectory in t.csv."""
+    declare = "from codegen import Trajectory"
+    return Malformed(f"start-{id_}", optimal(declare, guess=call), TableError, fragment, (("t.csv", text),))
+
+
+_STARTS = (
+    _start("missing-file", "nothing.csv: no such file", call='Trajectory("nothing.csv")'),
+    _start("missing-time", "there is no column 'time'", call='Trajectory("t.csv", time="time")'),
+    _start("time-alone", "has no column beside 't'", "t\n0\n1\n"),
+    _start("unknown-column", "called g; call it like one of q, f, or choose columns", "t,g\n0,1\n1,2\n"),
+    _start("missing-column", "there is no column 'dq'", call='Trajectory("t.csv", columns=["q", "dq"])'),
+    _start("columns-text", "columns of t.csv are 'q'", call='Trajectory("t.csv", columns="q")'),
+    _start("unsorted", "t.csv:3: t is 0 after 1", "t,q\n1,0\n0,1\n"),
+    _start("ragged", "t.csv:3: 1 values for 2 columns", "t,q\n0,0\n1\n"),
+    _start("kind", "kind of table trajectory is 'spline'", call='Trajectory("t.csv", kind="spline")'),
+)
+
+MALFORMED_TABLES: tuple[Malformed, ...] = (*_FILES, *_ARGUMENTS, *_STARTS)

@@ -38,6 +38,11 @@ class Shape:
     sizes: tuple[int, ...]
 
     @property
+    def lookup(self) -> str:
+        """The emitted function that looks the table up."""
+        return f"table_{self.name}"
+
+    @property
     def width(self) -> int:
         """How many numbers stand at a breakpoint: the value, and for cubics what it needs of slopes."""
         return 1 if self.kind in ("linear", "steps") else 2 ** len(self.sizes)
