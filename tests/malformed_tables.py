@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from malformed_templates import Malformed, optimal
+from malformed_templates import Malformed, file_text, optimal
 
 from codegen.errors import CodegenError, ExpressionError, SymbolError, TableError
 
@@ -98,4 +98,17 @@ _STARTS = (
     _start("kind", "kind of table trajectory is 'spline'", call='Trajectory("t.csv", kind="spline")'),
 )
 
-MALFORMED_TABLES: tuple[Malformed, ...] = (*_FILES, *_ARGUMENTS, *_STARTS)
+_OF_PARTICLES = """from codegen import Pairwise, Table, particles
+i, j = particles("x y", "px py")
+table = Table("t.csv", "q", "f")
+pair = table((i.q[0] - j.q[0]) ** 2)
+system = Pairwise((i, j), self_term=i.p[0] ** 2 + i.p[1] ** 2, pair_term=pair)
+start = {i.q[0]: (0, 1), i.q[1]: (0, 1), i.p[0]: (0, 0), i.p[1]: (0, 0)}
+return Simulate(hamiltonian=system, duration=1, start=start)"""
+_PARTICLES = (
+    Malformed(
+        "table-of-particles", file_text(_OF_PARTICLES), ExpressionError, "pair_term reads table f", (("t.csv", _CURVE),)
+    ),
+)
+
+MALFORMED_TABLES: tuple[Malformed, ...] = (*_FILES, *_ARGUMENTS, *_PARTICLES, *_STARTS)
