@@ -75,12 +75,12 @@ def build(
     for key, value in settings.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
-    store = cache.place_of(path, settings, choices)
+    store = cache.path_of(path, settings, choices)
     text = cache.kept_text(store)
     is_new = not text
     if is_new:
         with _DERIVING:
-            store = cache.place_of(path, settings, choices)  # another thread may have derived it meanwhile
+            store = cache.path_of(path, settings, choices)  # another thread may have derived it meanwhile
             text = cache.kept_text(store)
             is_new = not text
             if is_new:
@@ -97,7 +97,7 @@ _DERIVING = threading.Lock()
 def _kept(path: Path, settings: Mapping[str, str], choices: Choices, text: str) -> Path:
     """Where the cache keeps a text from now on."""
     try:
-        store = cache.place_of_text(path, settings, choices, text)
+        store = cache.path_of_text(path, settings, choices, text)
         emit.write(store, text)
         return store
     except FileError as error:
@@ -121,7 +121,7 @@ def _placed(store: Path, text: str, out: Path | str) -> tuple[Path, bool]:
 
 def stored(path: Path, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
     """Where the cache keeps the module of a problem file once it has been built."""
-    return cache.place_of(path, arguments, chosen(scheme))
+    return cache.path_of(path, arguments, chosen(scheme))
 
 
 def generate(path: Path, arguments: Mapping[str, str], choices: Choices, time_limit: float = BUILD) -> str:

@@ -42,7 +42,7 @@ _IN_LOOPS = (
     "half row_i row_j slope velocity matrix accurate_dot x_minus_log1p log1p_minus_ratio CLOSEST BLOCK factor i j row"
 )
 """What lowering calls arguments and locals of kernels and loops, and functions of other files that they call."""
-_AT_PLACES = re.compile(r"(_k|_k1|_stage\d+)$|^_")
+_AT_NODES = re.compile(r"(_k|_k1|_stage\d+)$|^_")
 """Names of values at nodes and stages, and of temporaries."""
 _IN_PAIRS = re.compile(r"_alone$|^[hmsxy]\d+$|^(by|d)_|_[ij]$")
 """Names of scalars of a pair and of derivatives by them, and of quantities of one of the two particles."""
@@ -59,7 +59,7 @@ def marked(name: str, task: str, others: Collection[str], *, moving: bool) -> st
     What is `moving` has values at nodes, whose names are longer.
     """
     derived = {f"{stem}_{other}" for stem in _DERIVED for other in others}
-    made = bool(_AT_PLACES.search(name) or (task in ("particles", "connect") and _IN_PAIRS.search(name)))
+    made = bool(_AT_NODES.search(name) or (task in ("particles", "connect") and _IN_PAIRS.search(name)))
     if not name.isascii() or made or name in (_OF_TIME if moving else _needed(task)) or name in derived:
         return name + MARK
     return name

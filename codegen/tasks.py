@@ -57,7 +57,7 @@ def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = T
         frozenset(options.split()),
         tuple(functions.split()),
         result=Home(f"solutions.{name}", f"{name}_result"),
-        numbers=Home(f"solutions.{name}", "numbers_kept"),
+        numbers=Home(f"solutions.{name}", "stored_numbers"),
         parts=Home("machine_code.parts", f"{name}_parts"),
         is_whole=is_whole,
         touch=Home("machine_code.parts", f"{name}_touched"),

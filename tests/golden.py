@@ -1,8 +1,9 @@
 """The generated modules of the gallery: those that are committed, digests of the others, comparison and --update.
 
-Committed are the thesis's problems and a module for every kind of feature, since a change of emission should be read;
-of the others, whose numerics are the same text, `generated/digests.txt` holds a digest each. `python tests/golden.py`
-compares all of them with a fresh generation and prints what differs; `--update` rewrites the folder.
+Committed are the problems with which the project began and a module for every kind of feature, since a change of
+emission should be read; of the others, whose numerics are the same text, `generated/digests.txt` holds a digest each.
+`python tests/golden.py` compares all of them with a fresh generation and prints what differs; `--update` rewrites the
+folder.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The particle ansatz as a weak solution of the Euler-Poincare equations, proved by computer algebra (thesis, B.2).
+"""The particle ansatz as a weak solution of the Euler-Poincare equations, proved by computer algebra.
 
 With m = sum_i p_i delta(x - q_i) and v(x) = sum_j p_j G(x, q_j), the equations m_t + (v . grad) m + (grad v)' m
 + m div v = 0 are tested with a function psi that vanishes on the boundary with its normal derivative. By parts, and

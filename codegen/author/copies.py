@@ -32,7 +32,7 @@ from codegen.author.symbols import (
 from codegen.drawing import Item
 
 
-def meet_on_the_way(problem: Any) -> bool:
+def has_path_couplings(problem: Any) -> bool:
     """Whether conditions of several identical bodies tie them at other times than the end, or by an inequality."""
     if not isinstance(problem, Control) or type(problem.bodies) is not int or problem.bodies < 2:
         return False

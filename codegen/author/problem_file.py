@@ -129,13 +129,13 @@ def written_problem(path: Path, arguments: Mapping[str, str]) -> tuple[str, Any,
 # Messages
 
 
-def _unusable(place: Path | str, finding: str, remedy: str) -> ProblemFileError:
-    return ProblemFileError(clause(f"{place}: {finding}"), remedy)
+def _unusable(location: Path | str, finding: str, remedy: str) -> ProblemFileError:
+    return ProblemFileError(clause(f"{location}: {finding}"), remedy)
 
 
-def with_place(error: CodegenError, place: str) -> CodegenError:
+def with_location(error: CodegenError, location: str) -> CodegenError:
     """The same error, which says where the mistake is."""
-    return type(error)(clause(f"{place}: {error.finding}"), clause(error.remedy))
+    return type(error)(clause(f"{location}: {error.finding}"), clause(error.remedy))
 
 
 _UNPACK = "unpack what is returned, as in (x,), (v,) = coordinates('x'), or use state('x'), control('u') and their like"
@@ -156,10 +156,10 @@ def _blaming(path: Path) -> Iterator[None]:
     try:
         yield
     except CodegenError as error:
-        raise with_place(error, _place(path, error)) from error
+        raise with_location(error, _location(path, error)) from error
     except (Exception, SystemExit) as error:  # the author's code may raise anything; only Ctrl-C is not its fault
         finding = f"{type(error).__name__}: {error}".rstrip(": ")
-        raise _unusable(_place(path, error), finding, _remedy(error)) from error
+        raise _unusable(_location(path, error), finding, _remedy(error)) from error
 
 
 def _remedy(error: BaseException) -> str:
@@ -173,7 +173,7 @@ def _remedy(error: BaseException) -> str:
     return "correct the file"
 
 
-def _place(path: Path, error: BaseException) -> str:
+def _location(path: Path, error: BaseException) -> str:
     """The file and the innermost of its lines that an exception passed through."""
     filename = str(path.absolute())
     lines = [line for frame, line in traceback.walk_tb(error.__traceback__) if frame.f_code.co_filename == filename]
@@ -208,8 +208,8 @@ def _compiled(path: Path) -> tuple[str, CodeType]:
         tree = ast.parse(source, filename)
         code = compile(tree, filename, "exec", dont_inherit=True)
     except SyntaxError as error:
-        place = f"{path}:{error.lineno}" if error.lineno else path
-        raise _unusable(place, f"{type(error).__name__}: {error.msg}", "correct the syntax") from error
+        location = f"{path}:{error.lineno}" if error.lineno else path
+        raise _unusable(location, f"{type(error).__name__}: {error.msg}", "correct the syntax") from error
     except (ValueError, RecursionError, MemoryError, OverflowError) as error:
         raise _unusable(path, f"cannot be parsed ({error})", "give a problem file written in Python") from error
     docstring = (ast.get_docstring(tree) or "").strip()
@@ -248,8 +248,8 @@ def _forget_modules(names: set[str], folder: Path) -> None:
     """
     for top in [name for name in names if "." not in name]:
         module = sys.modules[top]
-        places = [getattr(module, "__file__", None), *getattr(module, "__path__", [])]
-        if any(place and Path(place).parent == folder for place in places):
+        locations = [getattr(module, "__file__", None), *getattr(module, "__path__", [])]
+        if any(location and Path(location).parent == folder for location in locations):
             for name in [name for name in names if name.partition(".")[0] == top]:
                 del sys.modules[name]
 

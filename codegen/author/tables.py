@@ -132,7 +132,7 @@ _GUESSED = (Coordinate, State, ControlInput)
 
 
 def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: Any, name: Any) -> None:
-    if not isinstance(file, Path | str):
+    if not isinstance(file, Path | str) or not str(file).isprintable():
         raise TableError(f"the file of a table is {file!r}", "give its path")
     if not isinstance(inputs, (tuple, list)) or len(inputs) not in (1, 2):
         raise TableError(f"inputs of table {output!r} are {inputs!r}", 'name one or two columns, as in ("mach",)')

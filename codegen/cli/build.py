@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from codegen.cli.options import Controls, Method, Place, Problem, Scheme, Set
+from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme, Set
 from codegen.deadline import BUILD
 from codegen.terminal import working
 
@@ -19,7 +19,7 @@ def build(
     set_: Set = [],  # noqa: B006  typer copies it
     scheme: Scheme = None,
     method: Method = None,
-    controls: Place = Controls.INTERVAL,
+    controls: ControlSites = Controls.INTERVAL,
     out: Annotated[Path, typer.Option(help="Folder for the module.")] = Path("generated"),
     no_compile: Annotated[bool, typer.Option("--no-compile", help="Leave compilation to the first solve.")] = False,
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,

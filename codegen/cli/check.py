@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from codegen.cli.options import Controls, Method, Place, Problem, Scheme, Set
+from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme, Set
 from codegen.deadline import CHECK
 from codegen.errors import one_line
 from codegen.terminal import console, working
@@ -23,7 +23,7 @@ def check(
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
     method: Method = None,
-    controls: Place = Controls.INTERVAL,
+    controls: ControlSites = Controls.INTERVAL,
     out: Annotated[Path | None, typer.Option(help="Folder of the module to check. [default: generated]")] = None,
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of all checks.")] = CHECK,
 ) -> None:

@@ -33,7 +33,7 @@ Method = Annotated[
     str | None,
     typer.Option(help="Formulation: variational, hamiltonian or one-step; of particles stepping, full or action."),
 ]
-Place = Annotated[Controls, typer.Option(help="Where controls live; nodal reproduces the thesis.")]
+ControlSites = Annotated[Controls, typer.Option(help="Where controls live; nodal averages neighbouring nodes.")]
 Steps = Annotated[
     int | None, typer.Option(parser=positive, metavar="N", help="Number of intervals. [default: the problem's own]")
 ]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from codegen.cli.options import Controls, Method, Place, Problem, Scheme, Set
+from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme, Set
 from codegen.terminal import working
 
 
@@ -15,7 +15,7 @@ def show(
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
     method: Method = None,
-    controls: Place = Controls.INTERVAL,
+    controls: ControlSites = Controls.INTERVAL,
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
 ) -> None:
     """Print the derived discrete equations."""

@@ -12,12 +12,12 @@ import typer
 
 from codegen.cli.options import (
     Controls,
+    ControlSites,
     Every,
     Json,
     Log,
     Method,
     Out,
-    Place,
     Problem,
     Repeat,
     Scheme,
@@ -39,7 +39,7 @@ def solve(
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
     method: Method = None,
-    controls: Place = Controls.INTERVAL,
+    controls: ControlSites = Controls.INTERVAL,
     driver: Annotated[
         str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")
     ] = "newton",

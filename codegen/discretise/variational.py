@@ -88,8 +88,8 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
     """Integrate L, the work of the forces and the cost over one interval by the scheme's quadrature rule.
 
     The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
-    is shared out between the ends and the inner points. With controls on nodes the thesis's averages are taken: of the
-    controls in the cost, and along straight lines of the forces of both nodes.
+    is shared out between the ends and the inner points. With controls on nodes averages are taken: of the controls in
+    the cost, and along straight lines of the forces of both nodes.
     """
     rule = scheme.discrete_lagrangian()
     q_sites = sites(model, model.coordinates, controls, len(rule.points))

@@ -1,4 +1,4 @@
-"""Nelder and Mead's simplex method, for comparison with the thesis. Source: scipy.optimize, method Nelder-Mead."""
+"""Nelder and Mead's simplex method, for comparison. Source: scipy.optimize, method Nelder-Mead."""
 
 from codegen.drivers.connect import fmin as connect
 

@@ -36,7 +36,7 @@ from codegen.transcribe.program import ControlProgram, EndElement
 def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> ControlModule:
     """Write every kernel and table of a control problem as strings."""
     model, tables = program.model, tables_of(program.model)
-    couplings, curved = lower_couplings(program), layout.is_curved(derivatives)
+    couplings, curved = lower_couplings(program), layout.has_nonlinear_ends(derivatives)
     first = len(layout.parameters(program))
     ranged, guessed = ranged_inputs(tables, first, _equations(program)), _guess_tables(program)
     kernels = (
@@ -108,7 +108,7 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     ends = (("start", program.start), ("end", program.end))
     if dependent := tuple((name, where) for where, end in ends for name in end.dependent):
         entries.append(("dependent_values", repr(dependent)))
-    if decided := tuple((name, where) for where, end in ends for _, name in end.decided if name):
+    if decided := tuple((name, where) for where, end in ends for _, name in end.determined if name):
         entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
     return entries
 
@@ -300,7 +300,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *(("tied_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),
         "iteration_log", "lagrangian", "norms", "point", "elements",
-        "ends_nonlinear" if layout.is_curved(derivatives) else "ends_linear",
+        "ends_nonlinear" if layout.has_nonlinear_ends(derivatives) else "ends_linear",
         "symmetric",
         *(condensed if derivatives.condensed else ("element_uncondensed",)),
         "frontal", "substitution", "bordered" if program.shared else "unbordered", "system", "convergence_test",

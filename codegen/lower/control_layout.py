@@ -39,12 +39,12 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("INEQUALITIES", int(program.has_inequalities)),
         ("UNBOUNDED", int(not program.has_inequalities)),
         ("SCALED", int(not derivatives.linear_quadratic)),
-        ("CARRIED", int(is_carried(program, derivatives))),
+        ("CARRIED", int(carries_right_hand_side(program, derivatives))),
         ("TABLED", sum(table.shape.count for table in tables_of(program.model))),
     )
 
 
-def is_carried(program: ControlProgram, derivatives: ControlDerivatives) -> bool:
+def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivatives) -> bool:
     """Whether the rows of an element matrix, which are as long as a multiple of four, have room for one more column."""
     node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
     block = node + inside - derivatives.condensed
@@ -81,7 +81,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
                 Line(f"{name}_TIED", integers([i for i, _, _ in end.shared]), "unknowns of the node that equal")
             )
             lines.append(Line(f"{name}_SHARED", integers([j for _, j, _ in end.shared]), "these shared unknowns"))
-    if is_curved(derivatives):
+    if has_nonlinear_ends(derivatives):
         for name, entries in (("START", derivatives.start.hessian), ("END", derivatives.end.hessian)):
             lines.append(Line(f"{name}_HESSIAN_ROWS", integers([r for r, _, _ in entries])))
             lines.append(Line(f"{name}_HESSIAN_COLUMNS", integers([c for _, c, _ in entries])))
@@ -92,7 +92,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
     return lines
 
 
-def is_curved(derivatives: ControlDerivatives) -> bool:
+def has_nonlinear_ends(derivatives: ControlDerivatives) -> bool:
     """Whether an end has entries of the KKT matrix of its own; unknowns of its own always have."""
     return bool(derivatives.start.hessian or derivatives.end.hessian)
 
@@ -191,7 +191,7 @@ def slack_bounds(program: ControlProgram) -> list[Line]:
         lines.append(Line(f"lower_intervals[..., {first + j}]", array_code(slack.lower), slack.name))
     for node, end in (("0", program.start), ("-1", program.end)):
         lines += [Line(f"lower_nodes[:, {node}, {i}]", "0.0", program.node[i].name) for i, _ in end.slacks]
-        lines += [line for name, _ in end.decided for line in _without_bounds(program, end, node, name)]
+        lines += [line for name, _ in end.determined for line in _without_bounds(program, end, node, name)]
     return lines
 
 

@@ -8,7 +8,7 @@ import sympy
 
 from codegen import schemes
 from codegen.derive import ControlDerivatives
-from codegen.lower.control_layout import is_carried, is_curved
+from codegen.lower.control_layout import carries_right_hand_side, has_nonlinear_ends
 from codegen.lower.kernels import Kernel
 from codegen.transcribe.program import ControlProgram
 
@@ -24,13 +24,13 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
         kind = "controls" if derivatives.condensed > len(program.slacks) else "slacks"
         why = "" if program.has_inequalities or program.phases else "their Hessian block is constant, so "
         out.append(f"{kind} in the linear system: {why}each interval eliminates its own")
-    if not is_curved(derivatives):
+    if not has_nonlinear_ends(derivatives):
         out.append("curvature of the boundary conditions: positions that they depend on are given")
     if not program.has_inequalities:
         out.append("interior point: there are no inequalities")
     if not program.shared:
         out.append("a border of the linear system: no unknown is shared by all intervals")
-    if not is_carried(program, derivatives):
+    if not carries_right_hand_side(program, derivatives):
         out.append("a right-hand side that takes part in the elimination: rows of element matrices have no room for it")
     functions = tuple(f for m in models for f in (m.function, *m.force, *m.dynamics))
     absent = ", ".join(str(q) for q in model.coordinates if not any(f.has(q) for f in functions))

@@ -53,10 +53,10 @@ def _compile_here(path: Path) -> None:
         else:
             solve_small(module)
     except OSError as error:
-        raise unkept(module, error) from error
+        raise unwritable_cache_error(module, error) from error
 
 
-def unkept(module: GeneratedModule, error: OSError) -> FileError:
+def unwritable_cache_error(module: GeneratedModule, error: OSError) -> FileError:
     """The error that says where machine code of a module cannot be written, and what to do about it."""
     from codegen.files import refused
     from codegen.loading import code_folders

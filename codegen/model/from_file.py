@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from codegen.author.problem_file import with_place, written_problem
+from codegen.author.problem_file import with_location, written_problem
 from codegen.errors import CodegenError
 from codegen.model.definitions import Model
 from codegen.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
@@ -26,4 +26,4 @@ def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model |
             return normalise_pairwise(problem, declared, name=path.stem, title=title)
         return normalise(problem, declared, name=path.stem, title=title)
     except CodegenError as error:
-        raise with_place(error, str(path)) from error
+        raise with_location(error, str(path)) from error

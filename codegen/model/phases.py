@@ -11,7 +11,7 @@ from typing import Any
 
 import sympy
 
-from codegen.author.copies import meet_on_the_way, written_out
+from codegen.author.copies import has_path_couplings, written_out
 from codegen.author.problem import Control, Phases, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
@@ -32,7 +32,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of
     CodegenError that names the symbol or expression and the remedy.
     """
-    if meet_on_the_way(problem):
+    if has_path_couplings(problem):
         problem, declared = written_out(problem, declared)
     if not isinstance(problem, Phases):
         return normal_form.normalise(problem, declared, name, title)

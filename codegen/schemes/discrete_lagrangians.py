@@ -32,13 +32,13 @@ def _galerkin(method: RungeKutta, degree: int, summary: str) -> DiscreteLagrangi
 _DISCRETE_LAGRANGIANS = (
     DiscreteLagrangian(
         name="rectangle", order=1, symmetric=False, symplectic=True,
-        source="Marsden and West (2001), Discrete mechanics and variational integrators, section 2.6; thesis 2.1.2",
+        source="Marsden and West (2001), Discrete mechanics and variational integrators, section 2.6",
         summary="h L(q0, v)",
         points=(QuadraturePoint(Rational(1), Rational(0)),),
     ),
     DiscreteLagrangian(
         name="midpoint", order=2, symmetric=True, symplectic=True,
-        source="Marsden and West (2001), section 2.6.2; thesis (2.4.2)",
+        source="Marsden and West (2001), section 2.6.2",
         summary="h L((q0 + q1)/2, v)",
         points=(QuadraturePoint(Rational(1), _HALF),),
     ),

@@ -43,19 +43,19 @@ class OneStep(Scheme):
 ONE_STEPS = (
     OneStep(
         name="explicit-euler", order=1, symmetric=False, symplectic=False,
-        source="Hairer, Lubich and Wanner (2006), Geometric numerical integration, I.1; thesis 1.0.1",
+        source="Hairer, Lubich and Wanner (2006), Geometric numerical integration, I.1",
         summary="field at (q0, p0)",
         substeps=(Substep(_ONE, _ZERO, _ZERO),),
     ),
     OneStep(
         name="implicit-euler", order=1, symmetric=False, symplectic=False,
-        source="Hairer, Lubich and Wanner (2006), I.1; thesis 1.0.1",
+        source="Hairer, Lubich and Wanner (2006), I.1",
         summary="field at (q1, p1)",
         substeps=(Substep(_ONE, _ONE, _ONE),),
     ),
     OneStep(
         name="symplectic-euler", order=1, symmetric=False, symplectic=True,
-        source="Hairer, Lubich and Wanner (2006), (VI.3.1); thesis 2.4.1",
+        source="Hairer, Lubich and Wanner (2006), (VI.3.1)",
         summary="field at (q0, p1)",
         substeps=(Substep(_ONE, _ZERO, _ONE),),
     ),
@@ -67,7 +67,7 @@ ONE_STEPS = (
     ),
     OneStep(
         name="midpoint", order=2, symmetric=True, symplectic=True,
-        source="Hairer, Lubich and Wanner (2006), (VI.3.2); thesis (2.4.1)",
+        source="Hairer, Lubich and Wanner (2006), (VI.3.2)",
         summary="field at ((q0 + q1)/2, (p0 + p1)/2)",
         substeps=(Substep(_ONE, _HALF, _HALF),),
     ),
@@ -99,14 +99,17 @@ SCHEMES = {"hamiltonian": ONE_STEPS, FIRST_ORDER: (*_SAME_POINT, TRAPEZOIDAL)}
 
 
 def alpha(value: Rational) -> OneStep:
-    """The family (2.5.2) of the thesis: field at ((1-a) q0 + a q1, a p0 + (1-a) p1), symplectic for every a."""
+    """The family with the field at ((1-a) q0 + a q1, a p0 + (1-a) p1), symplectic for every a.
+
+    For mechanical Hamiltonians that is the discrete Lagrangian h L((1-a) q0 + a q1, (q1 - q0)/h).
+    """
     half = value == _HALF
     return OneStep(
         name=f"alpha-{value}",
         order=2 if half else 1,
         symmetric=bool(half),
         symplectic=True,
-        source="thesis (2.5.2)",
+        source="Marsden and West (2001), Discrete mechanics and variational integrators, section 2.6",
         summary="field at ((1-a) q0 + a q1, a p0 + (1-a) p1)",
         substeps=(Substep(_ONE, value, _ONE - value),),
     )

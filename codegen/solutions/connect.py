@@ -11,7 +11,7 @@ import numpy as np
 from codegen.errors import PointsError
 from codegen.loading import ConnectModule, Vector
 from codegen.solutions.intersecting_paths import intersecting_paths
-from codegen.solutions.result import ConnectAttempt, Result, Run, max_norm, origin, other_driver, taken_back
+from codegen.solutions.result import ConnectAttempt, Result, Run, contradicted, max_norm, origin, other_driver
 
 TOLERANCE = 1e-12
 
@@ -25,7 +25,7 @@ def connect_result(
     residual, cost, arrival = _measured(module, case, path, energy)
     status, message = attempt.status, attempt.message
     if status == "solved" and not residual <= 10.0 * attempt.tolerance:
-        status, message = taken_back(driver, f"the equations have residual {residual:.1e}", other_driver(driver))
+        status, message = contradicted(driver, f"the equations have residual {residual:.1e}", other_driver(driver))
     crossed = intersecting_paths(case.start, case.target)
     if status != "solved" and crossed:
         one, other = crossed[0]
@@ -67,7 +67,7 @@ def _names(metadata: Mapping[str, Any], count: int) -> dict[str, tuple[str, ...]
     return {key: tuple(f"{name}_{i + 1}" for i in range(count) for name in group) for key, group in groups.items()}
 
 
-def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:
+def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:
     """How many numbers are kept: states at all nodes with what Newton's method makes of them, and two matrices."""
     count = 0 if run.points is None else len(run.points.start)
     return 40 * (run.steps + 1) * count * len(metadata["coordinates"]) + 2 * count**2

@@ -14,10 +14,10 @@ from codegen.solutions.result import (
     Result,
     Run,
     component_names,
+    contradicted,
     max_norm,
     origin,
     other_driver,
-    taken_back,
 )
 
 LARGE_MULTIPLIERS = 100.0
@@ -34,7 +34,7 @@ def control_result(
     status, message = attempt.status, attempt.message
     if status == "solved" and not _is_accurate(module, scaled, attempt):
         conditions = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
-        status, message = taken_back(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
+        status, message = contradicted(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status == "solved" and (outside := _beyond_tables(module, grid, unknowns)):
@@ -70,7 +70,7 @@ def _beyond_tables(module: ControlModule, grid: Grid, unknowns: Vector) -> str:
     return beyond(grid, unknowns) if beyond else ""
 
 
-def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:
+def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:
     """How many numbers the generated solver keeps: it was measured to need 26 for every unknown."""
     intervals = run.steps * int(metadata.get("phases", 1))
     return 26 * (intervals + 1) * (len(metadata["node"]) + len(metadata["interval"]))

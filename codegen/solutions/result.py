@@ -190,7 +190,7 @@ def origin(metadata: Mapping[str, Any], driver: str, run: Run, attempt: Attempt,
     return {**own, "driver": driver, "steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
 
 
-def taken_back(driver: str, finding: str, remedy: str) -> tuple[str, str]:
+def contradicted(driver: str, finding: str, remedy: str) -> tuple[str, str]:
     """Status and message where a driver claims what is not so."""
     return "inaccurate", f"{driver} reported success, but {finding}; {remedy}"
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.loading import Matrix, SimulateModule
-from codegen.solutions.result import Result, Run, SimulateAttempt, component_names, max_norm, origin, taken_back
+from codegen.solutions.result import Result, Run, SimulateAttempt, component_names, contradicted, max_norm, origin
 
 UNITS = 1e4
 """How many times larger than rounding errors the changes are by which their effect is measured."""
@@ -28,7 +28,7 @@ def simulate_result(
     status, message = attempt.status, attempt.message
     if status == "solved" and not residual <= max(attempt.tolerance, rounding):
         finding = f"the scheme's equations have residual {residual:.1e}"
-        status, message = taken_back(driver, finding, "try more steps")
+        status, message = contradicted(driver, finding, "try more steps")
     names = component_names(metadata)
     drift = np.abs(attempt.energy - attempt.energy[0])
     final = zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True)
@@ -44,7 +44,7 @@ def simulate_result(
     )  # fmt: skip
 
 
-def numbers_kept(metadata: Mapping[str, Any], run: Run) -> int:
+def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:
     """How many numbers are kept: the path, its positions and momenta, times and energies."""
     return (run.steps // run.every + 1) * (4 * len(metadata["coordinates"]) + 2)
 

@@ -22,7 +22,7 @@ from codegen.solving.multistart import best_of
 from codegen.solving.other_tables import with_tables
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
-from codegen.solving.run import assessed
+from codegen.solving.run import run_and_verify
 from codegen.solving.warm_start import start_of
 
 LEAST_TIME = 1e-9
@@ -115,7 +115,7 @@ def _solved(
             steps, request.every, start, points, request.tolerance, near, request.max_iterations, max(left, LEAST_TIME),
             watch, request.scaling,
         )  # fmt: skip
-        result = assessed(module, driver, run, request.repeat)
+        result = run_and_verify(module, driver, run, request.repeat)
         left -= result.seconds_solve
         return result
 

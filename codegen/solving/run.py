@@ -12,12 +12,12 @@ from typing import Any
 from codegen.drivers import Driver
 from codegen.errors import NumericsError
 from codegen.loading import GeneratedModule, machine_code_counts
-from codegen.machine_code.ahead_of_time import unkept
+from codegen.machine_code.ahead_of_time import unwritable_cache_error
 from codegen.solutions.result import Result, Run
 from codegen.tasks import task_of
 
 
-def assessed(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:
+def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:
     """Run a driver `repeat` times with warm machine code, and assess the last solution; see `codegen.solve`."""
     task = task_of(module)
     _require_memory(task.numbers(module.metadata, run), run.steps)
@@ -31,7 +31,7 @@ def assessed(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> 
         # Generated modules know nothing of codegen's errors.
         raise NumericsError(str(error), "correct the problem's numbers or the options") from error
     except OSError as error:
-        raise unkept(module, error) from error
+        raise unwritable_cache_error(module, error) from error
     result: Result = task.result(module, driver.name, run, attempt, seconds)
     compiled = machine_code_counts(module)[0] > compiled_before
     return replace(result, seconds_first=warm_up - begin, compiled=compiled)

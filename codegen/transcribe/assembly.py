@@ -10,7 +10,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise import STEP, OneStepInterval, VariationalInterval
 from codegen.errors import ExpressionError
 from codegen.model import Model
-from codegen.transcribe.determined_ends import with_decisions
+from codegen.transcribe.determined_ends import with_determined_values
 from codegen.transcribe.ends import End, Ends, pinned_at_zero
 from codegen.transcribe.guesses import at_guess, control_guess
 from codegen.transcribe.integrals import end_share, integral_equations, interval_share, own_unknowns
@@ -75,7 +75,7 @@ def assemble(
         slack_multipliers=path.slack_multipliers,
     )
     _require_identical_bodies(program)
-    return with_decisions(program, path.inequalities)
+    return with_determined_values(program, path.inequalities)
 
 
 def _laid_out(

@@ -71,18 +71,18 @@ class EndEquations:
         return condition if excess is not None and excess >= -_ROUNDING * size else ""
 
 
-def with_decisions(program: ControlProgram, inequalities: Sequence[PathValue]) -> ControlProgram:
+def with_determined_values(program: ControlProgram, inequalities: Sequence[PathValue]) -> ControlProgram:
     """The program whose ends say what is decided there; `inequalities` belong to the slacks of an interval."""
     if not program.has_inequalities:
         return program
     return replace(
         program,
-        start=_with_decisions(program, "start", inequalities),
-        end=_with_decisions(program, "end", inequalities),
+        start=_with_determined_values(program, "start", inequalities),
+        end=_with_determined_values(program, "end", inequalities),
     )
 
 
-def _with_decisions(program: ControlProgram, where: str, inequalities: Sequence[PathValue]) -> EndElement:
+def _with_determined_values(program: ControlProgram, where: str, inequalities: Sequence[PathValue]) -> EndElement:
     end = program.start if where == "start" else program.end
     node = program.left_symbols if where == "start" else program.right_symbols
     given = {node[index]: value for index, value in end.pins}
@@ -95,7 +95,7 @@ def _with_decisions(program: ControlProgram, where: str, inequalities: Sequence[
     for name, touched in found:
         if touched is not None:
             decided[name] = decided.get(name) or touched
-    return replace(end, decided=tuple(decided.items()))
+    return replace(end, determined=tuple(decided.items()))
 
 
 def _of_the_node(program: ControlProgram, end: EndElement, node: Sequence[Symbol]) -> list[tuple[str, str, Expr]]:

@@ -98,7 +98,7 @@ def occurring(quantities: Sequence[Symbol], *expressions: Expr) -> set[int]:
     return {i for i, quantity in enumerate(quantities) if quantity in present}
 
 
-def same_after(expression: Expr, shifts: dict[Symbol, Expr]) -> bool:
+def is_invariant_under_shifts(expression: Expr, shifts: dict[Symbol, Expr]) -> bool:
     """Whether an expression keeps its value when quantities are shifted, as an angle by 2 pi."""
     moved = expression.subs({q: q + shift for q, shift in shifts.items() if shift != 0}, simultaneous=True)
     return bool(moved == expression) or identically_zero(moved - expression)

@@ -50,7 +50,7 @@ def end_share(equations: Sequence[IntegralEquation]) -> End:
     return End(element=Add(*(equation.multiplier * equation.excess for equation in equations)))
 
 
-def numbered_through(programs: Sequence[ControlProgram], names: Names) -> list[ControlProgram]:
+def with_distinct_integral_names(programs: Sequence[ControlProgram], names: Names) -> list[ControlProgram]:
     """The programs of all phases, in which no two conditions on integrals have unknowns of one name."""
     return [_renamed(program, names) for program in programs]
 

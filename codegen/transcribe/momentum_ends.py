@@ -1,9 +1,10 @@
 """Momentum boundary conditions of the variational method.
 
 +lambda_0 . D2 L(q(0), v(0)) at the start and -lambda_N . D2 L(q(T), v(T)) at the end make the discrete momenta of the
-ends match those of the velocities there (thesis (3.1.3)). A velocity that is free, but on which a matched momentum, a
-condition or the terminal cost depends, is an unknown of its end, and its momentum is matched too, so that each fixed
-velocity and each condition counts once. The multiplier of a momentum that is not matched is zero.
+ends match those of the velocities there. A velocity that is free, but on which a matched momentum, a condition or the
+terminal cost depends, is an unknown of its end, and its momentum is matched too, so that each fixed velocity and each
+condition counts once. The multiplier of a momentum that is not matched is zero. Source: Ober-Bloebaum, Junge and
+Marsden (2011), Discrete mechanics and optimal control: an analysis.
 """
 
 from __future__ import annotations

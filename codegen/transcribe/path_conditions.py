@@ -23,7 +23,7 @@ from codegen.discretise import STEP, PathValue, at_nodes
 from codegen.model import Boundary, Condition, Model
 from codegen.model.conditions.path import is_nodal, nodal_conditions
 from codegen.transcribe.ends import imposed
-from codegen.transcribe.forms import occurring, same_after
+from codegen.transcribe.forms import is_invariant_under_shifts, occurring
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.program import Unknown
 
@@ -168,4 +168,4 @@ def repeated_at_end(model: Model, expression: Expr) -> bool:
     shifts = dict(model.periodic)
     present = [model.coordinates[i] for i in occurring(model.coordinates, expression)]
     periodic = bool(present) and all(q in shifts for q in present) and not expression.has(model.time)
-    return periodic and same_after(expression, {q: shifts[q] for q in present})
+    return periodic and is_invariant_under_shifts(expression, {q: shifts[q] for q in present})

@@ -17,7 +17,7 @@ from sympy import Expr, S, Symbol
 from codegen.errors import BoundaryError
 from codegen.expressions.tangents import gradient
 from codegen.model import Condition, Model
-from codegen.transcribe.forms import occurring, same_after
+from codegen.transcribe.forms import is_invariant_under_shifts, occurring
 from codegen.transcribe.guesses import at_start, coordinate_guess, momentum_guess
 from codegen.transcribe.names import Names
 from codegen.transcribe.program import Unknown
@@ -138,7 +138,7 @@ def _returns(model: Model, momentum: Expr, same: set[int]) -> bool:
     present = [model.coordinates[i] for i in occurring(model.coordinates, momentum)]
     if momentum.has(model.time) or not occurring(model.rates, momentum) <= same:
         return False
-    return all(q in shifts for q in present) and same_after(momentum, {q: shifts[q] for q in present})
+    return all(q in shifts for q in present) and is_invariant_under_shifts(momentum, {q: shifts[q] for q in present})
 
 
 def _tied(model: Model, quantity: Symbol, unknown: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:

@@ -15,7 +15,7 @@ from sympy import Add, Expr, S, Symbol
 
 from codegen.discretise import STEP
 from codegen.model import Boundary, Model
-from codegen.transcribe.integrals import end_share, numbered_through, own_unknowns
+from codegen.transcribe.integrals import end_share, own_unknowns, with_distinct_integral_names
 from codegen.transcribe.names import symbols
 from codegen.transcribe.phase_guesses import with_guesses
 from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement, Phase, Unknown
@@ -28,7 +28,7 @@ def chained(model: Model, transcribed: Callable[[Model], ControlProgram]) -> Con
     model = with_guesses(model)
     programs = [transcribed(_alone(model, i)) for i in range(len(model.phases))]
     programs, slots = with_common_names(programs)
-    programs = numbered_through(programs, slots.names)
+    programs = with_distinct_integral_names(programs, slots.names)
     switches = [switch(model, i, programs, slots) for i in range(1, len(programs))]
     chain = _Chain(model, programs, [None, *switches])
     return chain.program()

@@ -40,7 +40,7 @@ class EndElement:
     `_k` at the start, `_k1` at the end) and of the shared unknowns; `cost` is what the discrete cost gains by it.
     `shared` fixes unknowns of the end node to shared ones (local index, index of the shared unknown, offset).
     `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative. What is given or
-    determined at this end has no bounds there: `decided` names, in pairs, an unknown of the node or a slack of the
+    determined at this end has no bounds there: `determined` names, in pairs, an unknown of the node or a slack of the
     interval beside it, and the condition on whose limit it lies, "" where it does not. `dependent` names what follows
     from path equalities and other values, and was left out.
     """
@@ -51,7 +51,7 @@ class EndElement:
     cost: Expr = S.Zero
     shared: tuple[tuple[int, int, Expr], ...] = ()
     slacks: tuple[tuple[int, int], ...] = ()
-    decided: tuple[tuple[str, str], ...] = ()
+    determined: tuple[tuple[str, str], ...] = ()
     dependent: tuple[str, ...] = ()
 
 

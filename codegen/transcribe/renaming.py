@@ -120,9 +120,9 @@ def _renamed(program: ControlProgram, new: Mapping[str, str]) -> ControlProgram:
         return tuple((names.get(a, a) + blank + rest, v.xreplace(substitution)) for (a, blank, rest), v in parts)
 
     def end(old: EndElement) -> EndElement:
-        decided = tuple((new.get(name, name), condition) for name, condition in old.decided)
+        decided = tuple((new.get(name, name), condition) for name, condition in old.determined)
         conditions = written(old.conditions)
-        return replace(old, element=old.element.xreplace(substitution), conditions=conditions, decided=decided)
+        return replace(old, element=old.element.xreplace(substitution), conditions=conditions, determined=decided)
 
     return replace(
         program,

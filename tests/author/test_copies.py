@@ -22,7 +22,7 @@ from codegen import (
     time,
     together,
 )
-from codegen.author.copies import meet_on_the_way
+from codegen.author.copies import has_path_couplings
 from codegen.drawing import Circle
 from codegen.errors import CodegenError
 from codegen.model import normalise
@@ -145,7 +145,7 @@ def test_equations_at_the_end_stay_a_loop_over_bodies():
     problem = Control(
         lagrangian=v**2 / 2, force={x: u}, cost=u**2, duration=1, bodies=2, end_conditions=[Eq(x.of(0), x.of(1))]
     )
-    assert not meet_on_the_way(problem)
+    assert not has_path_couplings(problem)
     assert normalise(problem).bodies == 2
 
 

@@ -90,7 +90,7 @@ def test_gradient_by_shared_unknowns_that_is_lost(prepared, damaged):
     context = prepared("hovercraft")
     loop = re.search(
         r"( +)for i in range\(END_SHARED\.size\):\n +root\[root_index\(body, END_SHARED\[i\]\)\] \+=.*",
-        text_from(context, "release_tied"),
+        text_from(context, "add_tied_to_shared"),
     )
     found = failures("assembly", damaged(context, loop[0], loop[0].replace("+=", "-=")))
     assert found[0].subject == "gradient of the Lagrangian"

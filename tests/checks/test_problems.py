@@ -43,7 +43,7 @@ def test_sign_of_the_force(prepared, problem, method):
 
 
 def test_lost_minus_sign_of_the_discrete_momentum(prepared):
-    # Thesis 2.4: p_k = D1 Ld instead of -D1 Ld.
+    # p_k = D1 Ld instead of -D1 Ld.
     context = prepared("linear_pendulum")
     multiplier = Symbol("lambda_q_k", real=True)
     program = replace(context.program, element=context.program.element.xreplace({multiplier: -multiplier}))
@@ -73,7 +73,7 @@ def test_alternating_control_that_acts(prepared):
 
 
 def test_false_optimum_of_the_hovercraft(prepared):
-    """The thesis's discretisation finds 22.36, where the true optimum is 1034 (measured with three programs)."""
+    """Controls on nodes lead to 22.36, where the true optimum is 1034 (measured with three programs)."""
     *modes, optimum = failures("null controls", prepared("hovercraft", {}, controls="nodal"))
     assert [mode.subject for mode in modes] == ["nodal control f1", "nodal control f2"]
     assert all("acts on the motion" in mode.detail for mode in modes)
@@ -119,7 +119,7 @@ def test_controls_limit_the_order(prepared):
 
 
 def test_convergence_to_the_published_optimum(prepared):
-    # Thesis, section 3.2.
+    # The closed form of a linear oscillator that is steered with the least effort.
     (finding,) = checks.apply("optimum", prepared("linear_pendulum"))
     assert "J* = 4.53076098108 " in finding.detail
 

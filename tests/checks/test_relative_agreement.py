@@ -32,7 +32,7 @@ def test_nothing_but_zeros():
     assert not agreement([0.0, 1e-16], ["0", "0"]).passed
 
 
-def test_interior_angles_of_the_thesis(prepared):
+def test_interior_angles_that_are_all_prescribed(prepared):
     """Curvatures of acos by bodies that an angle does not connect are zero, and come out as rounding."""
     context = prepared("hovercraft", {"craft": "4", "conditions": "thesis"})
     findings = list(check_couplings(context, context.program))

@@ -64,7 +64,7 @@ def test_false_claim_of_area_preservation(prepared, monkeypatch):
 
 
 def test_areas_of_the_pendulum(prepared):
-    # Thesis, sections 1 and 2.4.1.
+    # By hand: determinants of the linearised steps.
     model = prepared("pendulum").model
     h = sympy.Symbol("h", positive=True)
     before, after = sympy.symbols("q_k q_k1", real=True)

@@ -66,7 +66,7 @@ def assert_equal_everywhere(first: sympy.Expr, second: sympy.Expr) -> None:
         assert float(first.evalf(subs=point)) == pytest.approx(float(second.evalf(subs=point)), rel=1e-12, abs=1e-12)
 
 
-def test_pendulum_has_the_hamiltonian_of_the_thesis() -> None:
+def test_hamiltonian_of_the_pendulum() -> None:
     model = hamiltonian_form(gallery("pendulum", form="lagrangian"))
     q, p = model.coordinates[0], model.rates[0]
     assert p.name == "p_q"
@@ -74,7 +74,7 @@ def test_pendulum_has_the_hamiltonian_of_the_thesis() -> None:
     assert model.start.rates == (sympy.Rational(7, 5),)
 
 
-def test_orbital_transfer_has_the_hamiltonian_of_the_thesis() -> None:
+def test_hamiltonian_of_the_orbital_transfer() -> None:
     original = gallery("orbital_transfer")
     model = hamiltonian_form(original)
     s = named(model)

@@ -48,7 +48,7 @@ def test_threads_cannot_share_a_gradient_that_visits_pairs_once(interpreted):
 
 
 def green(x1, x2, y1, y2):
-    """Thesis (4.1.6), |x - y|^2 ((A^2 - 1)/2 - log A), and its limit where points coincide."""
+    """Boggio (1905): |x - y|^2 ((A^2 - 1)/2 - log A), and its limit where points coincide."""
     s = (x1 - y1) ** 2 + (x2 - y2) ** 2
     if s == 0:
         return (x1**2 + x2**2 - 1) ** 2 / 2
@@ -143,7 +143,7 @@ def test_kernel_itself_to_twelve_digits_everywhere(plate):
 
 
 def test_value_and_gradient_attain_their_limits(plate):
-    """Thesis, section 4.2: G(x, x) = (|x|^2 - 1)^2/2, and half of its derivative is that by either argument."""
+    """By continuation: G(x, x) = (|x|^2 - 1)^2/2, and half of its derivative is that by either argument."""
     x = np.array([0.3, -0.4])
     state, matrix, gradient = np.array([[x, x], [[1.0, 0.0], [2.0, 0.0]]]), np.empty((2, 2)), np.empty((2, 2, 2))
     plate.momentum_matrix(state, np.zeros((2, 0)), NONE, matrix)

@@ -63,7 +63,7 @@ def test_a_single_landmark_moves_along_a_hyperbolic_line(module):
     [((0, 0), (0.3, 0.4)), ((0.3, 0.4), (0, 0)), ((0.3, 0.4), (-0.6, -0.8 + 1e-9)), ((0.3, 0.4), (0.3, 0.4)),
      ((0.5, 0), (-0.5, 0)), ((0.5, 0), (0.5, 1e-17))],
 )  # fmt: skip
-def test_the_guessed_way_where_the_thesis_divides_by_zero(module, start, target):
+def test_the_guessed_way_where_its_circle_is_a_line(module, start, target):
     place, way = np.empty((1, 2)), []
     for fraction in (0.0, 0.25, 0.5, 0.75, 1.0):
         module("explicit-euler").guide(np.array([start], dtype=float), np.array([target], dtype=float), fraction, place)
@@ -98,7 +98,7 @@ def test_adaptive_schemes_arrive_and_keep_the_energy(module, scheme):
 
 
 def test_the_ansatz_solves_the_euler_poincare_equations(module):
-    """Thesis B.2: m = sum_i p_i delta(q - q_i) solves m_t + v.grad m + (grad v)' m + m div v = 0 in the weak sense.
+    """m = sum_i p_i delta(q - q_i) solves m_t + v.grad m + (grad v)' m + m div v = 0 weakly (Holm and Marsden 2005).
 
     A test function psi enters through its values and gradients at the particles only; these are drawn at random.
     """
@@ -169,7 +169,7 @@ def test_the_action_has_the_optimum_of_its_symplectic_scheme(module, scheme, dri
 
 
 def test_the_action_of_the_explicit_euler_method_is_that_of_the_symplectic_one(module):
-    """The conditions of a minimum take momenta at the other end, so that the thesis's two routes differ by O(h)."""
+    """The conditions of a minimum take momenta at the other end, so that both routes differ by O(h)."""
     action, symplectic = module("explicit-euler", "action"), module("symplectic-euler")
     one, other = action.solve(START, TARGET, 4), symplectic.solve(START, TARGET, 4)
     assert one.cost == pytest.approx(other.cost, abs=1e-11)

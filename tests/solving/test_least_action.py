@@ -98,7 +98,7 @@ def test_of_too_many_particles_no_path_is_sought(made):
     many = radius[:, None] * np.stack([np.cos(40.0 * angle), np.sin(40.0 * angle)], axis=1)
     case = made.make_case(many, many[::-1].copy(), 4)
     assert np.isnan(made.momenta_of_least_action(case)).all()
-    path, points = made.room(case)
+    path, points = made.allocate_path(case)
     assert made.OUTCOMES[made.from_least_action(case, None, path, points, None)[0]].startswith("no guessed path")
 
 

@@ -127,7 +127,7 @@ def test_order_of_convergence(method: str, scheme: str) -> None:
 
 @pytest.mark.parametrize("system", ["pendulum-hamiltonian", "kepler", "double-pendulum"])
 def test_variational_midpoint_is_the_midpoint_rule(system: str) -> None:
-    """Thesis, section 2.4.2: the discrete Hamiltonian map of Ld = h L(mid, v) is the implicit midpoint rule."""
+    """The discrete Hamiltonian map of Ld = h L(mid, v) is the implicit midpoint rule."""
     solutions = [module_of(system, m, "midpoint").solve(100, duration=5.0) for m in ("variational", "hamiltonian")]
     np.testing.assert_allclose(solutions[0].q, solutions[1].q, rtol=0.0, atol=1e-11)
     np.testing.assert_allclose(solutions[0].p, solutions[1].p, rtol=0.0, atol=1e-11)
@@ -158,8 +158,8 @@ def test_variational_schemes_with_constant_mass_are_known_ones(variational: str,
     np.testing.assert_allclose(first.p, second.p, rtol=0.0, atol=1e-13)
 
 
-def test_thesis_eulers_spiral(build: Callable[..., Any]) -> None:
-    """Thesis, Figure 1.3: h = 0.2, explicit Euler from (.5, 0) spirals out, implicit Euler from (1.5, 0) in."""
+def test_eulers_spiral(build: Callable[..., Any]) -> None:
+    """With h = 0.2, explicit Euler from (.5, 0) spirals out, implicit Euler from (1.5, 0) in."""
     outward = build(pendulum, "hamiltonian", "explicit-euler").solve(100, duration=20.0, start=(0.5, 0.0))
     inward = build(pendulum, "hamiltonian", "implicit-euler").solve(100, duration=20.0, start=(1.5, 0.0))
     assert outward.status == inward.status == "solved"
@@ -171,10 +171,10 @@ def test_thesis_eulers_spiral(build: Callable[..., Any]) -> None:
 
 @pytest.mark.parametrize(("scheme", "allowed"), [("symplectic-euler", 0.5), ("midpoint", 0.05)])
 @pytest.mark.parametrize("momentum", [0.7, 1.4, 2.1])
-def test_thesis_symplectic_schemes_keep_to_level_curves(
+def test_symplectic_schemes_keep_to_level_curves(
     build: Callable[..., Any], scheme: str, allowed: float, momentum: float
 ) -> None:
-    """Thesis, Figure 1.3: h = 0.3 from (0, .7), (0, 1.4), (0, 2.1); here for 1e5 steps, bounded and without drift."""
+    """With h = 0.3 from (0, .7), (0, 1.4), (0, 2.1); here for 1e5 steps, bounded and without drift."""
     solution = build(pendulum, "hamiltonian", scheme).solve(100_000, duration=30_000.0, start=(0.0, momentum))
     assert solution.status == "solved"
     error = np.abs(solution.energy - solution.energy[0])

@@ -84,7 +84,7 @@ def test_tangents_are_derivatives_of_the_map(module, scheme, kernel, ends_of_map
 
 
 def green(x, y):
-    """Boggio's kernel of the clamped disc, as the thesis writes it (4.1.6)."""
+    """Boggio's kernel of the clamped disc (Boggio 1905)."""
     s = ((x - y) ** 2).sum()
     if s == 0.0:
         return (1 - x @ x) ** 2 / 2

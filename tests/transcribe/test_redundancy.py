@@ -38,7 +38,7 @@ def couplings_of(bodies: int, conditions: Callable[[Any, Any], list[Expr]], **ch
 
 
 def polygon(craft: int, parts: str, error: float = 0.0) -> Model:
-    """A regular polygon (thesis, appendix A) by some of its sides, centre, height, angles and radii, in this order.
+    """A regular polygon by some of its sides, centre, height, angles and radii, in this order.
 
     The guess is the polygon itself, out of shape by the given relative error.
     """

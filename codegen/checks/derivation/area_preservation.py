@@ -1,6 +1,7 @@
-"""The determinant of the one-step map of every scheme, for a system with one degree of freedom (thesis 1.0.1, 2.4).
+"""The determinant of the one-step map of every scheme, for a system with one degree of freedom.
 
 By implicit differentiation of the equations of a step: with E(z0, y) = 0, y the unknowns, Dy = -(dE/dy)^-1 dE/dz0.
+Source: Hairer, Lubich and Wanner (2006), Geometric numerical integration, section VI.2.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """The derived discrete equations, divided by h, tend to the forced equations of motion as h -> 0.
 
-This settles the signs of forces and potentials (the thesis prints one of them wrongly in A.1). The discrete side is
-what the module was emitted from; the continuous side is d/dt dL/dv - dL/dq = f + G^T y with constraint forces y along
-the normals of holonomic constraints, Hamilton's equations, or x' = f, put together here. Along a smooth motion their
-difference must vanish like h.
+This settles the signs of forces and potentials. The discrete side is what the module was emitted from; the continuous
+side is d/dt dL/dv - dL/dq = f + G^T y with constraint forces y along the normals of holonomic constraints, Hamilton's
+equations, or x' = f, put together here. Along a smooth motion their difference must vanish like h.
 """
 
 from __future__ import annotations

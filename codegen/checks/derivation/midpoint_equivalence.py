@@ -1,4 +1,7 @@
-"""The midpoint rule is the discrete Hamiltonian map of Ld = h L(midpoint) (thesis 2.4.2-2.4.3), forces included."""
+"""The midpoint rule is the discrete Hamiltonian map of Ld = h L(midpoint), forces included.
+
+Source: Marsden and West (2001), Discrete mechanics and variational integrators, section 2.6.
+"""
 
 from __future__ import annotations
 

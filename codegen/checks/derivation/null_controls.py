@@ -1,9 +1,9 @@
 """Controls that cost nothing: a mode of the discrete controls that the discrete cost does not see.
 
 With controls on nodes and averages in the cost, u_k = (-1)^k a leaves the average of every interval unchanged. The
-continuous cost does penalise it, so the discrete optimum may be arbitrarily wrong (thesis, Figures
-3.7-3.9 and A.1-A.5). Where the mode acts on the motion, the optimiser moves the system with it, for nothing: what it
-then finds is no optimum of the problem, which the integral of the cost over the controls that it found reveals.
+continuous cost does penalise it, so the discrete optimum may be arbitrarily wrong. Where the mode acts on
+the motion, the optimiser moves the system with it, for nothing: what it then finds is no optimum of the problem, which
+the integral of the cost over the controls that it found reveals.
 """
 
 from __future__ import annotations

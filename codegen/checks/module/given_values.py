@@ -143,7 +143,7 @@ def _release(
     """Take away the bounds of what is determined at an end; slacks keep one that they cannot reach."""
     slacks = {slack.name: index for slack, index in zip(program.slacks, interval[-len(program.slacks) :], strict=False)}
     at_node = {unknown.name: index for unknown, index in zip(program.node, node, strict=True)}
-    for name, _ in end.decided:
+    for name, _ in end.determined:
         is_slack = name in slacks or name in [program.node[i].name for i, _ in end.slacks]
         index = slacks[name] if name in slacks else at_node[name]
         bounds[0][index], bounds[1][index] = -1.0 if is_slack else -np.inf, np.inf

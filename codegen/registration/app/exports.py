@@ -45,7 +45,7 @@ def registered(task: Task) -> Registration:
     return register(task.work.landmarks(), **shapes, **method)
 
 
-def trusted(task: Task) -> tuple[Registration, Positions]:
+def certified(task: Task) -> tuple[Registration, Positions]:
     """The registration, and where all pixels come from.
 
     RegistrationError where the map folds or is not inverted well: nobody should take what it makes home.
@@ -59,7 +59,7 @@ def trusted(task: Task) -> tuple[Registration, Positions]:
 
 def warped_image(task: Task) -> Download:
     """The moving image in the frame of the fixed one, all pixels exact, with the type of its samples."""
-    registration, positions = trusted(task)
+    registration, positions = certified(task)
     interpolation: Any = task.work.settings.interpolation
     pixels = warp(task.moving.pixels, registration, interpolation=interpolation, positions=positions)
     suffix, kind = (".tif", "image/tiff") if task.moving.kind == "TIFF" else (".png", "image/png")
@@ -69,7 +69,7 @@ def warped_image(task: Task) -> Download:
 
 def field(task: Task) -> Download:
     """The displacements from fixed to moving at every pixel of the fixed image, .npz."""
-    values = displacements(trusted(task)[1])
+    values = displacements(certified(task)[1])
     data = _written(".npz", lambda path: write_field(path, values, "fixed to moving"))
     return Download(f"{task.moving.stem}_displacement_fixed_to_moving.npz", "application/octet-stream", data)
 
@@ -88,7 +88,7 @@ def landmarks(task: Task, form: str) -> tuple[Download, ...]:
 
 def animation(task: Task, with_grid: bool = False) -> Download:
     """The flow of the preview from the moving image to the warped one and back, as a GIF that repeats."""
-    registration, _ = trusted(task)
+    registration, _ = certified(task)
     frames = [_painted(task, registration, time, with_grid) for time in np.linspace(0.0, 1.0, FRAMES)]
     palette = frames[-1].quantize(255)
     drawn = [image.quantize(255, palette=palette, dither=Image.Dither.NONE) for image in frames + frames[-2:0:-1]]

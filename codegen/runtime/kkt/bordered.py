@@ -7,7 +7,7 @@ from codegen.runtime.arrays import zero_matrix, zero_vector
 from codegen.runtime.kkt.static_condensation import condense, recover_condensed
 from codegen.runtime.unknowns.coupling import add_coupling_matrix
 from codegen.runtime.kkt.elements import BLOCK, padded
-from codegen.runtime.unknowns.tied_ends import follow_shared, release_tied
+from codegen.runtime.unknowns.tied_ends import copy_shared_to_tied, add_tied_to_shared
 from codegen.runtime.stand_ins.example import (
     BODIES, CARRIED, COUPLINGS, ELEMENT, NODE, ROOT, SCALED, SHARED, STRIDE, TIED,
 )  # fmt: skip
@@ -106,7 +106,7 @@ def substitute(
             slopes = gradient[body * chain : (body + 1) * chain]
             condense(slopes, inverses[body], couplings[body], steps, right[body])
             if TIED:
-                release_tied(right[body], 0, steps * BLOCK, body, shared)
+                add_tied_to_shared(right[body], 0, steps * BLOCK, body, shared)
             forward(upper[body], inverse[body], order[body], steps, right[body], last[body])
             for i in range(SHARED):
                 shared[root_index(body, i)] += right[body, steps * BLOCK + NODE + i] + last[body, LAST + i]
@@ -123,5 +123,5 @@ def substitute(
             last[body, LAST + SHARED] = -1.0 if carried else 0.0
         backward(upper[body], order[body], steps, carried, last[body], right[body])
         if TIED:
-            follow_shared(right[body], 0, steps * BLOCK, body, shared)
+            copy_shared_to_tied(right[body], 0, steps * BLOCK, body, shared)
         recover_condensed(slopes, inverses[body], couplings[body], steps, right[body], solution)

@@ -13,7 +13,7 @@ from codegen.runtime.stand_ins.example import (
     ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED, START_TIED,
     STRIDE, TIED,
 )  # fmt: skip
-from codegen.runtime.unknowns.tied_ends import release_tied_rows
+from codegen.runtime.unknowns.tied_ends import add_tied_rows_to_shared
 
 
 def padded(size):
@@ -54,12 +54,12 @@ def pin_ends(k, steps, diagonal, element):
             element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
     if k == 0:
         if TIED:
-            release_tied_rows(START_TIED, START_SHARED, 0, TAIL, element)
+            add_tied_rows_to_shared(START_TIED, START_SHARED, 0, TAIL, element)
         for i in START_PINNED:
             pin(i, element)
     if k == steps - 1:
         if TIED:
-            release_tied_rows(END_TIED, END_SHARED, BLOCK, TAIL, element)
+            add_tied_rows_to_shared(END_TIED, END_SHARED, BLOCK, TAIL, element)
         for i in END_PINNED:
             pin(BLOCK + i, element)
 

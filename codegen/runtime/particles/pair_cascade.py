@@ -71,7 +71,7 @@ def guessed_path(start, target, steps, duration, own, parameters):
 
 def run_cascade(case, method, guess):
     """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
-    (path, points), factor = room(case), preconditioner(case)
+    (path, points), factor = allocate_path(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
     cascade = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
@@ -101,7 +101,7 @@ if QUADRATIC:
         With a sigma, equations are solved by any stationary point of the cost, such as two points that ought to change
         positions and end together half way. Returns iterations, the residual if something cheaper was found, a note.
         """
-        other, other_points = room(case)
+        other, other_points = allocate_path(case)
         log[:] = 0.0
         outcome, made, residual = from_least_action(case, factor, other, other_points, log)
         if outcome <= 0:
@@ -191,7 +191,7 @@ def by_continuation(case, factor, path, points, log):
     return (outcome if done >= 1.0 or outcome <= 0 else 0), total, residual if done >= 1.0 else np.inf
 
 
-def room(case, start_momenta=None):
+def allocate_path(case, start_momenta=None):
     """A `path` and `points` for the steps of a case, with its points at the start and given momenta, shape (n, d)."""
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
@@ -207,7 +207,7 @@ def by_steps(case, factor, path, points, log):
     total, outcome = 0, 0
     for multiple in MORE_STEPS:
         finer = case._replace(steps=multiple * case.steps)
-        fine_path, fine_points = room(finer)
+        fine_path, fine_points = allocate_path(finer)
         if QUADRATIC:
             attempt = from_least_action if path_intervals(finer) else by_continuation
             outcome, made, residual = attempt(finer, factor, fine_path, fine_points, log)
@@ -225,7 +225,7 @@ def by_steps(case, factor, path, points, log):
         if len(known) > 1:
             (s0, p0), (s1, p1) = known[-2:]
             momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
-        fine_path, fine_points = room(fewer, momenta)
+        fine_path, fine_points = allocate_path(fewer, momenta)
         outcome, made, residual = shoot_at(fewer, fewer.target, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:

@@ -44,7 +44,7 @@ def tangents(hessians, points, steps, h, own, parameters, directions):
     return True
 
 
-def arrival(directions, sigma):
+def end_residual_change(directions, sigma):
     """The change of q_N + sigma^2 p_N along directions, shape (nd, m)."""
     half = directions.shape[0] // 2
     variances = np.repeat(sigma**2, half // sigma.size)
@@ -109,12 +109,12 @@ class Linearised:
         """The change of the residual for a change of the initial momenta, shape (nd,)."""
         directions = np.zeros((2 * change.size, 1))
         directions[change.size :, 0] = change
-        return arrival(self.tangents(directions), self.case.sigma)[:, 0]
+        return end_residual_change(self.tangents(directions), self.case.sigma)[:, 0]
 
     def matrix(self):
         """The derivative as a matrix, shape (nd, nd)."""
         size = self.case.start.size
-        return arrival(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
+        return end_residual_change(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
 
     def solved(self, right, forcing):
         """The change of initial momenta that changes the residual by `right`, both (nd,); NaN where there is none."""
@@ -266,7 +266,7 @@ def all_states(case, factor, path, points, log):
         linear = Linearised(case, points, factor)
         shifts = np.zeros((case.steps + 1, 2 * residual.size, 1))
         shift_states(linear, errors, shifts)
-        right = -residual - arrival(shifts[-1], case.sigma)[:, 0]
+        right = -residual - end_residual_change(shifts[-1], case.sigma)[:, 0]
         shifts[0, residual.size :, 0] = linear.solved(right, min(1e-3, 0.1 * error)) if right.any() else 0.0
         shift_states(linear, errors, shifts)
         log[iteration, 1] = linear.count + 2

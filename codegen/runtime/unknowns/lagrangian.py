@@ -15,7 +15,7 @@ from codegen.runtime.stand_ins.example import (
     interval_gradient, start_gradient,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import add_shared, read_shared
-from codegen.runtime.unknowns.tied_ends import release_tied
+from codegen.runtime.unknowns.tied_ends import add_tied_to_shared
 
 
 @njit(error_model="numpy")
@@ -45,7 +45,7 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
             cost += interval_gradient(local, k * h, h, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         if TIED:
-            release_tied(gradient, first, last, body, gradient[gradient.size - ROOT :])
+            add_tied_to_shared(gradient, first, last, body, gradient[gradient.size - ROOT :])
         for i in START_PINNED:
             gradient[first + i] = 0.0
         for i in END_PINNED:

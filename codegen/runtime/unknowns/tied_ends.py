@@ -10,7 +10,7 @@ from codegen.runtime.unknowns.shared import root_index
 
 
 @njit(error_model="numpy", inline="always")
-def release_tied(values, first, last, body, root):
+def add_tied_to_shared(values, first, last, body, root):
     """Move `values` of what equals a shared unknown to its, in `root` (ROOT,); nodes begin at `first` and `last`."""
     for i in range(START_SHARED.size):
         root[root_index(body, START_SHARED[i])] += values[first + START_TIED[i]]
@@ -26,11 +26,11 @@ if SCALED:
         root = values[values.size - ROOT :]
         for body in range(BODIES):
             first = body * (steps * STRIDE + NODE)
-            release_tied(values, first, first + steps * STRIDE, body, root)
+            add_tied_to_shared(values, first, first + steps * STRIDE, body, root)
 
 
 @njit(error_model="numpy", inline="always")
-def follow_shared(values, first, last, body, root):
+def copy_shared_to_tied(values, first, last, body, root):
     """Give what equals a shared unknown, in `values`, the value of that unknown, in `root` (ROOT,)."""
     for i in range(START_SHARED.size):
         values[first + START_TIED[i]] = root[root_index(body, START_SHARED[i])]
@@ -39,7 +39,7 @@ def follow_shared(values, first, last, body, root):
 
 
 @njit(error_model="numpy", inline="always")
-def release_tied_rows(indices, shared, first, size, element):
+def add_tied_rows_to_shared(indices, shared, first, size, element):
     """Add the rows and columns of `element` at `indices` (c,) to those of `shared` (c,), which begin at `size`."""
     for i in range(indices.size):
         index, to = first + indices[i], size + shared[i]

@@ -49,7 +49,7 @@ def expectation(scheme: SchemeOf, h_omega: float, bound: float) -> tuple[str, st
     return "unsuitable", f"stable only for h omega < {LIMITS[name]:g}"
 
 
-def astray(scheme: SchemeOf, h_omega: float) -> tuple[str, ...]:
+def spurious_outcomes(scheme: SchemeOf, h_omega: float) -> tuple[str, ...]:
     """Other honest outcomes of an implicit scheme on a nonlinear problem with steps far beyond the fast motion.
 
     Its equations then have solutions far away, and the prediction from which Newton's method starts is (h omega)^2
@@ -94,7 +94,7 @@ def spring_pendulum(scheme: SchemeOf) -> Iterator[Case]:
                 f"spring pendulum, k = {k:.0e}, h omega = {h_omega:g}", "stiff", made, expect, reason, steps,
                 (("k", k), ("duration", steps * h_omega / omega), ("start", start)), reference="by_integration" if
                 math.isfinite(bound) else "", bound=bound, h_omega=h_omega, textbook=scheme[1] in TEXTBOOK, limit=True,
-                drift=max(1.0, 2.0 * oscillation(scheme, h_omega)), allowed=astray(scheme, h_omega),
+                drift=max(1.0, 2.0 * oscillation(scheme, h_omega)), allowed=spurious_outcomes(scheme, h_omega),
             )  # fmt: skip
 
 
@@ -109,7 +109,7 @@ def _swing(scheme: SchemeOf) -> Iterator[Case]:
         "stable only for steps that resolve a vibration, though it is not there",
         steps, (("k", 1e8), ("duration", h * steps)), reference="rigid_pendulum",
         bound=promised(scheme, h, h * steps) if implicit else math.nan, drift=1.0, h_omega=h * 1e4, limit=True,
-        allowed=astray(scheme, h * 1e4),
+        allowed=spurious_outcomes(scheme, h * 1e4),
     )  # fmt: skip
 
 
@@ -128,5 +128,5 @@ def _chain(scheme: SchemeOf) -> Iterator[Case]:
                  ("start", tuple((name, fast.get(name, value)) for name, value in start))),
                 every=1 if steps <= 2000 else 10, reference="by_integration" if math.isfinite(bound) else "",
                 bound=bound, h_omega=h_omega, textbook=steps <= 2000, limit=True,
-                drift=max(1.0, 2.0 * oscillation(scheme, h_omega)), allowed=astray(scheme, h_omega),
+                drift=max(1.0, 2.0 * oscillation(scheme, h_omega)), allowed=spurious_outcomes(scheme, h_omega),
             )  # fmt: skip

@@ -7,7 +7,7 @@ from .gallery_problem import GalleryProblem, Numbers, Vector, line, nothing
 
 
 def hovercraft(craft: int) -> GalleryProblem:
-    """The thesis's hovercraft with a minimal set of end conditions."""
+    """The gallery's hovercraft with a minimal set of end conditions."""
     radius = 0.5 / sin(pi / craft)
 
     def couplings(F: Any, ends: list[Vector]) -> list[Any]:

@@ -36,7 +36,7 @@ class ControlProblem:
 
 
 def orbital_transfer(revolutions: float) -> ControlProblem:
-    """Raise a satellite from radius 5 to radius 6 within the given number of revolutions (thesis, section 3.3)."""
+    """Raise a satellite from radius 5 to radius 6 within the given number of revolutions."""
     mass, gravity, inner, outer = 100.0, 0.40038, 5.0, 6.0
     return ControlProblem(
         lagrangian=lambda q, v: mass / 2 * (v[0] ** 2 + q[0] ** 2 * v[1] ** 2) + gravity * mass / q[0],
@@ -51,7 +51,7 @@ def orbital_transfer(revolutions: float) -> ControlProblem:
 
 
 def linear_pendulum() -> ControlProblem:
-    """Swing a linearised pendulum from rest at 3 pi/5 to rest at 2 pi/5 (thesis, section 3.2)."""
+    """Swing a linearised pendulum from rest at 3 pi/5 to rest at 2 pi/5."""
     return ControlProblem(
         lagrangian=lambda q, v: v[0] ** 2 / 2 - q[0] ** 2 / 2,
         force=lambda q, v, u: [u],
