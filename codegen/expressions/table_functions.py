@@ -38,7 +38,7 @@ class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
         return member(self.table, order)(*self.args)
 
     def _eval_evalf(self, precision: int) -> Any:
-        at = [argument._to_mpmath(precision) for argument in self.args]
+        at = [argument._to_mpmath(precision, allow_ints=False) for argument in self.args]
         with mpmath.workprec(precision):
             return sympy.Expr._from_mpmath(value(self.table, self.order, at), precision)
 

@@ -6,8 +6,6 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from sympy import sstr
-
 from codegen.lower.kernels import CACHED, Kernel, Line
 from codegen.tables.data import KINDS, OUTSIDE, TableData
 
@@ -102,11 +100,6 @@ def described_tables(tables: Sequence[TableData]) -> list[str]:
     """Every table in a line or two, for the docstring of a module."""
     lines = []
     for table in tables:
-        shape, axes = table.shape, table.axes
-        ranges = " and ".join(
-            f"{name} ({axis.size} from {axis[0]:g} to {axis[-1]:g})"
-            for name, axis in zip(shape.inputs, axes, strict=True)
-        )
-        lines.append(f"{shape.name} = {shape.output} of {ranges}, from {sstr(table.source)}:")
-        lines.append(f"    {shape.kind}, {KINDS[shape.kind]}; {OUTSIDE[shape.outside]}")
+        lines.append(f"{table.summary}:")
+        lines.append(f"    {KINDS[table.shape.kind]}; {OUTSIDE[table.shape.outside]}")
     return lines

@@ -67,6 +67,16 @@ class TableData:
     numbers: tuple[float, ...]
 
     @property
+    def summary(self) -> str:
+        """What the table is, on one line."""
+        shape = self.shape
+        ranges = " and ".join(
+            f"{name} ({axis.size} from {axis[0]:g} to {axis[-1]:g})"
+            for name, axis in zip(shape.inputs, self.axes, strict=True)
+        )
+        return f"{shape.name} = {shape.output} of {ranges}, {shape.kind}, from {self.source}"
+
+    @property
     def axes(self) -> list[NDArray[np.float64]]:
         """The breakpoints of each input."""
         ends = np.cumsum(self.shape.sizes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -218,6 +219,54 @@ def test_motions_in_tables(folder, scheme):
     assert "in step 31 of 40" in longer.message
     assert "t of table w is 3." in longer.message
     assert longer.t[-1] == pytest.approx(3.0)
+
+
+def test_another_driver_of_a_motion_leaves_no_table(folder):
+    x = np.linspace(-2, 2, 9)
+    for name, head, at in (("v", "x,v", x), ("w", "t,w", np.linspace(0, 2, 5))):
+        np.savetxt(folder / f"{name}.csv", np.stack([at, at**2], 1), delimiter=",", header=head, comments="")
+    tables = 'potential, wind = Table("v.csv", "x", "v"), Table("w.csv", "t", "w")'
+    (folder / "tabled.py").write_text(_SIMULATE.format(tables=tables))
+    result = codegen.solve(interpreted(folder / "tabled.py"), "fsolve")
+    assert result.status == "outside a table"
+    assert "in step 28 of 40: t of table w is 2.0625" in result.message
+
+
+_BODIES = '''"""Three masses in a field that end in a row, with equal distances of their own choice."""
+
+from codegen import Control, Table, body_number, control, coordinates
+
+
+def problem() -> Control:
+    (x, y), (dx, dy) = coordinates("x y")
+    f, g, body = control("f"), control("g"), body_number()
+    field = {field}
+    return Control(
+        lagrangian=(dx**2 + dy**2) / 2,
+        force={{x: f - field(x), y: g - field(y)}},
+        cost=f**2 + g**2 + field(x) ** 2 / 9,
+        duration=2,
+        start={{x: body / 2, y: 0, dx: 0, dy: 0}},
+        end={{dx: 0, dy: 0}},
+        end_conditions=[x.of(1) - x.of(0) - 1, x.of(2) - x.of(1) - 1, y.of(0) - 1, y.of(1) - 1, y.of(2) - 1],
+        bodies=3,
+        steps=8,
+    )
+'''
+
+
+def test_bodies_with_tables(folder):
+    x = np.linspace(-3, 4, 6)
+    np.savetxt(folder / "f.csv", np.stack([x, x**3 / 9 + x / 3], 1), delimiter=",", header="x,f", comments="")
+    (folder / "tabled.py").write_text(_BODIES.format(field='Table("f.csv", "x", "f", name="field")'))
+    (folder / "written.py").write_text(_BODIES.format(field="lambda x: x**3 / 9 + x / 3"))
+    found, exact = (interpreted(folder / name).solve() for name in ("tabled.py", "written.py"))
+    assert found.status == exact.status == "solved"
+    assert found.cost == pytest.approx(exact.cost, rel=1e-11)
+    np.savetxt(folder / "f.csv", np.stack([x / 4, x], 1), delimiter=",", header="x,f", comments="")
+    assert re.search(
+        r"x of table field is .* of body \d, outside -0.75 to 1", interpreted(folder / "tabled.py").solve().message
+    )
 
 
 def test_a_changed_file_is_seen(tabled, folder):
