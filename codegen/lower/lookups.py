@@ -26,12 +26,16 @@ def with_lookups(
 
     `taken` are names that the kernel has given already.
     """
-    lookups = _Lookups(taken)
-    values = [lookups.without_tables(value, line) for line, (_, value) in enumerate(body)]
-    left = [lookups.without_tables(value, len(body)) for value in outputs]
+    lookups, values, same = _Lookups(taken), list[Expr](), dict[Symbol, Expr]()
+    for line, (symbol, value) in enumerate(body):
+        values.append(lookups.without_tables(value.xreplace(same), line))
+        if isinstance(value, TableBase):
+            same[symbol] = values[-1]
+    left = [lookups.without_tables(value.xreplace(same), len(body)) for value in outputs]
     pairs: Pairs = []
     for line, ((symbol, _), value) in enumerate(zip(body, values, strict=True)):
-        pairs += [*lookups.before(line), (str(symbol), scalar_code(value))]
+        pairs += lookups.before(line)
+        pairs += [] if symbol in same else [(str(symbol), scalar_code(value))]
     return [*pairs, *lookups.before(len(body))], left
 
 
