@@ -16,7 +16,7 @@ _HOMES = {
     ),
     **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.author.particles"),
     **dict.fromkeys(["Points"], "codegen.author.points"),
-    **dict.fromkeys(["Table"], "codegen.author.tables"),
+    **dict.fromkeys(["Table", "Trajectory"], "codegen.author.tables"),
     **dict.fromkeys(["together"], "codegen.author.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
     **dict.fromkeys(["load"], "codegen.loading"),
@@ -31,6 +31,7 @@ __all__ = [
     "Points",
     "Simulate",
     "Table",
+    "Trajectory",
     "body_number",
     "build",
     "canonical_pair",
@@ -72,7 +73,7 @@ if TYPE_CHECKING:
         states,
         time,
     )
-    from codegen.author.tables import Table
+    from codegen.author.tables import Table, Trajectory
     from codegen.compiler import build
     from codegen.loading import load
     from codegen.solving import solve

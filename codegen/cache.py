@@ -35,7 +35,7 @@ def path_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
     return _with_files(digest, name, [(read, digest_of(path.parent / read)) for read in _files_read(digest, name)])
 
 
-def place_of_text(path: Path, arguments: Mapping[str, str], choices: Choices, text: str) -> Path:
+def path_of_text(path: Path, arguments: Mapping[str, str], choices: Choices, text: str) -> Path:
     """Where the cache is to keep a text that was just derived; what files it was made from is noted there."""
     digest = input_digest(path, arguments, *choice_texts(choices), *versions(), _own_digest())
     name = f"{module_name(path, arguments, choices)}.py"

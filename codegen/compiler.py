@@ -97,7 +97,7 @@ _DERIVING = threading.Lock()
 def _kept(path: Path, settings: Mapping[str, str], choices: Choices, text: str) -> Path:
     """Where the cache keeps a text from now on."""
     try:
-        store = cache.place_of_text(path, settings, choices, text)
+        store = cache.path_of_text(path, settings, choices, text)
         emit.write(store, text)
         return store
     except FileError as error:

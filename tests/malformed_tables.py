@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from malformed_templates import Malformed, optimal
+from malformed_templates import Malformed, file_text, optimal
 
 from codegen.errors import CodegenError, ExpressionError, SymbolError, TableError
 
@@ -73,7 +73,42 @@ _ARGUMENTS = (
     _used("in-duration", "duration reads table f", ExpressionError, duration="2 + table(parameter('k', 1))"),
     _used("in-bounds", "reads table f", ExpressionError, bounds="{f: (-table(parameter('k', 1)), 1)}"),
     _used("uncalled", "force of q is a Table; call it, as in f(q)", ExpressionError, force="{q: table}"),
+    _curve("of-steps", "reads table f of steps", call='Table("t.csv", "q", "f", kind="steps")', error=ExpressionError),
     _used("of-undeclared", "was never declared", SymbolError, force='{q: f + table(Symbol("z"))}'),
 )
 
-MALFORMED_TABLES: tuple[Malformed, ...] = (*_FILES, *_ARGUMENTS)
+
+def _start(
+    id_: str, fragment: str, text: str = "t,q,f\n0,0,1\n1,1,1\n", call: str = 'Trajectory("t.csv")'
+) -> Malformed:
+    """A control of an oscillator that starts from the trajectory in t.csv."""
+    declare = "from codegen import Trajectory"
+    return Malformed(f"start-{id_}", optimal(declare, guess=call), TableError, fragment, (("t.csv", text),))
+
+
+_STARTS = (
+    _start("missing-file", "nothing.csv: no such file", call='Trajectory("nothing.csv")'),
+    _start("missing-time", "there is no column 'time'", call='Trajectory("t.csv", time="time")'),
+    _start("time-alone", "has no column beside 't'", "t\n0\n1\n"),
+    _start("unknown-column", "called g; call it like one of q, f, or choose columns", "t,g\n0,1\n1,2\n"),
+    _start("missing-column", "there is no column 'dq'", call='Trajectory("t.csv", columns=["q", "dq"])'),
+    _start("columns-text", "columns of t.csv are 'q'", call='Trajectory("t.csv", columns="q")'),
+    _start("unsorted", "t.csv:3: t is 0 after 1", "t,q\n1,0\n0,1\n"),
+    _start("ragged", "t.csv:3: 1 values for 2 columns", "t,q\n0,0\n1\n"),
+    _start("kind", "kind of table trajectory is 'spline'", call='Trajectory("t.csv", kind="spline")'),
+)
+
+_OF_PARTICLES = """from codegen import Pairwise, Table, particles
+i, j = particles("x y", "px py")
+table = Table("t.csv", "q", "f")
+pair = table((i.q[0] - j.q[0]) ** 2)
+system = Pairwise((i, j), self_term=i.p[0] ** 2 + i.p[1] ** 2, pair_term=pair)
+start = {i.q[0]: (0, 1), i.q[1]: (0, 1), i.p[0]: (0, 0), i.p[1]: (0, 0)}
+return Simulate(hamiltonian=system, duration=1, start=start)"""
+_PARTICLES = (
+    Malformed(
+        "table-of-particles", file_text(_OF_PARTICLES), ExpressionError, "pair_term reads table f", (("t.csv", _CURVE),)
+    ),
+)
+
+MALFORMED_TABLES: tuple[Malformed, ...] = (*_FILES, *_ARGUMENTS, *_PARTICLES, *_STARTS)

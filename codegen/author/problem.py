@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar
 
+from codegen.author.tables import Trajectory
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
 
@@ -84,7 +85,8 @@ class Control(Problem):
     With `bodies=H` there are H of these systems, which start and end each for itself where a value depends on
     `body_number()`, and which end conditions in `q.of(0)`, `q.of(1)`, ... tie together.
 
-    `guess` maps coordinates, states and controls to expressions of parameters and time, from which the solver starts;
+    `guess` maps coordinates, states and controls to expressions of parameters and time, or to tables of one input,
+    which is time then; or it is a Trajectory, which reads them from a file. From there the solver starts;
     without it coordinates are interpolated linearly between their end values and controls are zero. Free parameters
     have their first guess there. `scale` maps coordinates, momenta, states, controls and free parameters to their
     typical size, a positive number, where the solver is not to find it by itself.
@@ -106,7 +108,7 @@ class Control(Problem):
     constraint: Sequence[Expression] = ()
     periodic: Mapping[Any, Expression] | Sequence[Any] = ()
     bodies: int = 1
-    guess: Mapping[Any, Expression] = field(default_factory=dict)
+    guess: Mapping[Any, Expression] | Trajectory = field(default_factory=dict)
     scale: Mapping[Any, float] = field(default_factory=dict)
 
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import difflib
 import keyword
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from sympy import Expr
 
 from codegen.author.data_files import data_file
+from codegen.author.symbols import ControlInput, Coordinate, Quantity, State
 from codegen.errors import TableError
 from codegen.expressions.checks import checked
 from codegen.expressions.table_functions import member
 from codegen.tables.data import KINDS, OUTSIDE, TableData
-from codegen.tables.files import read_table
+from codegen.tables.files import read_columns, read_table
 
 
 class Table:
@@ -46,6 +49,8 @@ class Table:
         own = (inputs,) if isinstance(inputs, str) else inputs
         name = output if name is None else name
         _require_arguments(file, own, output, kind, outside, name)
+        if kind == "steps":
+            outside = "clamp"  # there is nothing else that they could do
         path = data_file(Path(file))
         self.data: TableData = read_table(path, Path(file).as_posix(), name, own, output, kind, outside)
 
@@ -74,8 +79,60 @@ class Table:
         return f"Table({self.data.source!r}, {self.data.shape.inputs!r}, {self.data.shape.output!r})"
 
 
+class Trajectory:
+    """A motion in a file, as a first guess: `guess=Trajectory("start.csv")`.
+
+    The file has a column of times, `time`, and columns that are called like coordinates, states and controls; `columns`
+    chooses some of them, by default all. The `kind` says how values between rows follow, "linear" if not told
+    otherwise; "steps" holds each value until the next row. Before the first and after the last row values stay as they
+    are. Raises TableError as Table does.
+    """
+
+    def __init__(
+        self, file: Path | str, *, time: str = "t", columns: Sequence[str] | None = None, kind: str = "linear"
+    ) -> None:
+        _require_arguments(file, (time,), f"a column beside {time}", kind, "clamp", "trajectory")
+        path = data_file(Path(file))
+        if columns is not None and (isinstance(columns, str) or not all(isinstance(name, str) for name in columns)):
+            raise TableError(f"columns of {file} are {columns!r}", 'name them, as in columns=["x", "v"]')
+        found = read_columns(path, () if columns is None else [time, *columns])
+        if time not in found.values:
+            raise TableError(f"{path}: there is no column {time!r}", 'name the column of times, as in time="t"')
+        names = [name for name in found.values if name != time]
+        if not names:
+            raise TableError(f"{path} has no column beside {time!r}", "add columns called like states and controls")
+        self.file = Path(file).as_posix()
+        self.tables: dict[str, TableData] = {
+            name: read_table(path, self.file, f"guess_{number}", (time,), name, kind, "clamp")
+            for number, name in enumerate(names, start=1)
+        }
+
+
+def guess_entries(guess: Any, quantities: Iterable[Quantity], time: Expr) -> Any:
+    """What is guessed of each quantity as an expression of time, where it is written as a table or a trajectory.
+
+    Raises TableError for a column of a trajectory that is called like none of the quantities, and for a table of more
+    than one input.
+    """
+    if isinstance(guess, Trajectory):
+        named = {quantity.name: quantity for quantity in quantities if isinstance(quantity, _GUESSED)}
+        for column in guess.tables:
+            if column not in named:
+                close = difflib.get_close_matches(column, named, 1)
+                remedy = f"did you mean {close[0]}?" if close else f"call it like one of {', '.join(named)},"
+                finding = f"{guess.file}: no quantity that may be guessed is called {column}"
+                raise TableError(finding, f"{remedy} or choose columns=[...]")
+        return {named[column]: member(table, (0,))(time) for column, table in guess.tables.items()}
+    if not isinstance(guess, Mapping):
+        return guess
+    return {key: value(time) if isinstance(value, Table) else value for key, value in guess.items()}
+
+
+_GUESSED = (Coordinate, State, ControlInput)
+
+
 def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: Any, name: Any) -> None:
-    if not isinstance(file, Path | str):
+    if not isinstance(file, Path | str) or not str(file).isprintable():
         raise TableError(f"the file of a table is {file!r}", "give its path")
     if not isinstance(inputs, (tuple, list)) or len(inputs) not in (1, 2):
         raise TableError(f"inputs of table {output!r} are {inputs!r}", 'name one or two columns, as in ("mach",)')

@@ -19,8 +19,11 @@ from codegen.tables.data import TableData
 from codegen.tables.evaluation import DEGREE, derivative
 
 
-class TableFunction(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """A table, or its derivative of an `order` by each of its inputs."""
+class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
+    """A table, or its derivative of an `order` by each of its inputs.
+
+    Printers of sympy ask for a base class by its name if that ends in Base.
+    """
 
     is_real = True
     table: TableData
@@ -35,7 +38,7 @@ class TableFunction(sympy.Function):  # type: ignore[misc]  # sympy is untyped
         return member(self.table, order)(*self.args)
 
     def _eval_evalf(self, precision: int) -> Any:
-        at = [argument._to_mpmath(precision) for argument in self.args]
+        at = [argument._to_mpmath(precision, allow_ints=False) for argument in self.args]
         with mpmath.workprec(precision):
             return sympy.Expr._from_mpmath(value(self.table, self.order, at), precision)
 
@@ -80,7 +83,7 @@ def member(table: TableData, order: tuple[int, ...]) -> Any:
     # Functions of lambdify are found by the class, whose name no other function may have.
     name = f"table_{written(table, (0,) * len(order))}_{'_'.join(map(str, order))}"
     attributes = {"table": table, "order": order, "nargs": len(order), "_imp_": staticmethod(evaluated)}
-    return type(sympy.Function)(name, (TableFunction,), attributes)
+    return type(sympy.Function)(name, (TableBase,), attributes)
 
 
 def tables_of(*holders: Any) -> tuple[TableData, ...]:
@@ -90,7 +93,7 @@ def tables_of(*holders: Any) -> tuple[TableData, ...]:
     while waiting:
         part = waiting.pop()
         if isinstance(part, sympy.Basic):
-            found |= dict.fromkeys(function.table for function in part.atoms(TableFunction))
+            found |= dict.fromkeys(function.table for function in part.atoms(TableBase))
         elif is_dataclass(part):
             waiting += [getattr(part, field.name) for field in fields(part)]
         elif isinstance(part, (tuple, list)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import sympy
-from sympy import Dummy, Symbol, expand
+from sympy import Dummy, Expr, Symbol, expand
 
 from codegen.derive import ControlDerivatives, ElementDerivatives
 from codegen.discretise import STEP, at_nodes
@@ -21,6 +21,7 @@ from codegen.lower.statement import description
 from codegen.lower.table_ranges import Input, inputs_kernel, range_constants, ranged_inputs
 from codegen.lower.tables import (
     described_tables,
+    guess_kernels,
     table_arguments,
     table_constants,
     table_kernels,
@@ -28,6 +29,7 @@ from codegen.lower.tables import (
     table_runtime,
 )
 from codegen.model.nonsmooth_costs import kinks
+from codegen.tables.data import TableData
 from codegen.transcribe.program import ControlProgram, EndElement
 
 
@@ -36,7 +38,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
     model, tables = program.model, tables_of(program.model)
     couplings, curved = lower_couplings(program), layout.has_nonlinear_ends(derivatives)
     first = len(layout.parameters(program))
-    ranged = ranged_inputs(tables, first)
+    ranged, guessed = ranged_inputs(tables, first, _equations(program)), _guess_tables(program)
     kernels = (
         *_all_interval_kernels(program, derivatives),
         *_control_kernels(program, derivatives),
@@ -65,11 +67,12 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
             *table_constants(tables),
             *range_constants(ranged),
         ),
-        kernels=(*table_kernels(tables, first), *kernels),
+        kernels=(*table_kernels(tables, first), *guess_kernels(guessed), *kernels),
         runtime=(
             *table_runtime(tables),
             *(("table_rows",) if tables else ()),
             *(("table_ranges",) if ranged else ()),
+            *(("table_guesses",) if guessed else ()),
             *_runtime(program, derivatives),
         ),
         sizes=(*layout.sizes(program, derivatives), ("RANGED", len(ranged))),
@@ -191,6 +194,19 @@ def _interval_kernels(
             decorators=INNER, straight_line=element.hessian_assignments,
         ),
     )  # fmt: skip
+
+
+def _equations(program: ControlProgram) -> list[Expr]:
+    """What kernels evaluate."""
+    shares = [(share.element, share.cost) for share in program.interval_elements]
+    shares += [(end.element, end.cost) for end in (program.start, program.end)]
+    return [*(e for share in shares for e in share), *(coupling.expression for coupling in program.couplings)]
+
+
+def _guess_tables(program: ControlProgram) -> tuple[TableData, ...]:
+    """The tables that guesses read."""
+    phases = [(p.node_guess, [v for _, v in (*p.inside_guess, *p.switch_guess)]) for p in program.phases]
+    return tables_of(program.node_guess, program.stage_guess, program.control_guess, phases)
 
 
 def _inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Kernel, ...]:

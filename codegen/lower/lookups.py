@@ -9,23 +9,14 @@ from itertools import count
 from sympy import Expr, Symbol
 
 from codegen.errors import ExpressionError
-from codegen.expressions.table_functions import TableFunction
+from codegen.expressions.table_functions import TableBase
 from codegen.lower.printer import scalar_code
-from codegen.tables.data import Shape, TableData
+from codegen.tables.data import TableData
+from codegen.tables.evaluation import ORDERS
 
-ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
-    1: ((0,), (1,), (2,), (3,)),
-    2: ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)),
-}
-"""The derivatives that a look-up returns, in their order, by the number of inputs."""
 Assignment = tuple[Symbol, Expr]
 Pairs = list[tuple[str, str]]
 """Targets and code."""
-
-
-def function_name(shape: Shape) -> str:
-    """The emitted function that looks a table up."""
-    return f"table_{shape.name}"
 
 
 def with_lookups(
@@ -35,12 +26,16 @@ def with_lookups(
 
     `taken` are names that the kernel has given already.
     """
-    lookups = _Lookups(taken)
-    values = [lookups.without_tables(value, line) for line, (_, value) in enumerate(body)]
-    left = [lookups.without_tables(value, len(body)) for value in outputs]
+    lookups, values, same = _Lookups(taken), list[Expr](), dict[Symbol, Expr]()
+    for line, (symbol, value) in enumerate(body):
+        values.append(lookups.without_tables(value.xreplace(same), line))
+        if isinstance(value, TableBase):
+            same[symbol] = values[-1]
+    left = [lookups.without_tables(value.xreplace(same), len(body)) for value in outputs]
     pairs: Pairs = []
     for line, ((symbol, _), value) in enumerate(zip(body, values, strict=True)):
-        pairs += [*lookups.before(line), (str(symbol), scalar_code(value))]
+        pairs += lookups.before(line)
+        pairs += [] if symbol in same else [(str(symbol), scalar_code(value))]
     return [*pairs, *lookups.before(len(body))], left
 
 
@@ -63,12 +58,12 @@ class _Lookups:
 
     def without_tables(self, expression: Expr, line: int) -> Expr:
         """The expression of a line with names in place of tables."""
-        while functions := expression.atoms(TableFunction):
-            inner = [f for f in functions if not any(a.has(TableFunction) for a in f.args)]
+        while functions := expression.atoms(TableBase):
+            inner = [f for f in functions if not any(a.has(TableBase) for a in f.args)]
             expression = expression.xreplace({f: self._name(f, line) for f in sorted(inner, key=str)})
         return expression
 
-    def _name(self, function: TableFunction, line: int) -> Symbol:
+    def _name(self, function: TableBase, line: int) -> Symbol:
         table, key = function.table, (function.table, function.args)
         if key not in self._points:
             self._points[key] = _Point(table, ", ".join(map(scalar_code, function.args)), line, {})
@@ -98,5 +93,5 @@ class _Lookups:
         while targets[-1] == "_" and len(targets) > 1:
             targets.pop()
         part = "" if len(targets) == len(ORDERS[len(shape.inputs)]) else f"[:{len(targets)}]"
-        code = f"{function_name(shape)}(parameters, {point.code}){part if len(targets) > 1 else '[0]'}"
+        code = f"{shape.lookup}(parameters, {point.code}){part if len(targets) > 1 else '[0]'}"
         return ", ".join(targets), code

@@ -40,7 +40,8 @@ def choices(program: ControlProgram) -> tuple[Choice, ...]:
         arguments = ("unknowns", "t", "h", "parameters", derivative)
         branches = tuple(zip(ends, names, strict=False))
         out.append(Choice(f"interval_{derivative}", summary, arguments, branches, names[-1]))
-    if any(table.shape.outside == "error" for table in tables_of(program.model)):
+    shares = [part for share in program.interval_elements for part in (share.element, share.cost)]
+    if any(table.shape.outside == "error" for table in tables_of(shares, program.start, program.end)):
         names = [f"{stem}_inputs" for stem in stems]
         summary = "Least and greatest `inputs` (RANGED, 2) with which tables are read on an interval."
         arguments = ("unknowns", "t", "h", "parameters", "inputs")

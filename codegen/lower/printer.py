@@ -13,6 +13,7 @@ from sympy.printing.pycode import PythonCodePrinter
 
 from codegen.errors import ExpressionError
 from codegen.expressions import checks as expressions
+from codegen.tables.evaluation import ORDERS
 
 _SHORT_DENOMINATORS = 64
 _STEEP = 16
@@ -147,6 +148,11 @@ class ArrayPrinter(ScalarPrinter):
 
     def _of_floats(self, function: str, expr: Any, before: str = "") -> str:
         return super()._of_floats(f"np.vectorize({function})", expr, before)
+
+    def _print_TableBase(self, expr: Any) -> str:
+        """Guesses alone have tables in code of arrays; all bodies have the same ones."""
+        number, at = ORDERS[len(expr.args)].index(expr.order), ", ".join(map(self._print, expr.args))
+        return f"along({expr.table.shape.lookup}_values, grid.parameters[0], {number}, {at})"
 
     def _print_Min(self, expr: Any) -> str:
         return self._nested("np.minimum", expr.args)

@@ -39,7 +39,7 @@ def _arguments(program: StepProgram) -> tuple[str, ...]:
 def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
     """Write every kernel of an initial value problem as strings."""
     model, tables = program.model, tables_of(program.model)
-    ranged = ranged_inputs(tables, len(model.parameters))
+    ranged = ranged_inputs(tables, len(model.parameters), [value for _, value in program.equations])
     kernels = (
         *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
         _equations_kernel(program),

@@ -33,7 +33,7 @@ def description(program: ControlProgram, kernels: Sequence[Kernel], tables: Sequ
         *_end(program, "start", program.start, program.left_symbols),
         *_end(program, "end", program.end, program.right_symbols),
         *_couplings(program),
-        *([_block("Tables, by which other values are found as described:", tables)] if tables else []),
+        *([_block("Tables, and what holds between and beyond their breakpoints:", tables)] if tables else []),
         _block("Operations per interval, before and after common subexpressions are shared:", operations),
     ]
     return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.expressions.table_functions import TableFunction
+from codegen.expressions.table_functions import TableBase, tables_of
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.tables.data import TableData
 
@@ -28,18 +28,21 @@ class Input:
 
     def values(self, expressions: Sequence[Expr]) -> list[Expr]:
         """With what expressions read the table."""
-        functions = set[Expr]().union(*(e.atoms(TableFunction) for e in expressions))
+        functions = set[Expr]().union(*(e.atoms(TableBase) for e in expressions))
         found = {f.args[self.number] for f in functions if f.table == self.table}
         return sorted(found, key=sympy.default_sort_key)
 
 
-def ranged_inputs(tables: Sequence[TableData], first: int) -> tuple[Input, ...]:
-    """The inputs of all tables that have a range; numbers of tables stand among parameters from an index on."""
-    found = []
+def ranged_inputs(tables: Sequence[TableData], first: int, read: Sequence[Expr]) -> tuple[Input, ...]:
+    """The inputs of tables that have a range and that some expressions read.
+
+    Numbers of tables stand among parameters from an index on.
+    """
+    found, used = [], tables_of(read)
     for table in tables:
         index = first
         for number, size in enumerate(table.shape.sizes):
-            if table.shape.outside == "error":
+            if table.shape.outside == "error" and table in used:
                 found.append(Input(table, number, (index, index + size - 1)))
             index += size
         first += table.shape.count

@@ -6,10 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from sympy import sstr
-
-from codegen.lower.kernels import Kernel, Line
-from codegen.lower.lookups import function_name
+from codegen.lower.kernels import CACHED, Kernel, Line
 from codegen.tables.data import KINDS, OUTSIDE, TableData
 
 FORCED = ('@njit(error_model="numpy", forceinline=True)',)
@@ -37,7 +34,20 @@ def _kernel(table: TableData, first: int) -> Kernel:
         code = f"clamped_{kind}({', '.join(f'in_{name}' for name in names)}, *{code})"
     told = " and ".join(f"{name} = {given}" for name, given in zip(names, shape.inputs, strict=True))
     summary = f"The table {shape.name} of {told}, with its derivatives up to the third order."
-    return Kernel(function_name(shape), summary, ("parameters", *names), (), tuple(lines), (), (code,), 0, 0, FORCED)
+    return Kernel(shape.lookup, summary, ("parameters", *names), (), tuple(lines), (), (code,), 0, 0, FORCED)
+
+
+def guess_kernels(tables: Sequence[TableData]) -> tuple[Kernel, ...]:
+    """A function for every table that guesses read, which looks it up at many points."""
+    kernels = []
+    for table in tables:
+        shape, names = table.shape, ("x", "y")[: len(table.shape.sizes)]
+        at = "zip(x, y)" if len(names) == 2 else "x"
+        code = f"np.array([{shape.lookup}(parameters, {', '.join(names)})[number] for {', '.join(names)} in {at}])"
+        summary = f"Derivative number `number` of the table {shape.name}, 0 for values, at points of shape (n,)."
+        arguments = ("parameters", "number", *names)
+        kernels.append(Kernel(f"{shape.lookup}_values", summary, arguments, (), (), (), (code,), 0, 0, CACHED))
+    return tuple(kernels)
 
 
 def table_constants(tables: Sequence[TableData]) -> tuple[Line, ...]:
@@ -90,11 +100,6 @@ def described_tables(tables: Sequence[TableData]) -> list[str]:
     """Every table in a line or two, for the docstring of a module."""
     lines = []
     for table in tables:
-        shape, axes = table.shape, table.axes
-        ranges = " and ".join(
-            f"{name} ({axis.size} from {axis[0]:g} to {axis[-1]:g})"
-            for name, axis in zip(shape.inputs, axes, strict=True)
-        )
-        lines.append(f"{shape.name} = {shape.output} of {ranges}, from {sstr(table.source)}:")
-        lines.append(f"    {shape.kind}, {KINDS[shape.kind]}; {OUTSIDE[shape.outside]}")
+        lines.append(f"{table.summary}:")
+        lines.append(f"    {KINDS[table.shape.kind]}; {OUTSIDE[table.shape.outside]}")
     return lines

@@ -17,6 +17,7 @@ from codegen.author.symbols import Parameter, Quantity
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
 from codegen.expressions.invariants import Invariants
+from codegen.expressions.table_functions import tables_of
 from codegen.model.normal_form import require_unique_names
 
 FRACTION = Symbol("fraction", real=True)
@@ -99,6 +100,10 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         terms["self_term"] = expressions.checked(system.self_term, "self_term")
     terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
     duration = expressions.checked(problem.duration, "duration")
+    for what, term in (*terms.items(), ("duration", duration)):
+        if tables := tables_of(term):
+            finding = f"{what} reads table {tables[0].shape.name}"
+            raise ExpressionError(finding, "write a formula; particles have no tables")
     _require_symbols({**terms, "duration": duration}, system.pair, declared)
     inside = set().union(*(e.free_symbols for e in (*terms.values(), duration)))
     parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)

@@ -9,7 +9,8 @@ from typing import Any
 import sympy
 
 from codegen.author.problem import Control, Problem
-from codegen.author.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Velocity
+from codegen.author.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Time, Velocity, time
+from codegen.author.tables import guess_entries
 from codegen.errors import ExpressionError, SymbolError, TableError
 from codegen.expressions.table_functions import tables_of
 from codegen.model.conditions.table import CONDITIONS
@@ -20,6 +21,8 @@ from codegen.tables.data import TableData
 def written_entries(problem: Problem, form: str, jump: Sequence[Entry] = ()) -> list[Entry]:
     """All expressions of the problem, and of the jump before it, with those that declare its free parameters."""
     entries = [*_entries(problem, form), *jump]
+    if isinstance(problem, Control):
+        entries += _guesses(problem, entries)
     free = {symbol for entry in entries for symbol in _symbols(entry) if isinstance(symbol, FreeParameter)}
     for symbol in sorted(free, key=lambda symbol: symbol.declared):
         entries += _declared_values(symbol)
@@ -98,11 +101,18 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     if control is None:
         return
     yield from value_entries("end", control.end)
-    yield from value_entries("guess", control.guess)
     yield from value_entries("scale", control.scale)
     yield from _bounds(control.bounds)
     for kind in CONDITIONS:
         yield from kind.written(control)
+
+
+def _guesses(control: Control, entries: Sequence[Entry]) -> Iterator[Entry]:
+    """The guess, whose tables and trajectories are functions of the time that the other entries know."""
+    present = list(dict.fromkeys(symbol for entry in entries for symbol in _symbols(entry)))
+    instant = next((symbol for symbol in present if isinstance(symbol, Time)), None) or time()
+    quantities = [symbol for symbol in present if isinstance(symbol, Quantity)]
+    yield from value_entries("guess", guess_entries(control.guess, quantities, instant))
 
 
 def maximises(control: Control) -> bool:

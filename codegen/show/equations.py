@@ -20,6 +20,7 @@ from codegen.discretise import (
     repeated,
     variational_interval,
 )
+from codegen.expressions.table_functions import tables_of
 from codegen.model import Model, legendre
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import prescribed
@@ -27,6 +28,7 @@ from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
 from codegen.show.notation import Block, Notation, written
 from codegen.show.particles import pairwise_equations
+from codegen.tables.data import OUTSIDE
 from codegen.transcribe.program import ControlProgram, StepProgram
 
 _SHORTEN_LIMIT = 120
@@ -73,7 +75,14 @@ def equations(
         if model.phases
         else (*_continuous(model, program.method), *_discrete(model, program))
     )
-    return written(title, [*own, *_ends(program), _layout(program, notation)], notation)
+    return written(title, [*own, *_ends(program), *_tables(model), _layout(program, notation)], notation)
+
+
+def _tables(model: Model) -> Iterator[Block]:
+    """What the functions are that files of numbers give, and what holds outside."""
+    if tables := tables_of(model):
+        lines = [f"{table.summary}; {OUTSIDE[table.shape.outside]}" for table in tables]
+        yield Block("Tables", (), tuple((line, line) for line in lines))
 
 
 def _of_phases(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:

@@ -38,6 +38,11 @@ class Shape:
     sizes: tuple[int, ...]
 
     @property
+    def lookup(self) -> str:
+        """The emitted function that looks the table up."""
+        return f"table_{self.name}"
+
+    @property
     def width(self) -> int:
         """How many numbers stand at a breakpoint: the value, and for cubics what it needs of slopes."""
         return 1 if self.kind in ("linear", "steps") else 2 ** len(self.sizes)
@@ -60,6 +65,16 @@ class TableData:
     shape: Shape
     source: str
     numbers: tuple[float, ...]
+
+    @property
+    def summary(self) -> str:
+        """What the table is, on one line."""
+        shape = self.shape
+        ranges = " and ".join(
+            f"{name} ({axis.size} from {axis[0]:g} to {axis[-1]:g})"
+            for name, axis in zip(shape.inputs, self.axes, strict=True)
+        )
+        return f"{shape.name} = {shape.output} of {ranges}, {shape.kind}, from {self.source}"
 
     @property
     def axes(self) -> list[NDArray[np.float64]]:

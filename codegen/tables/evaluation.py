@@ -15,6 +15,11 @@ from numpy.typing import NDArray
 from codegen.tables.data import TableData
 
 DEGREE = 3
+ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
+    1: ((0,), (1,), (2,), (3,)),
+    2: ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)),
+}
+"""The derivatives that a look-up returns, in their order, by the number of inputs."""
 _HERMITE = ((1, 0, -3, 2), (0, 1, -2, 1), (0, 0, 3, -2), (0, 0, -1, 1))
 """Coefficients of 1, s, s^2, s^3 of the cubics that are 1 in the value, then the slope, at s = 0, then at s = 1."""
 _BASES: dict[str, tuple[tuple[int, ...], ...]] = {"linear": ((1, -1), (0, 1))}

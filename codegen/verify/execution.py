@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from codegen.expressions.special_functions import STEMS
-from codegen.lower.lookups import ORDERS, function_name
 from codegen.tables.data import TableData
-from codegen.tables.evaluation import derivative
+from codegen.tables.evaluation import ORDERS, derivative
 from codegen.verify.tape import Arithmetic
 
 
@@ -25,7 +24,7 @@ class Text:
     """
 
     def __init__(self, text: str, tables: Sequence[TableData] = ()) -> None:
-        self._tables = {function_name(table.shape): table for table in tables}
+        self._tables = {table.shape.lookup: table for table in tables}
         self._imports: list[ast.stmt] = []
         self._parts: dict[str, ast.stmt] = {}
         self._codes: dict[tuple[str, ...], CodeType] = {}

@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from codegen.errors import VerificationError
-from codegen.lower.lookups import ORDERS, function_name
 from codegen.tables.data import TableData
-from codegen.tables.evaluation import derivative
+from codegen.tables.evaluation import ORDERS, derivative
 from codegen.verify.execution import Text
 
 _POINTS = 6
@@ -20,12 +19,12 @@ def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
     """Execute each look-up, whose numbers stand from `first` on; VerificationError names a derivative that is wrong."""
     if not tables:
         return
-    module = text.interpreted("table_numbers", *(function_name(table.shape) for table in tables))
+    module = text.interpreted("table_numbers", *(table.shape.lookup for table in tables))
     numbers = np.concatenate([np.full(first, np.nan), module["table_numbers"](None)])
     for table in tables:
         orders = ORDERS[len(table.shape.sizes)]
         for point in _points(table):
-            found = module[function_name(table.shape)](numbers, *point)
+            found = module[table.shape.lookup](numbers, *point)
             for order, value in zip(orders, found, strict=True):
                 right = float(derivative(table, order, point, lambda x: x))
                 if not abs(value - right) <= _TOLERANCE * _size(table, order):

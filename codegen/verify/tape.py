@@ -14,7 +14,7 @@ from typing import Any
 import sympy
 from sympy import Basic, Expr, Symbol
 
-from codegen.expressions.table_functions import TableFunction
+from codegen.expressions.table_functions import TableBase
 from codegen.tables.evaluation import derivative
 
 
@@ -99,7 +99,7 @@ def _condition(part: Basic, given: list[Any], a: Arithmetic) -> Any:
 
 
 def _function(part: Basic, given: list[Any], a: Arithmetic) -> Any:
-    if isinstance(part, TableFunction):
+    if isinstance(part, TableBase):
         return derivative(part.table, part.order, given, a.real)
     name = type(part).__name__
     own = {"Abs": a.absolute, "Max": a.maximum, "Min": a.minimum, "sign": a.sign}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -220,6 +221,54 @@ def test_motions_in_tables(folder, scheme):
     assert longer.t[-1] == pytest.approx(3.0)
 
 
+def test_another_driver_of_a_motion_leaves_no_table(folder):
+    x = np.linspace(-2, 2, 9)
+    for name, head, at in (("v", "x,v", x), ("w", "t,w", np.linspace(0, 2, 5))):
+        np.savetxt(folder / f"{name}.csv", np.stack([at, at**2], 1), delimiter=",", header=head, comments="")
+    tables = 'potential, wind = Table("v.csv", "x", "v"), Table("w.csv", "t", "w")'
+    (folder / "tabled.py").write_text(_SIMULATE.format(tables=tables))
+    result = codegen.solve(interpreted(folder / "tabled.py"), "fsolve")
+    assert result.status == "outside a table"
+    assert "in step 28 of 40: t of table w is 2.0625" in result.message
+
+
+_BODIES = '''"""Three masses in a field that end in a row, with equal distances of their own choice."""
+
+from codegen import Control, Table, body_number, control, coordinates
+
+
+def problem() -> Control:
+    (x, y), (dx, dy) = coordinates("x y")
+    f, g, body = control("f"), control("g"), body_number()
+    field = {field}
+    return Control(
+        lagrangian=(dx**2 + dy**2) / 2,
+        force={{x: f - field(x), y: g - field(y)}},
+        cost=f**2 + g**2 + field(x) ** 2 / 9,
+        duration=2,
+        start={{x: body / 2, y: 0, dx: 0, dy: 0}},
+        end={{dx: 0, dy: 0}},
+        end_conditions=[x.of(1) - x.of(0) - 1, x.of(2) - x.of(1) - 1, y.of(0) - 1, y.of(1) - 1, y.of(2) - 1],
+        bodies=3,
+        steps=8,
+    )
+'''
+
+
+def test_bodies_with_tables(folder):
+    x = np.linspace(-3, 4, 6)
+    np.savetxt(folder / "f.csv", np.stack([x, x**3 / 9 + x / 3], 1), delimiter=",", header="x,f", comments="")
+    (folder / "tabled.py").write_text(_BODIES.format(field='Table("f.csv", "x", "f", name="field")'))
+    (folder / "written.py").write_text(_BODIES.format(field="lambda x: x**3 / 9 + x / 3"))
+    found, exact = (interpreted(folder / name).solve() for name in ("tabled.py", "written.py"))
+    assert found.status == exact.status == "solved"
+    assert found.cost == pytest.approx(exact.cost, rel=1e-11)
+    np.savetxt(folder / "f.csv", np.stack([x / 4, x], 1), delimiter=",", header="x,f", comments="")
+    assert re.search(
+        r"x of table field is .* of body \d, outside -0.75 to 1", interpreted(folder / "tabled.py").solve().message
+    )
+
+
 def test_a_changed_file_is_seen(tabled, folder):
     first = codegen.build(tabled)
     assert codegen.build(tabled).cached
@@ -260,3 +309,48 @@ def test_least_time_to_climb():
     solution = interpreted(CLIMB).solve(50)
     assert solution.status == "solved", solution.message
     assert solution.cost == pytest.approx(324.424392852084, rel=1e-8)
+
+
+_GUESSED = '''"""An oscillator that starts from a file."""
+
+from codegen import Control, Table, Trajectory, control, states
+
+
+def problem() -> Control:
+    x, v = states("x v")
+    u = control("u")
+    return Control(
+        dynamics={{x: v, v: u - x}},
+        cost=u**2,
+        duration=3,
+        start={{x: 1, v: 0}},
+        end={{x: 0, v: 0}},
+        guess={guess},
+        steps=6,
+    )
+'''
+
+
+@pytest.mark.parametrize(
+    ("guess", "inside"),
+    [
+        ('Trajectory("start.csv")', lambda t: np.interp(t, [0, 1, 2.2], [0.5, -0.1, 0.3])),
+        ('Trajectory("start.csv", kind="steps")', lambda t: np.select([t < 1, t < 2.2], [0.5, -0.1], 0.3)),
+        (
+            '{u: Table("start.csv", "t", "u", kind="linear", outside="clamp")}',
+            lambda t: np.interp(t, [0, 1, 2.2], [0.5, -0.1, 0.3]),
+        ),
+    ],
+)
+def test_guesses_from_files(folder, guess, inside):
+    (folder / "start.csv").write_text("# by another program\nt,u,x\n0,0.5,1\n1,-0.1,0.25\n2.2,0.3,0\n")
+    (folder / "started.py").write_text(_GUESSED.format(guess=guess))
+    module = interpreted(folder / "started.py")
+    grid = module.make_grid(6)
+    nodes, intervals = module.views(grid, module.initial_guess(grid))
+    middles = 0.25 + 0.5 * np.arange(6)
+    assert intervals[0, :, -1] == pytest.approx(inside(middles))
+    if "Trajectory" in guess and "steps" not in guess:
+        times = 0.5 * np.arange(7)
+        assert nodes[0, :, 0] == pytest.approx(np.interp(times, [0, 1, 2.2], [1, 0.25, 0]))
+    assert module.solve().status == "solved"

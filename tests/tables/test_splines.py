@@ -130,6 +130,8 @@ def test_equal_tables_are_one(files):
     assert tables_of((one(x), {}), [other(2 * x)]) == (one.data,)
     assert len(numbers_of(one(x))) == 3 * X.size
     assert one(0.3) == pytest.approx(HEIGHTS[1])
+    assert float(one(1).evalf()) == pytest.approx(HEIGHTS[2])  # a whole number is a number as well
+    assert one(1).is_positive == (HEIGHTS[2] > 0)
     assert one.range == ((0.0, 3.5),)
     assert isinstance(one.data, TableData)
 

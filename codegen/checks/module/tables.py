@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, RectBivariateSplin
 
 from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.expressions.table_functions import tables_of
-from codegen.lower.lookups import ORDERS, function_name
 from codegen.tables.data import TableData
+from codegen.tables.evaluation import ORDERS
 
 _POINTS = 40
 _LIMIT = 1e-9
@@ -30,7 +30,7 @@ def check(context: Context) -> Iterator[Finding]:
         same = np.array_equal(np.array(context.module.TABLES[shape.name]), table.numbers)
         detail = f"{' and '.join(str(size) for size in shape.sizes)} breakpoints"
         yield Finding("tables", f"{shape.name}: numbers", same, detail if same else f"others than in {table.source}")
-        worst = _difference(table, getattr(context.module, function_name(shape)), parameters)
+        worst = _difference(table, getattr(context.module, shape.lookup), parameters)
         detail = f"value and derivatives differ from scipy's spline by {worst:.1g} of their sizes"
         yield Finding("tables", f"{shape.name}: {shape.kind}", worst <= _LIMIT, detail)
 

@@ -10,19 +10,32 @@ from codegen.runtime.tabulated.table_steps import left_tables
 
 
 def range_left(grid, state, t):
-    """Which input leaves the range of its table in the step from `state` (STATE,) at time t, in words."""
+    """Which input leaves the range of its table in the step from `state` (STATE,) at time t, in words, or nothing."""
     interval, inputs, here = np.empty(STAGES + STATE), np.empty((RANGED, 2)), np.array(state)
     if PARTS:
         work, lengths, _ = allocate_parts(grid.h, grid.given)
         for length in lengths:
             advance(here, t, length, grid.given, work, interval)
             if left_tables(here, interval, t, length, grid.parameters, inputs) >= 0:
-                break
+                return told_range(grid.parameters, inputs)
             here, t = interval[STAGES:].copy(), t + length.sum()
+        return ""
     else:
         advance(here, t, grid.h, grid.given, allocate_work(grid.h, grid.given), interval)
-        left_tables(here, interval, t, grid.h, grid.parameters, inputs)
-    return told_range(grid.parameters, inputs)
+        is_left = left_tables(here, interval, t, grid.h, grid.parameters, inputs) >= 0
+        return told_range(grid.parameters, inputs) if is_left else ""
+
+
+def first_outside(grid, path):
+    """The number of the first step along consecutive states (M, STATE) that leaves a table, and what is said of it.
+
+    Zero and nothing where none does. Inner stages are those of the steps that the scheme itself makes.
+    """
+    for k in range(len(path) - 1):
+        told = range_left(grid, path[k], k * grid.h)
+        if told:
+            return k + 1, told
+    return 0, ""
 
 
 def told_range(parameters, inputs):
