@@ -377,6 +377,17 @@ def clear(matrix):
             matrix[i, j] = 0.0
 
 
+# Where nodes are in time: `nodes` (N + 1,) in parts of the mean interval, 0, 1, ..., N where all are as long.
+#
+# Times are products with the mean length h, so that equal intervals have exactly that length.
+
+
+@njit(error_model="numpy", forceinline=True)
+def span(nodes, k, h):
+    """The time at which interval k begins, and its length."""
+    return nodes[k] * h, (nodes[k + 1] - nodes[k]) * h
+
+
 # The log of a search, which also tells when its time is up.
 
 
@@ -415,7 +426,7 @@ class Log:
 
 
 @njit(error_model="numpy")
-def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
+def lagrangian_gradient(unknowns, steps, h, nodes, parameters, gradient):
     """Fill the `gradient` (n,) by `unknowns` (n,), zero where they are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
@@ -436,7 +447,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
         for k in range(steps):
             here = first + k * STRIDE
             copy_part(unknowns, here, local)
-            cost += interval_gradient(local, k * h, h, own, part)
+            t, length = span(nodes, k, h)
+            cost += interval_gradient(local, t, length, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         for i in START_PINNED:
             gradient[first + i] = 0.0
@@ -479,7 +491,10 @@ def measure(gradient, is_multiplier):
 
 
 class Grid(NamedTuple):
-    """N = `steps` intervals of length h, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
+    """N = `steps` intervals, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
+
+    Intervals have the mean length h, and `nodes` (N + 1,) are the indices of all nodes in time, in mean lengths.
+    `is_uniform` says that all intervals have that length.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
     Where there are `sizes` (n,), all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces`
@@ -489,6 +504,8 @@ class Grid(NamedTuple):
 
     steps: int
     h: float
+    nodes: np.ndarray
+    is_uniform: bool
     parameters: np.ndarray
     is_multiplier: np.ndarray
     sizes: np.ndarray
@@ -520,7 +537,15 @@ def evaluate(grid, unknowns):
         unknowns,
         gradient,
         *measured_gradient(
-            unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient
+            unknowns,
+            grid.sizes,
+            grid.weight,
+            grid.steps,
+            grid.h,
+            grid.nodes,
+            grid.parameters,
+            grid.is_multiplier,
+            gradient,
         ),
     )
 
@@ -534,14 +559,14 @@ def lagrangian(grid, point):
 
 
 @njit(cache=True, error_model="numpy")
-def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
+def measured_gradient(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient):
     """Fill the `gradient` (n,) of the Lagrangian; return what a Point holds beside it."""
     if sizes.size:
-        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
+        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, nodes, parameters, gradient)
         for i in range(gradient.size):
             gradient[i] *= weight * sizes[i]
     else:
-        cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+        cost = lagrangian_gradient(unknowns, steps, h, nodes, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
     error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
     return cost, residual, violation, stationarity, error
@@ -573,8 +598,9 @@ COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 RIGHT = ROWS  # the column of the right-hand side
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
-# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
+IS_LACKING = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] & (HESSIAN_ROWS == HESSIAN_COLUMNS)
 
 
 @njit(error_model="numpy")
@@ -595,20 +621,20 @@ def pin_ends(k, steps, diagonal, element):
 
 
 @njit(error_model="numpy")
-def pin(place, element):
+def pin(index, element):
     """Make a row and column of `element` (ROWS, WIDTH) that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
-        element[place, i] = 0.0
-        element[i, place] = 0.0
-    element[place, place] = 1.0
-    element[place, RIGHT] = 0.0
+        element[index, i] = 0.0
+        element[i, index] = 0.0
+    element[index, index] = 1.0
+    element[index, RIGHT] = 0.0
 
 
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
+def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Pin what is given in the `element` (ROWS, WIDTH) of interval k."""
     pin_ends(k, steps, diagonal, element)
 
@@ -661,22 +687,22 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
             paired = False
             continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
-        row, place = order[c], c
+        row, position = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
         for k in range(c + 1, count):
             if abs(matrix[row, order[k]]) > beside:
-                beside, place = abs(matrix[row, order[k]]), k
+                beside, position = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
-            other, largest = order[place], 0.0
+            other, largest = order[position], 0.0
             for k in range(c, count):
-                if k != place:
+                if k != position:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
-                order[place], order[to] = order[to], order[place]
+                order[position], order[to] = order[to], order[position]
         row = order[c]
         if not paired and not abs(matrix[row, row]) > 1e-300:  # its reciprocal would overflow
             return -1
@@ -690,7 +716,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row that comes at place c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
+    """Eliminate the row at position c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -713,7 +739,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows at places c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
+    """Eliminate the rows at positions c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b
@@ -850,21 +876,21 @@ def invert_positive_definite(block, size):
     return True
 
 
-# What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery.
+# Static condensation of unknowns inside an interval: entries, Schur complement, right-hand sides, recovery.
 
 
 def sort_entries():
     """Sort the entries of an interval's Hessian by how many of their two unknowns are eliminated: none, one or both.
 
-    Each kind is a list of arrays (place in the list of entries, row, column); rows and columns are those of the
+    Each kind is a list of arrays (index in the list of entries, row, column); rows and columns are those of the
     element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT) >= BLOCK) & (np.arange(ELEMENT) < STRIDE)
-    place = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
+    index = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
     kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
-    rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
-    columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
+    rows = index[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
+    columns = index[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
     # Indices without a sign need no test for what counts from the end.
     tables = [table.astype(np.uint64) for table in (np.arange(kinds.size), rows, columns)]
     return [[table[kinds == n] for table in tables] for n in range(3)]
@@ -891,8 +917,11 @@ def scatter(hessian, gradient, k, element, coupling):
 
 
 @njit(error_model="numpy", inline="always")
-def subtract_condensed(coupling, inverse, element):
-    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH); B, `coupling` (CONDENSED, WIDTH), has its columns."""
+def subtract_schur_complement(coupling, inverse, element):
+    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH), which leaves the Schur complement.
+
+    B, `coupling` (CONDENSED, WIDTH), has its columns.
+    """
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0
@@ -919,7 +948,7 @@ def condense(gradient, inverses, couplings, steps, right):
 
 
 @njit(error_model="numpy")
-def expand(gradient, inverses, couplings, steps, solved, step):
+def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):
@@ -956,7 +985,7 @@ def allocate_condensed(grid):
 
 
 @njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, parts, diagonal, inverses):
+def prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
     """True: blocks are inverted interval by interval."""
     return True
 
@@ -980,7 +1009,7 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             block[INSIDE_COLUMNS[j], INSIDE_ROWS[j]] += hessian[INSIDE[j]]
     if not invert_positive_definite(block, CONDENSED):
         return False
-    subtract_condensed(couplings[k], block, element)
+    subtract_schur_complement(couplings[k], block, element)
     return True
 
 
@@ -1014,7 +1043,7 @@ def allocate_factors(grid):
     A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
     upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
     The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
-    pivots already. Places and the inverse of the pivots are zeros, so that solving without factors, as compilation
+    pivots already. Indices and the inverse of the pivots are zeros, so that solving without factors, as compilation
     does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
@@ -1025,17 +1054,17 @@ def allocate_factors(grid):
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate_body(
-    unknowns, gradient, diagonal, steps, h, parameters, weight, parts, upper, inverse, order, inverses, couplings,
-    last,
+    unknowns, gradient, diagonal, steps, h, nodes, parameters, weight, parts, upper, inverse, order, inverses,
+    couplings, last,
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
     the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
-    `allocate_factors`; `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the number of negative
-    pivots, and by how many they are too many: when there are, the elimination has stopped.
+    `allocate_factors`; `nodes` (N + 1,), `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the
+    number of negative pivots, and by how many they are too many: when there are, the elimination has stopped.
     """
-    if not prepare_condensed(weight, parts, diagonal, inverses):
+    if not prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
@@ -1043,7 +1072,8 @@ def eliminate_body(
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         copy_part(unknowns, k * STRIDE, local)
-        interval_hessian(local, k * h, h, parameters, hessian)
+        t, length = span(nodes, k, h)
+        interval_hessian(local, t, length, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]
@@ -1054,7 +1084,7 @@ def eliminate_body(
             element[i, i] += diagonal[k * STRIDE + i]
         add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
-            close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
+            apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue
@@ -1105,11 +1135,12 @@ def fill_parts(sizes, forces, parts):
 def fill_factors(weight, parts, factors):
     """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
 
-    It is the sizes of both unknowns, and the weight where both are primal.
+    It is the sizes of both unknowns, and the weight where both are primal. The one for a multiplier that there is not
+    stays one: a shift of the multipliers' diagonal would turn a smaller one's sign, and so be counted as an equation.
     """
     is_weighted = False
     for j in range(factors.size):
-        factors[j] = parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
+        factors[j] = 1.0 if IS_LACKING[j] else parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
         if IS_CURVATURE[j]:
             factors[j] *= weight
         is_weighted = is_weighted or factors[j] != 1.0
@@ -1237,13 +1268,13 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
-    inverses, couplings,
+    unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
+    order, inverses, couplings,
 ):  # fmt: skip
     """Eliminate all bodies; whether that was possible, and the excess of negative pivots.
 
-    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P); the factors are those of
-    `allocate_factors`.
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `nodes` (N + 1,), `parameters` (BODIES, P); the
+    factors are those of `allocate_factors`.
     """
     parts = zero_vector(ELEMENT)
     fill_parts(sizes, forces, parts)
@@ -1251,8 +1282,9 @@ def factor(
     for body in range(BODIES):
         first, behind = body * chain, (body + 1) * chain
         regular, found, excess = eliminate_body(
-            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
+            parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body], couplings[body],
+            last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess
@@ -1272,7 +1304,7 @@ def substitute(gradient, carried, steps, upper, inverse, order, inverses, coupli
             forward(upper[body], inverse[body], order[body], steps, right, last)
         last[LAST] = -1.0 if carried else 0.0
         backward(upper[body], order[body], steps, carried, last, right)
-        expand(slopes, inverses[body], couplings[body], steps, right, solution)
+        recover_condensed(slopes, inverses[body], couplings[body], steps, right, solution)
 
 
 # The linear system of a Newton step: factor the KKT matrix, solve with the factors.
@@ -1293,8 +1325,8 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     if grid.sizes.size:
         unknowns = unknowns * grid.sizes
     regular, excess = factor(
-        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.parameters, weight, diagonal, equations,
-        *factors,
+        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.nodes, grid.parameters, weight,
+        diagonal, equations, *factors,
     )  # fmt: skip
     return excess if regular else None
 
@@ -1319,7 +1351,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
@@ -1333,7 +1365,8 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(here, t, length, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 sums[row] += abs(hessian[j] * unknowns[column])
@@ -1354,7 +1387,9 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
 
 def sizes_of_terms(grid, unknowns):
     """The same of a grid, in parts of sizes where it has them."""
-    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return term_sizes(
+        unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.nodes, grid.parameters, grid.is_multiplier
+    )
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):
@@ -1379,7 +1414,7 @@ def is_small(value, size, tolerance, roundings):
 # Whether nothing but rounding is left, so that no step makes progress.
 
 
-def is_rounding(grid, point):
+def is_at_rounding_level(grid, point):
     """Whether residual and stationarity are no larger than a thousand rounding errors."""
     sizes = sizes_of_terms(grid, point.unknowns)
     return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]
@@ -1472,8 +1507,10 @@ def envelope(violation, cost):
 # The elimination pairs the state of a node with the equation of the interval after it, and so runs the dynamics
 # backwards. Where that grows, as dissipative dynamics do over a long time, the factors are those of a matrix that is off
 # by far more than rounding, and a step leaves equations unsolved. Refinement with residuals of the matrix itself makes up
-# for it. Source: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; the measure of the residual
-# is that of Waechter and Biegler (2006), section 3.10.
+# for it. Corrections one after the other need not converge with such factors; their best combination, by generalised
+# conjugate residuals with the factors to precondition them, does. Sources: Higham (2002), Accuracy and stability of
+# numerical algorithms, chapter 12; Eisenstat, Elman and Schultz (1983), Variational iterative methods for nonsymmetric
+# systems of linear equations; the measure of the residual is that of Waechter and Biegler (2006), section 3.10.
 
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
 LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
@@ -1481,13 +1518,14 @@ SOLVED_AGAIN = 10  # times at most, as in IPOPT
 
 
 @njit(cache=True, error_model="numpy")
-def multiply_kkt(unknowns, steps, h, parameters, vector, product):
+def multiply_kkt(unknowns, steps, h, nodes, parameters, vector, product):
     """Add to `product` what the second derivatives of the Lagrangian, at `unknowns`, make of `vector`, all (n,)."""
     hessian = zero_vector(HESSIAN_ROWS.size)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 product[row] += hessian[j] * vector[column]
@@ -1496,59 +1534,75 @@ def multiply_kkt(unknowns, steps, h, parameters, vector, product):
         multiply_ends(unknowns, body, steps, h, parameters[body], vector, product)
 
 
-def left_over(grid, unknowns, diagonal, gradient, step):
+def linear_residual(grid, unknowns, diagonal, gradient, step):
     """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
     product, vector = np.zeros(step.size), step
     if grid.sizes.size:
         roots = np.sqrt(grid.sizes * grid.forces)
         unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_kkt(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
+    multiply_kkt(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, vector, product)
     if grid.sizes.size:
         product *= roots
     product += diagonal * step + gradient
     return np.where(free_unknowns(grid), product, 0.0)
 
 
-def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine `step` (n,) in place until its residual is small, or falls no more; return whether that was necessary.
+def inaccuracy(grid, gradient, step, left):
+    """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
-    The system is still factored, and the matrix as `factor_kkt` says.
+    Large multipliers, and barriers close to their bounds, take no part in the equations.
     """
-    correction, right = np.empty_like(step), np.abs(gradient).max(initial=0.0)
-    left = left_over(grid, unknowns, diagonal, gradient, step)
-    size = np.abs(left).max(initial=0.0)
+    equations, most = grid.is_multiplier, LARGE_STEP * np.abs(gradient).max(initial=0.0)
+    unsolved = relative(left[equations], gradient[equations], step[~equations], most)
+    return max(unsolved, relative(left, gradient, step, most))
+
+
+def relative(left, right, step, most):
+    """The largest of `left`, in parts of the largest of `right` and of `step`, which counts up to `most`."""
+    scale = np.abs(right).max(initial=0.0) + min(np.abs(step).max(initial=0.0), most)
+    return np.abs(left).max(initial=0.0) / max(scale, 1e-300)
+
+
+def refine(grid, unknowns, diagonal, system, gradient, step):
+    """Refine `step` (n,) in place until it is accurate; return whether that was necessary.
+
+    The system is still factored, and the matrix as `factor_kkt` says. Each time, what the factors make of the residual
+    is one more correction, and that sum of all corrections is added which leaves least.
+    """
+    zero, corrections, products = np.zeros_like(step), [], []
+    left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        scale = right + min(np.abs(step).max(initial=0.0), LARGE_STEP * right)
-        if not ACCURATE * scale < size < np.inf:
+        if not ACCURATE < inaccuracy(grid, gradient, step, left) < np.inf:
             return refinement > 0
-        solve_kkt(grid, system, left, correction)
-        better = step + correction
-        left, before = left_over(grid, unknowns, diagonal, gradient, better), size
-        size = np.abs(left).max(initial=0.0)
-        if not size < before:
-            break
-        step[:] = better
+        corrections.append(np.empty_like(step))
+        solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
+        products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1]))
+        if not np.isfinite(products[-1]).all():
+            return True
+        parts, *_ = np.linalg.lstsq(np.array(products).T, -left, rcond=None)
+        step += parts @ np.array(corrections)
+        left = linear_residual(grid, unknowns, diagonal, gradient, step)
     return True
 
 
 # The logarithmic barrier of bounds on unknowns: distances to the bounds, their duals, and what Newton's method needs.
 #
-# Every finite bound is one entry of flat arrays: `place` of its unknown x, its `value` b, and `side` s, which is 1 for a
-# lower and -1 for an upper bound. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
+# Every finite bound is one entry of flat arrays: in `indices` that of its unknown x, its `value` b, and its `side` s,
+# 1 for a lower and -1 for an upper bound. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
 # gradient - s z = 0 and z d = mu. Eliminating the change of z = mu / d - z - (z / d) s dx from Newton's equations leaves
 # z / d on the diagonal and gradient - mu s / d on the right; see equations (11) and (13) of Waechter and Biegler (2006).
 # Distances are moved along with the unknowns instead of being computed anew, because close to a bound rounding would
 # leave nothing of a difference. Bounds are relaxed, so that equations may force unknowns onto them: by little, which goes
 # to rounding level with the weight of the barrier.
 
-RELAXED = 1e-8, 1e-12  # greatest and least relaxation of a bound, relative to its value where that exceeds one
+RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
 PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
 
 
 class Bounds(NamedTuple):
-    """Places, values, sides and magnitudes, one or more, of all finite bounds."""
+    """Indices, values, sides and magnitudes, one or more, of all finite bounds."""
 
-    place: np.ndarray
+    indices: np.ndarray
     value: np.ndarray
     side: np.ndarray
     magnitude: np.ndarray
@@ -1563,12 +1617,12 @@ def finite_bounds(lower, upper):
     return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
 
 
-def relaxation(mu):
+def relaxation(mu, least):
     """How much farther away bounds are taken to be while the barrier's weight is mu, relative to their magnitudes.
 
     Where equations hold an unknown on its bound, its dual is mu / relaxation: it stays moderate for every mu.
     """
-    return min(RELAXED[0], max(RELAXED[1], PER_WEIGHT * mu))
+    return min(RELAXED, max(least, PER_WEIGHT * mu))
 
 
 @njit(cache=True, error_model="numpy")
@@ -1589,7 +1643,7 @@ def push_inside(lower, upper, unknowns, push):
 
 
 @njit(cache=True, error_model="numpy")
-def move(unknowns, step, length, place, side, distance, trial, moved):
+def move(unknowns, step, length, indices, side, distance, trial, moved):
     """Fill `trial` with unknowns + length * step, and `moved` with its distances; return the sum of their logarithms.
 
     Rounding must not make a distance vanish.
@@ -1597,23 +1651,23 @@ def move(unknowns, step, length, place, side, distance, trial, moved):
     for i in range(unknowns.size):
         trial[i] = unknowns[i] + length * step[i]
     logarithms = 0.0
-    for j in range(place.size):
-        d = distance[j] + side[j] * (length * step[place[j]])
+    for j in range(indices.size):
+        d = distance[j] + side[j] * (length * step[indices[j]])
         moved[j] = d if d > 1e-16 * distance[j] else 1e-16 * distance[j]
         logarithms += np.log(moved[j])
     return logarithms
 
 
 @njit(cache=True, error_model="numpy")
-def measure_optimality(gradient, unknowns, is_multiplier, place, side, distance, duals):
+def measure_optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals):
     """Max-norm of the stationarity, sum of complementarities z d, least and largest z d, and sizes.
 
     The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     stationary = gradient.copy()
     total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
-    for j in range(place.size):
-        stationary[place[j]] -= side[j] * duals[j]
+    for j in range(indices.size):
+        stationary[indices[j]] -= side[j] * duals[j]
         product = duals[j] * distance[j]
         lowest, highest = min(lowest, product), max(highest, product)
         total += product
@@ -1626,30 +1680,30 @@ def measure_optimality(gradient, unknowns, is_multiplier, place, side, distance,
         else:
             stationarity = max(stationarity, abs(stationary[i]))
             largest = max(largest, abs(unknowns[i]))
-    mean = (multipliers + size) / max(count + place.size, 1)
-    return stationarity, total, lowest, highest, mean, size / max(place.size, 1), largest
+    mean = (multipliers + size) / max(count + indices.size, 1)
+    return stationarity, total, lowest, highest, mean, size / max(indices.size, 1), largest
 
 
 @njit(cache=True, error_model="numpy")
-def add_barrier(gradient, is_multiplier, place, side, distance, duals, mu, shift, dual_shift, right, diagonal):
+def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, delta_w, delta_c, right, diagonal):
     """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
     for i in range(gradient.size):
         right[i] = gradient[i]
-        diagonal[i] = -dual_shift if is_multiplier[i] else shift
-    for j in range(place.size):
-        right[place[j]] -= mu * side[j] / distance[j]
-        diagonal[place[j]] += duals[j] / distance[j]
+        diagonal[i] = -delta_c if is_multiplier[i] else delta_w
+    for j in range(indices.size):
+        right[indices[j]] -= mu * side[j] / distance[j]
+        diagonal[indices[j]] += duals[j] / distance[j]
 
 
 @njit(cache=True, error_model="numpy")
-def measure_step(unknowns, gradient, step, is_multiplier, place, side, distance, duals, mu, tau, dual_step):
+def measure_step(unknowns, gradient, step, is_multiplier, indices, side, distance, duals, mu, tau, dual_step):
     """Fill `dual_step`; return the slope along the step, and its longest primal and dual lengths.
 
     They keep 1 - tau of every distance and of every dual (15).
     """
     primal, dual = 1.0, 1.0
-    for j in range(place.size):
-        change = side[j] * step[place[j]]
+    for j in range(indices.size):
+        change = side[j] * step[indices[j]]
         dual_step[j] = (mu - duals[j] * change) / distance[j] - duals[j]
         if -change * primal > tau * distance[j]:
             primal = -tau * distance[j] / change
@@ -1684,12 +1738,12 @@ class Attempt(NamedTuple):
     nearby: float
     shortest: float
     funnel: float
-    bend: float = 0.0
+    bulge: float = 0.0
 
 
 FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
 WARM = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)  # its duals begin on the central path; far from a solution ones are better
-OTHERS = (
+CASCADE = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
     Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
     Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
@@ -1699,7 +1753,8 @@ OTHERS = (
 class Search(NamedTuple):
     """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
 
-    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound.
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound. Bounds are relaxed
+    by `least` at least, in parts of their magnitudes.
     """
 
     grid: NamedTuple
@@ -1707,6 +1762,7 @@ class Search(NamedTuple):
     system: tuple[NamedTuple, int]
     equations: np.ndarray
     box: tuple[np.ndarray, np.ndarray]
+    least: float = LEAST_RELAXED
 
 
 class Measured(NamedTuple):
@@ -1735,10 +1791,10 @@ class Iterate(NamedTuple):
     measured: Measured | None = None
 
 
-class Shift(NamedTuple):
-    """The Hessian's shift at an iterate, and the last one that was not zero."""
+class InertiaCorrection(NamedTuple):
+    """delta_w, the Hessian's shift at an iterate, and the last one that was not zero."""
 
-    value: float = 0.0
+    delta_w: float = 0.0
     last: float = 0.0
 
 
@@ -1754,7 +1810,7 @@ class Step(NamedTuple):
     slope: float
     longest: float
     dual_length: float
-    shift: NamedTuple
+    inertia: NamedTuple
     refined: bool
 
 
@@ -1768,7 +1824,7 @@ def begin(search, unknowns, attempt):
     """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
     bounds, mu = search.bounds, attempt.weight
     unknowns = push_inside(*search.box, unknowns, attempt.push)
-    distance = bounds.side * (unknowns[bounds.place] - bounds.value) + relaxation(mu) * bounds.magnitude
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu, search.least) * bounds.magnitude
     duals = central_duals(mu, distance) if attempt is WARM else np.ones(distance.size)
     return Iterate(evaluate(search.grid, unknowns), mu, distance, np.log(distance).sum(), duals)
 
@@ -1778,17 +1834,17 @@ def central_duals(mu, distance):
     return np.minimum(mu / distance, 1e3)
 
 
-def with_multipliers(search, iterate):
-    """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
+def with_least_squares_multipliers(search, iterate):
+    """An iterate whose multipliers solve stationarity by least squares (36), zero where that is huge or singular.
 
     All multipliers of `iterate` are zero.
     """
     grid, bounds, system, *_ = search
     point, step = iterate.point, np.empty_like(iterate.point.unknowns)
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
-    np.subtract.at(gradient, bounds.place, bounds.side * iterate.duals)
+    np.subtract.at(gradient, bounds.indices, bounds.side * iterate.duals)
     diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
-    if factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient) is None:
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient)):
         return iterate
     solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
@@ -1801,7 +1857,7 @@ def measured_iterate(search, iterate):
     """The iterate with the duals of bounds taking part in its stationarity, and with what is measured."""
     point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
     measured = measure_optimality(
-        point.gradient, point.unknowns, is_multiplier, bounds.place, bounds.side, iterate.distance, iterate.duals
+        point.gradient, point.unknowns, is_multiplier, bounds.indices, bounds.side, iterate.distance, iterate.duals
     )
     error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
     # Building the tuples anew takes a third of the time of replacing fields.
@@ -1826,7 +1882,7 @@ def is_acceptable(grid, iterate, tolerance):
 
 def is_closed(search, iterate, tolerance):
     """Whether the gap is at most one tolerance for every bound, which is as good as rounding allows."""
-    return iterate.measured.gap <= tolerance * search.bounds.place.size
+    return iterate.measured.gap <= tolerance * search.bounds.indices.size
 
 
 def barrier_error(point, measured, mu):
@@ -1836,7 +1892,7 @@ def barrier_error(point, measured, mu):
     return max(measured.stationarity / scale, point.residual, off_centre / dual_scale)
 
 
-def lowered(iterate, least):
+def decreased_mu(iterate, least):
     """The weight for the next step: lower where the barrier problem is solved well enough (7).
 
     The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
@@ -1848,19 +1904,33 @@ def lowered(iterate, least):
     return mu
 
 
-def tightened(search, iterate, mu):
+def falling_relaxation(search, iterate, mu):
+    """By how much bounds are relaxed less once the iterate's weight is lowered to mu."""
+    return relaxation(iterate.mu, search.least) - relaxation(mu, search.least)
+
+
+def with_relaxed_bounds(search):
+    """The search with bounds that stay as relaxed as they are at first.
+
+    Where equations force unknowns onto their bounds, and all multipliers are huge, the relaxation is what gives the
+    feasible set an inside; IPOPT keeps it as well.
+    """
+    return search._replace(least=RELAXED)
+
+
+def with_barrier_parameter(search, iterate, mu):
     """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
-    bounds, by = search.bounds, relaxation(iterate.mu) - relaxation(mu)
+    bounds, by = search.bounds, falling_relaxation(search, iterate, mu)
     iterate = iterate._replace(mu=mu)
     if by == 0.0:
         return iterate
-    least = 0.1 * relaxation(mu) * bounds.magnitude
+    least = 0.1 * relaxation(mu, search.least) * bounds.magnitude
     distance = iterate.distance - by * bounds.magnitude
     outside = distance < least
     if not outside.any():
         return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
     unknowns = iterate.point.unknowns.copy()
-    unknowns[bounds.place[outside]] += bounds.side[outside] * (least - distance)[outside]
+    unknowns[bounds.indices[outside]] += bounds.side[outside] * (least - distance)[outside]
     distance[outside] = least[outside]
     return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
 
@@ -1868,39 +1938,39 @@ def tightened(search, iterate, mu):
 def barrier_curvature(search, iterate):
     """What the barrier adds to the Hessian's diagonal (unknowns,)."""
     curvature = np.zeros(iterate.point.unknowns.size)
-    np.add.at(curvature, search.bounds.place, iterate.duals / iterate.distance)
+    np.add.at(curvature, search.bounds.indices, iterate.duals / iterate.distance)
     return curvature
 
 
-def newton_system(search, iterate, gradient, shift, dual_shift):
+def newton_system(search, iterate, gradient, delta_w, delta_c):
     """Right-hand side and diagonal (unknowns,) of Newton's equations (13), given the gradient of the Lagrangian."""
     bounds, right, diagonal = search.bounds, np.empty(gradient.size), np.empty(gradient.size)
-    barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
-    add_barrier(gradient, search.grid.is_multiplier, *barrier, shift, dual_shift, right, diagonal)
+    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    add_barrier(gradient, search.grid.is_multiplier, *barrier, delta_w, delta_c, right, diagonal)
     return right, diagonal
 
 
-def shifts_to_try(before):
+def first_delta_w(before):
     """The shift that is tried first, and the least one after none; `before` is that of the iterate before."""
     return 0.0, max(1e-20, before.last / 3.0) if before.last > 0.0 else 1e-4
 
 
-def found(before, shift, least, singular):
+def corrected_inertia(before, delta_w, least, singular):
     """The shift that was enough."""
-    return Shift(shift, shift or before.last)
+    return InertiaCorrection(delta_w, delta_w or before.last)
 
 
-def step_along(search, iterate, gradient, primal, shift, refined):
+def step_along(search, iterate, gradient, primal, inertia, refined):
     """The step with a primal part, a barrier gradient and a shift: its dual part, slope and longest lengths."""
     bounds, dual = search.bounds, np.empty(iterate.duals.size)
-    barrier = bounds.place, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
     measured = measure_step(
         iterate.point.unknowns, gradient, primal, search.grid.is_multiplier, *barrier, max(0.99, 1.0 - iterate.mu), dual
     )
-    return Step(primal, dual, gradient, *measured, shift, refined)
+    return Step(primal, dual, gradient, *measured, inertia, refined)
 
 
-def merit(iterate):
+def barrier_objective(iterate):
     """The barrier function, which a line search lowers (3)."""
     return iterate.point.cost - iterate.mu * iterate.logarithms
 
@@ -1908,8 +1978,8 @@ def merit(iterate):
 def moved(search, iterate, primal, length):
     """The iterate after a primal step of some length, with the duals where they were."""
     unknowns, bounds = iterate.point.unknowns, search.bounds
-    trial, distance = np.empty(unknowns.size), np.empty(bounds.place.size)
-    logarithms = move(unknowns, primal, length, bounds.place, bounds.side, iterate.distance, trial, distance)
+    trial, distance = np.empty(unknowns.size), np.empty(bounds.indices.size)
+    logarithms = move(unknowns, primal, length, bounds.indices, bounds.side, iterate.distance, trial, distance)
     return Iterate(evaluate(search.grid, trial), iterate.mu, distance, logarithms, iterate.duals)
 
 
@@ -1920,7 +1990,7 @@ def with_duals(trial, step):
     return Iterate(*trial[:4], duals)
 
 
-# Newton's steps: the Hessian's shift that makes them lead downhill, and how far to go along them.
+# Newton's steps: inertia correction, which makes them lead downhill, line search, second-order correction, watchdog.
 #
 # Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
 # large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
@@ -1933,7 +2003,7 @@ UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solutio
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
-class Watch(NamedTuple):
+class Watchdog(NamedTuple):
     """Where full steps began: the iterate, its Newton step, and how many may still follow."""
 
     iterate: NamedTuple
@@ -1941,60 +2011,75 @@ class Watch(NamedTuple):
     left: int = FULL_STEPS
 
 
-class Doubts:
-    """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
+class AccuracyMonitor:
+    """When to measure what a step leaves of the linear system: where it left more of the equations than it should.
 
-    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
-    Once one was not, all are measured.
+    Curvature may be the reason, so that a step that was measured and found accurate makes it take twice as many
+    doubtful ones. After one that was not, the next is measured, and refined, before it is taken.
     """
 
     def __init__(self):
-        self.doubts, self.enough = 0, 1
+        self.doubtful, self.enough = 0, 1
 
-    def are_enough(self):
-        """Whether the next step has to be measured."""
-        return self.doubts >= self.enough
+    def add(self):
+        """Take note of a step that left too much."""
+        self.doubtful += 1
 
-    def judge(self, refined):
+    def is_due(self):
+        """Whether a step has to be measured: the one that has just left too much, or the next."""
+        return self.doubtful >= self.enough
+
+    def record(self, refined):
         """Take note of whether a step that was measured had to be refined."""
-        self.doubts, self.enough = (1, 1) if refined else (0, 2 * self.enough)
+        self.doubtful, self.enough = (1, 1) if refined else (0, 2 * self.enough)
 
 
 def regularised_step(search, iterate, before, damping, careful):
-    """A Newton step with the least shift of the Hessian, from `damping` on, that makes it one of descent, or None.
+    """A Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step, or None.
 
-    This is algorithm IC; `before` is the shift at the last iterate. With `careful`, what the step leaves of the linear
-    system is measured, and solved for again where that is much. There is no step where the system stays singular.
+    This is algorithm IC; `before` is the correction at the last iterate. With `careful`, what the step leaves of the
+    linear system is measured, and solved for again where that is much. None where the system stays singular.
     """
     grid, system, point = search.grid, search.system, iterate.point
-    primal, singular, dual_shift = np.empty(point.unknowns.size), False, 0.0
-    at_once, least = shifts_to_try(before)
-    shift = max(damping, at_once)
-    while shift < 1e20:
-        gradient, diagonal = newton_system(search, iterate, point.gradient, shift, dual_shift)
+    primal, singular, delta_c = np.empty(point.unknowns.size), False, 0.0
+    at_once, least = first_delta_w(before)
+    delta_w = max(damping, at_once)
+    while delta_w < 1e20:
+        gradient, diagonal = newton_system(search, iterate, point.gradient, delta_w, delta_c)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            same = shift == before.value == 0.0 and not singular
-            given = before if same else found(before, shift, least, singular)
+            same = delta_w == before.delta_w == 0.0 and not singular
+            given = before if same else corrected_inertia(before, delta_w, least, singular)
             step = step_along(search, iterate, gradient, primal, given, refined)
             if abs(step.slope) < np.inf:
                 return step
-        elif dual_shift == 0.0 and (excess is None or excess < 0):
-            dual_shift, singular = 1e-8, True  # the equations may be dependent
-            dual_shift *= iterate.mu**0.25
+        elif delta_c == 0.0 and (excess is None or excess < 0):
+            delta_c, singular = 1e-8, True  # the equations may be dependent
+            delta_c *= iterate.mu**0.25
             continue
-        if shift == 0.0:
-            shift = least
+        if delta_w == 0.0:
+            delta_w = least
         else:
-            shift *= 100.0 if before.last == 0.0 else 8.0
+            delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
 
 
-def leaves_much(point, step, trial):
-    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
-    return trial.residual > UNSOLVED * point.residual
+def is_inaccurate(search, iterate, step):
+    """Whether a step leaves so much of its linear system that it has to be refined."""
+    grid, point = search.grid, iterate.point
+    _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
+    left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
+    return inaccuracy(grid, step.gradient, step.primal, left) > ACCURATE
+
+
+def barely_reduces_residual(point, step, length, trial):
+    """Whether a step of some length has left more than its part of the equations: they are curved, or it is inaccurate.
+
+    Were they linear, 1 - `length` of each would be left.
+    """
+    return trial.residual > (1.0 - length + UNSOLVED) * point.residual
 
 
 def damped(damping, step, length, shortened):
@@ -2003,7 +2088,7 @@ def damped(damping, step, length, shortened):
     A Hessian that is barely positive definite sends steps far beyond where it means something.
     """
     if length <= SHORT * step.longest and shortened >= SHORT_IN_TURN:
-        return 4.0 * max(step.shift.value, damping, LEAST_DAMPING)
+        return 4.0 * max(step.inertia.delta_w, damping, LEAST_DAMPING)
     if length < step.longest:
         return damping
     return damping / 2.0 if damping > LEAST_DAMPING else 0.0
@@ -2018,36 +2103,42 @@ def line_search(search, iterate, step, shortest, small_violation, filtered):
             trial = with_duals(trial, step)
             return trial, length
         if length == step.longest and trial.point.violation >= iterate.point.violation:
-            better = corrected(search, iterate, step, trial.point, small_violation, filtered)
+            better = second_order_correction(search, iterate, step, trial.point, small_violation, filtered)
             if better is not None:
                 return better, length
         length *= 0.5
     return None, length
 
 
-def watched(search, iterate, step, watch, small_violation, filtered):
-    """(next iterate, length, watch) after a full step that is taken untested, in the hope that one soon is better.
+def watchdog_step(search, iterate, step, watchdog, small_violation, filtered):
+    """(next iterate, length, watchdog) after a full step that is taken untested, in the hope that one soon is better.
 
     The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
     better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
     """
     trial = moved(search, iterate, step.primal, step.longest)
-    better = is_better(trial, watch.iterate, watch.step, watch.step.longest, small_violation, filtered)
-    if not better and (watch.left == 1 or not trial.point.error < np.inf):
-        return watch.iterate, 0.0, None
+    better = is_better(trial, watchdog.iterate, watchdog.step, watchdog.step.longest, small_violation, filtered)
+    if not better and (watchdog.left == 1 or not trial.point.error < np.inf):
+        return watchdog.iterate, 0.0, None
     trial = with_duals(trial, step)
-    return trial, step.longest, None if better else watch._replace(left=watch.left - 1)
+    return trial, step.longest, None if better else watchdog._replace(left=watchdog.left - 1)
 
 
 def is_better(trial, iterate, step, length, small_violation, filtered):
     """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
     new, old = trial.point, iterate.point
     return new.error < np.inf and filtered.accept(
-        old.violation, merit(iterate), new.violation, merit(trial), step.slope, length, small_violation
+        old.violation,
+        barrier_objective(iterate),
+        new.violation,
+        barrier_objective(trial),
+        step.slope,
+        length,
+        small_violation,
     )
 
 
-def corrected(search, iterate, step, refused, small_violation, filtered):
+def second_order_correction(search, iterate, step, refused, small_violation, filtered):
     """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
 
     `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
@@ -2060,7 +2151,7 @@ def corrected(search, iterate, step, refused, small_violation, filtered):
         right[grid.is_multiplier] = residual
         correction = np.empty_like(step.primal)
         solve_kkt(grid, search.system, right, correction)
-        better = step_along(search, iterate, right, correction, step.shift, False)
+        better = step_along(search, iterate, right, correction, step.inertia, False)
         length = better.longest
         trial = moved(search, iterate, correction, length)
         if is_better(trial, iterate, step, step.longest, small_violation, filtered):
@@ -2090,12 +2181,12 @@ def restore(search, iterate, reduction, filtered, is_late):
     bounds, the weight and the duals are those of the restoration.
     """
     grid, damping = search.grid, 0.0
-    first, current = iterate.point.violation, begun(search, iterate)
+    first, current = iterate.point.violation, restoration_start(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
             return "time limit", current
         point = current.point
-        pull = attraction(grid, point)
+        pull = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, pull)
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
@@ -2108,12 +2199,12 @@ def restore(search, iterate, reduction, filtered, is_late):
         if current.point.violation <= reduction * first:
             accepted = current
             accepted = current._replace(mu=iterate.mu)
-            if filtered.lets_pass(accepted.point.violation, merit(accepted)):
+            if filtered.lets_pass(accepted.point.violation, barrier_objective(accepted)):
                 return "restored", accepted
     return "stalled", current
 
 
-def begun(search, iterate):
+def restoration_start(search, iterate):
     """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
     grid = search.grid
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
@@ -2122,7 +2213,7 @@ def begun(search, iterate):
     return start
 
 
-def attraction(grid, point):
+def residual_gradient(grid, point):
     """A' c, the gradient of half the squared residuals by primal unknowns, by the linearity of the Lagrangian."""
     with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
     pull = evaluate(grid, with_residuals).gradient - point.gradient
@@ -2142,7 +2233,7 @@ def first_damping(grid, point, pull):
 def restoration_error(search, current, pull):
     """Error of the optimality conditions of the least violation."""
     stationary, bounds = pull.copy(), search.bounds
-    np.subtract.at(stationary, bounds.place, bounds.side * current.duals)
+    np.subtract.at(stationary, bounds.indices, bounds.side * current.duals)
     return max(np.abs(stationary).max(), np.max(current.duals * current.distance, initial=0.0))
 
 
@@ -2156,25 +2247,25 @@ def lower_weight(nu, error):
 def damped_step(search, current, pull, damping):
     """(iterate, damping) after a step that lowers the sum of squares, or None."""
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
-    least = restoration_merit(grid, current)
+    least = restoration_objective(grid, current)
     while damping < 1e12:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right) is not None:
+        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
             solve_kkt(grid, search.system, right, step, carried=True)
             step[grid.is_multiplier] = 0.0
-            taken = step_along(search, current, slopes, step, Shift(), False)
+            taken = step_along(search, current, slopes, step, InertiaCorrection(), False)
             trial = moved(search, current, step, taken.longest)
             expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
-            if trial.point.error < np.inf and restoration_merit(grid, trial) <= least + expected:
+            if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
                 trial = with_duals(trial, taken)
                 return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None
 
 
-def restoration_merit(grid, current):
+def restoration_objective(grid, current):
     """Half the sum of squared residuals, with the restoration's barrier where there are bounds."""
     value = sum_of_squares(grid, current.point)
     value -= current.mu * current.logarithms
@@ -2220,7 +2311,7 @@ def on_bounds(search, iterate):
     unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
     moves = (unknowns != iterate.point.unknowns).any()
     point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
-    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.place, bounds.side, *barrier)
+    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.indices, bounds.side, *barrier)
     return point._replace(stationarity=measured[0], error=max(point.residual, measured[0]))
 
 
@@ -2231,14 +2322,14 @@ def last_step(search, iterate):
     that complementarities stay as they are.
     """
     grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns.copy()
-    distance = bounds.side * (unknowns[bounds.place] - bounds.value)
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
     relaxed = iterate.distance - distance
     close = np.flatnonzero(distance < relaxed)
-    unknowns[bounds.place[close]] += (bounds.side * relaxed)[close]
+    unknowns[bounds.indices[close]] += (bounds.side * relaxed)[close]
     distance[close] = iterate.distance[close]
     mu = iterate.duals @ distance / max(1, distance.size)
     iterate = iterate._replace(point=evaluate(grid, unknowns), mu=mu, distance=distance)
-    step = regularised_step(search, iterate, Shift(), 0.0, True)
+    step = regularised_step(search, iterate, InertiaCorrection(), 0.0, True)
     return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), step)
 
 
@@ -2249,7 +2340,7 @@ def last_step(search, iterate):
 # decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
 # line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
-BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 LARGEST = 1e20  # unknowns beyond it are taken for infinite
@@ -2260,17 +2351,17 @@ PATIENCE = 8  # iterations with a weight below the tolerance before scaled multi
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    Where the search from the guess fails, it begins anew in other ways; if none succeeds, the end of the first one is
-    reported. With `warm`, the barrier of bounds begins with a small weight and leaves unknowns close to them. A row
-    (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate, and the
-    barrier's weight where there is one. `max_iterations` is for all searches together; steps of the restoration are not
-    counted.
+    Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
+    succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
+    leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
+    `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
+    steps of the restoration are not counted.
     """
     search, first, total = search_on(grid), None, 0
-    primal, attempts = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *OTHERS)
-    guess = begin(search, primal, attempts[0])
-    for attempt in attempts:
-        iterate = begin(search, bent(grid, primal, attempt.bend), attempt) if first else guess
+    primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
+    guess = begin(search, primal, cascade[0])
+    for attempt in cascade:
+        iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt) if first else guess
         status = "restored"
         if attempt.nearby < 1.0 and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
@@ -2285,7 +2376,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     return status, within_bounds(search, iterate, tolerance), total
 
 
-def bent(grid, unknowns, part):
+def bulged_guess(grid, unknowns, part):
     """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
     if part == 0.0:
         return unknowns
@@ -2304,7 +2395,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
     status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
-        for beside in neighbours(search, saddle, attempt, escapes):
+        for beside in escaping_iterates(search, saddle, attempt, escapes):
             ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
             total += iterations
             if ended in LEFT and is_below(other.point, saddle.point):
@@ -2313,15 +2404,16 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
             failed = failed or ended not in LEFT
         escapes += 1
     if status == "saddle point" and escapes == ESCAPES and not failed:
-        status = "solved" if is_solved(search.grid, saddle.point, tolerance) else "stalled"
+        is_over = is_solved(search.grid, saddle.point, tolerance) or is_at_rounding_level(search.grid, saddle.point)
+        status = "solved" if is_over else "stalled"
     return status, saddle, total
 
 
-def neighbours(search, saddle, attempt, escapes):
+def escaping_iterates(search, saddle, attempt, escapes):
     """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
     grid, unknowns = search.grid, saddle.point.unknowns
     curvature = barrier_curvature(search, saddle)
-    for step in steps_aside(grid, unknowns, curvature, escapes):
+    for step in escape_steps(grid, unknowns, curvature, escapes):
         yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
 
 
@@ -2332,67 +2424,79 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
     corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
     """
-    grid, iterate = search.grid, with_multipliers(search, iterate)
+    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
     first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
-    shift, length, damping, shortened, watch, doubts = Shift(), 0.0, 0.0, 0, None, Doubts()
-    low = 0  # iterations with the last weight
+    inertia, length, damping, shortened, watchdog, monitor = InertiaCorrection(), 0.0, 0.0, 0, None, AccuracyMonitor()
+    low, loose = 0, None  # iterations with the last weight; the iterate before bounds were relaxed less
     for iteration in range(max_iterations + 1):
         iterate = measured_iterate(search, iterate)
-        log.append(grid, iterate.point, shift.value, length, iterate.mu)
+        log.append(grid, iterate.point, inertia.delta_w, length, iterate.mu)
         converged = is_optimal(search, iterate, tolerance, low > PATIENCE)
         point, status = iterate.point, ""
         if not point.error < np.inf:
             status = "non-finite"
         elif converged:
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or shift.value > 0.0
+            doubtful = iteration == 0 or inertia.delta_w > 0.0
             status = "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
-        elif is_boundless(iterate, first_cost):
+        elif is_unbounded_below(iterate, first_cost):
             status = "unbounded"
         elif log.is_late():
             status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
-        mu = lowered(iterate, LEAST_PART * tolerance)
+        mu = decreased_mu(iterate, LEAST_PART * tolerance)
         if mu < iterate.mu:
             filtered.empty()
-            iterate, shortened, watch = tightened(search, iterate, mu), 0, None
+            if loose is None and falling_relaxation(search, iterate, mu) > 0.0:
+                loose = iterate
+            iterate, shortened, watchdog = with_barrier_parameter(search, iterate, mu), 0, None
         low += mu <= LEAST_PART * tolerance
-        careful = doubts.are_enough()
-        trial, step = None, regularised_step(search, iterate, shift, damping, careful)
+        careful, before = monitor.is_due(), inertia
+        trial, step = None, regularised_step(search, iterate, inertia, damping, careful)
         if step is not None:
-            shift = step.shift
+            inertia = step.inertia
             if careful:
-                doubts.judge(step.refined)
-            watch = Watch(iterate, step) if shortened == SHORTENED else watch
-            if watch is not None:
-                iterate, length, watch = watched(search, iterate, step, watch, small_violation, filtered)
+                monitor.record(step.refined)
+            watchdog = Watchdog(iterate, step) if shortened == SHORTENED else watchdog
+            if watchdog is not None:
+                iterate, length, watchdog = watchdog_step(search, iterate, step, watchdog, small_violation, filtered)
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and length == 1.0:
-                doubts.doubts += leaves_much(point, step, trial.point)
+            if trial is not None and not careful and barely_reduces_residual(point, step, length, trial.point):
+                monitor.add()
+                if monitor.is_due() and is_inaccurate(search, iterate, step):
+                    step = regularised_step(search, iterate, before, damping, True) or step
+                    inertia = step.inertia
+                    trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
+                if monitor.is_due():
+                    monitor.record(step.refined)
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
-            convex = step is None or shift.value == 0.0 or is_minimum(search, iterate, tolerance)
+            convex = step is None or inertia.delta_w == 0.0 or is_minimum(search, iterate, tolerance)
             if low and convex and is_acceptable(grid, iterate, tolerance):
                 return "solved", iterate, iteration
             if step is None:
                 return "rank-deficient", iterate, iteration
             if not convex and is_nearly_stationary(point):
                 return "saddle point", iterate, iteration
-            if is_rounding(grid, point):
+            if is_at_rounding_level(grid, point):
                 if not is_closed(search, iterate, tolerance):
                     return "stalled", iterate, iteration
-                return "solved", iterate, iteration  # rounding has the last word
-            filtered.add(point.violation, merit(iterate))
+                return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
+            filtered.add(point.violation, barrier_objective(iterate))
             status, trial = restored(search, iterate, 0.9, filtered, log)
+            if loose is not None and status in UNLUCKY:
+                search, iterate, loose, shortened, watchdog = with_relaxed_bounds(search), loose, None, 0, None
+                filtered.empty()
+                continue
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
-            trial = with_multipliers(search, trial)
+            trial = with_least_squares_multipliers(search, trial)
         iterate = trial
     return "iteration limit", iterate, max_iterations
 
@@ -2402,17 +2506,17 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    unknowns, shift = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
+    unknowns, delta_w = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
     iterate = iterate._replace(mu=0.0)
-    _, diagonal = newton_system(search, iterate, iterate.point.gradient, shift, FLAT)
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
     return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
 
 
-def is_boundless(iterate, first_cost):
+def is_unbounded_below(iterate, first_cost):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
     if iterate.measured.largest > LARGEST:
         return True
-    return iterate.point.residual <= 1e-6 and iterate.point.cost < -BOTTOMLESS * max(1.0, first_cost)
+    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
 
 
 def restored(search, iterate, reduction, filtered, log):
@@ -2434,18 +2538,19 @@ def discrete_momenta(grid, unknowns):
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
     momenta = np.empty((BODIES, grid.steps + 1, EQUATIONS.size))
-    interval_momenta(unknowns, grid.steps, grid.h, grid.parameters, momenta)
+    interval_momenta(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, momenta)
     return momenta
 
 
 @njit(cache=True, error_model="numpy")
-def interval_momenta(unknowns, steps, h, parameters, momenta):
+def interval_momenta(unknowns, steps, h, nodes, parameters, momenta):
     """Fill `momenta` (BODIES, N + 1, EQUATIONS.size) from the gradient of every interval's l at `unknowns` (n,)."""
     part = zero_vector(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters[body], part)
+            t, length = span(nodes, k, h)
+            interval_gradient(unknowns[first : first + ELEMENT], t, length, parameters[body], part)
             for i in range(EQUATIONS.size):
                 momenta[body, k, i] = -part[EQUATIONS[i]]
         for i in range(EQUATIONS.size):
@@ -2491,11 +2596,14 @@ def checked_tolerance(tolerance, most):
 # The time grid of a solution and its checks, views of the unknowns, the iteration log.
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
+SHORTEST = 1e-10  # part of the duration, or of a phase, that an interval has at least
+EQUAL = 1e-12  # parts of their length by which equal intervals may differ
 
 
-def checked_grid(steps, duration, parameters):
+def checked_grid(steps, duration, parameters, fractions):
     """A Grid; `parameters` are numbers, or arrays (BODIES,). ValueError for what is not finite or not positive."""
     steps, duration = checked_times(steps, duration)
+    steps, nodes, is_uniform = checked_nodes(steps, fractions)
     table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
@@ -2506,7 +2614,33 @@ def checked_grid(steps, duration, parameters):
             finite = finite and all(map(math.isfinite, table[:, i].tolist()))
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
-    return Grid(steps, duration / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+    return Grid(
+        steps, duration / steps, nodes, is_uniform, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ()
+    )
+
+
+def checked_nodes(steps, fractions):
+    """The number of intervals, the indices of all nodes in mean lengths, and whether all intervals are equally long.
+
+    `fractions`, if given, are parts of the duration, (N,), or of every phase, also (PHASES, N). ValueError for others.
+    """
+    chains = 1
+    if fractions is None:
+        return steps, np.arange(chains * steps + 1.0), True
+    lengths = np.array(fractions, dtype=float)
+    if lengths.ndim == 1:
+        lengths = np.tile(lengths, (chains, 1))
+    if lengths.ndim != 2 or lengths.shape[0] != chains or not lengths.size:
+        shape = "(N,)" if chains == 1 else f"(N,) or ({chains}, N)"
+        raise ValueError(f"grid has shape {np.shape(fractions)}, expected {shape}")
+    if not (lengths > SHORTEST).all() or not np.allclose(lengths.sum(axis=1), 1.0, rtol=0.0, atol=1e-6):
+        raise ValueError(f"grid must hold fractions above {SHORTEST:g} whose sum is one, got {fractions!r}")
+    steps = lengths.shape[1]
+    if np.ptp(lengths) <= EQUAL / steps:
+        return steps, np.arange(chains * steps + 1.0), True
+    ends = np.cumsum(lengths, axis=1)
+    indices = steps * (ends / ends[:, -1:] + np.arange(chains)[:, None])
+    return steps, np.concatenate([[0.0], indices.ravel()]), False
 
 
 def plain_grid(grid):
@@ -2633,7 +2767,7 @@ def hessian(grid, unknowns):
 def submatrix(grid, unknowns, rows, columns, is_curvature):
     """Entries of the KKT matrix in the given rows and columns, renumbered; duplicates are to be added."""
     values = np.empty((BODIES * grid.steps, HESSIAN_ROWS.size))
-    interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
+    interval_hessians(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, values)
     chain = grid.steps * STRIDE + NODE
     offsets = (chain * np.arange(BODIES)[:, None] + STRIDE * np.arange(grid.steps)).reshape(-1, 1)
     row, column, value = offsets + HESSIAN_ROWS, offsets + HESSIAN_COLUMNS, values
@@ -2651,13 +2785,14 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
 
 
 @njit(cache=True, error_model="numpy")
-def interval_hessians(unknowns, steps, h, parameters, values):
+def interval_hessians(unknowns, steps, h, nodes, parameters, values):
     """Fill a row of `values` with the entries of the Hessian of each interval of each body."""
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
+            t, length = span(nodes, k, h)
+            interval_hessian(here, t, length, parameters[body], values[body * steps + k])
 
 
 # Which unknowns lie on their bounds, and which prescribed values beyond them.
@@ -2676,7 +2811,7 @@ def units_of(grid):
     return grid.sizes if grid.sizes.size else np.ones(grid.is_multiplier.size)
 
 
-def at_limits(grid, unknowns):
+def at_bounds(grid, unknowns):
     """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
     lower, upper = bounds_of(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
@@ -2693,14 +2828,14 @@ def prescribed_beyond(grid, unknowns):
     if grid.steps == 1:
         return ""
     units, (lower, upper) = units_of(grid), bounds_of(grid)
-    place, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
-    if place < 0:
+    index, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
+    if index < 0:
         return ""
-    local = place % (grid.steps * STRIDE + NODE)
+    local = index % (grid.steps * STRIDE + NODE)
     end, i = END_NAMES[local >= STRIDE], local % STRIDE
     if i < NODE:
-        limits = f"{units[place] * lower[inner]:g} to {units[place] * upper[inner]:g}"
-        return f"{metadata['node'][i]} is prescribed as {unknowns[place]:g} at the {end}, beyond its bounds {limits}"
+        limits = f"{units[index] * lower[inner]:g} to {units[index] * upper[inner]:g}"
+        return f"{metadata['node'][i]} is prescribed as {unknowns[index]:g} at the {end}, beyond its bounds {limits}"
     name = metadata["interval"][i - NODE]
     condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
     return f"what is prescribed at the {end} violates {condition}"
@@ -2708,55 +2843,55 @@ def prescribed_beyond(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def first_beyond(unknowns, units, lower, upper, steps):
-    """Places of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
+    """Indices of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
 
-    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both places are -1
+    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both indices are -1
     where there is no such unknown.
     """
     for body in range(BODIES):
         for i in range(STRIDE):
             start = body * (steps * STRIDE + NODE) + i
             end = start + (steps if i < NODE else steps - 1) * STRIDE
-            for place, inner in ((start, start + STRIDE), (end, end - STRIDE)):
-                value, least, greatest = unknowns[place] / units[place], lower[inner], upper[inner]
+            for index, inner in ((start, start + STRIDE), (end, end - STRIDE)):
+                value, least, greatest = unknowns[index] / units[index], lower[inner], upper[inner]
                 margin = 1e-9 * max(1.0, abs(value)) if i < NODE else LEAST_SLACK
-                is_below = lower[place] < least and value < least - margin
-                is_above = upper[place] > greatest and value > greatest + margin
-                is_given = lower[place] == -np.inf and upper[place] == np.inf
+                is_below = lower[index] < least and value < least - margin
+                is_above = upper[index] > greatest and value > greatest + margin
+                is_given = lower[index] == -np.inf and upper[index] == np.inf
                 if (i < NODE and is_given and (is_below or is_above)) or (i >= NODE and is_below):
-                    return place, inner
+                    return index, inner
     return -1, -1
 
 
-# The direction along which the cost curves downwards most while the equations hold to first order.
+# The direction of most negative curvature of the Lagrangian while the equations hold to first order.
 
-FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
+FLAT = 1e-8  # a delta_w that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
 
 
-def least_shift(grid, unknowns, system, curvature=0.0):
-    """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
+def least_delta_w(grid, unknowns, system, curvature=0.0):
+    """A delta_w that makes the Hessian on the equations' null space positive definite; the system is factored with it.
 
-    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where no
-    shift helps.
+    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where none
+    is enough.
     """
-    shift = FLAT
-    while shift < 1e20:
-        diagonal = np.where(grid.is_multiplier, -FLAT, shift + curvature)
+    delta_w = FLAT
+    while delta_w < 1e20:
+        diagonal = np.where(grid.is_multiplier, -FLAT, delta_w + curvature)
         if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
-            return shift
-        shift *= 10.0
+            return delta_w
+        delta_w *= 10.0
     return np.inf
 
 
-def falling_direction(grid, unknowns, curvature=0.0):
-    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
+def negative_curvature_direction(grid, unknowns, curvature=0.0):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no delta_w helps.
 
     `curvature` is what a barrier adds to the Hessian's diagonal.
     """
     system = allocate_system(grid)
     direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_shift(grid, unknowns, system, curvature) == np.inf:
+    if least_delta_w(grid, unknowns, system, curvature) == np.inf:
         return np.zeros(unknowns.size)
     free = free_unknowns(grid) & ~grid.is_multiplier
     for _ in range(ITERATIONS):
@@ -2783,12 +2918,12 @@ def is_below(point, saddle):
     return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
 
 
-def steps_aside(grid, unknowns, curvature, escapes):
+def escape_steps(grid, unknowns, curvature, escapes):
     """Steps along the falling direction to both sides; the more escapes there were, the longer.
 
     The first are a tenth of the greatest unknown long, or of one where that is smaller.
     """
-    direction = falling_direction(grid, unknowns, curvature)
+    direction = negative_curvature_direction(grid, unknowns, curvature)
     size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
     direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
     return direction, -direction
@@ -2814,10 +2949,10 @@ def final_status(grid, guess, point, status):
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
-        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+        status == "rank-deficient" and not is_finite_matrix(grid, unscaled_unknowns(grid, point.unknowns))
     ):
         return "non-finite"
-    if runaways(grid, guess, point, status == "solved").any():
+    if diverging_unknowns(grid, guess, point, status == "solved").any():
         return "unbounded"
     if status in ("infeasible", "stalled") and point.residual <= HOLDS:
         return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
@@ -2826,7 +2961,7 @@ def final_status(grid, guess, point, status):
     return status
 
 
-def own_values(grid, unknowns):
+def unscaled_unknowns(grid, unknowns):
     """Unknowns in the problem's own units."""
     return unknowns * grid.sizes if grid.sizes.size else unknowns
 
@@ -2846,7 +2981,7 @@ def largest_multiplier(grid, point):
     return np.abs(point.unknowns[grid.is_multiplier]).max(initial=0.0)
 
 
-def runaways(grid, guess, point, is_stationary):
+def diverging_unknowns(grid, guess, point, is_stationary):
     """Boolean mask of unknowns that have grown beyond reason, and that go on growing.
 
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
@@ -2860,7 +2995,7 @@ def runaways(grid, guess, point, is_stationary):
     grown[seen] = ~grid.is_multiplier[seen] & large
     if not grown.any():
         return grown
-    grown &= ~at_limits(grid, unknowns)
+    grown &= ~at_bounds(grid, unknowns)
     if is_stationary:
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
@@ -2873,7 +3008,7 @@ def runaways(grid, guess, point, is_stationary):
 def newton_step(grid, point):
     """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
     system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
-    shift[at_limits(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
+    shift[at_bounds(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
     if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient) != 0:
         return np.full(step.size, np.inf)
     solve_kkt(grid, system, point.gradient, step, carried=True)
@@ -2918,9 +3053,9 @@ def finding(grid, guess, point, status):
     if status == "rank-deficient":
         return dependent(grid, point)
     if status == "saddle point":
-        return f"the cost falls along {falling_unknown(grid, point)}"
+        return f"the cost falls along {negative_curvature_unknown(grid, point)}"
     if status == "unbounded":
-        return run_away(grid, guess, point)
+        return diverging_unknown(grid, guess, point)
     if status == "time limit":
         reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
         return f"{reached}; {worst_row(grid, point)}"
@@ -2933,21 +3068,21 @@ def worst_row(grid, point):
     return row_text(grid, point, int(np.argmax(size)))
 
 
-def row_text(grid, point, place):
+def row_text(grid, point, index):
     """Name and value of a row of the optimality conditions."""
-    value = point.gradient[place]
-    if grid.is_multiplier[place]:
-        return f"{equation_name(grid, point.unknowns, place)} is off by {value:.1e}"
-    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)} is {value:.1e}"
+    value = point.gradient[index]
+    if grid.is_multiplier[index]:
+        return f"{equation_name(grid, point.unknowns, index)} is off by {value:.1e}"
+    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)} is {value:.1e}"
 
 
 def violated(grid, point):
-    """The equations that are off most, each at its worst place, and the bounds that stand against them."""
+    """The equations that are off most, each where it is worst, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
+    text = ", ".join(row_text(grid, point, index) for index in largest_by_name(grid, point.gradient, rows))
     names = {}
-    for place in columns[at_limits(grid, point.unknowns)[columns]]:
-        name = local_name(grid, place)
+    for index in columns[at_bounds(grid, point.unknowns)[columns]]:
+        name = local_name(grid, index)
         meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
         names[shortened(meaning.removesuffix(" of an interval"))] = None
     if names:
@@ -2960,44 +3095,45 @@ def violated(grid, point):
 def dependent(grid, point):
     """The equations with the largest multipliers, or the count where no multiplier is large."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    places = leading(grid, point.unknowns, rows)
-    if places and abs(point.unknowns[places[0]]) > 1e3:
-        names = " and ".join(equation_name(grid, point.unknowns, place) for place in places)
+    indices = largest_by_name(grid, point.unknowns, rows)
+    if indices and abs(point.unknowns[indices[0]]) > 1e3:
+        names = " and ".join(equation_name(grid, point.unknowns, index) for index in indices)
         return f"equations depend on each other, or have no slope where they hold: {names}"
     if rows.size > columns.size:
         return f"there are {rows.size} equations for {columns.size} unknowns"
-    return f"the cost does not change along {falling_unknown(grid, point)}, so that its least value is not unique"
+    name = negative_curvature_unknown(grid, point)
+    return f"the cost does not change along {name}, so that its least value is not unique"
 
 
-def leading(grid, values, rows):
-    """Places of the largest values among some rows, one for each name, as long as they are comparable.
+def largest_by_name(grid, values, rows):
+    """Indices of the largest values among some rows, one for each name, as long as they are comparable.
 
     The first of them come first where they are as large as each other but for a thousandth.
     """
-    size, places = np.abs(values[rows]), {}
+    size, indices = np.abs(values[rows]), {}
     order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
-    for place in order:
-        if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
+    for index in order:
+        if abs(values[index]) < 1e-3 * abs(values[order[0]]) or len(indices) == NAMED:
             break
-        places.setdefault(local_name(grid, place), int(place))
-    return list(places.values())
+        indices.setdefault(local_name(grid, index), int(index))
+    return list(indices.values())
 
 
-def run_away(grid, guess, point):
+def diverging_unknown(grid, guess, point):
     """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
     growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
     shared = growth.size - ROOT
-    place = int(np.argmax(growth))
+    index = int(np.argmax(growth))
     if growth[shared:].max(initial=0.0) > GROWTH:
-        place = shared + int(np.argmax(growth[shared:]))
-    if growth[place] > GROWTH:
-        return f"{unknown_name(grid, point.unknowns, place)} has grown to {point.unknowns[place]:.1e}"
-    return f"the cost falls for ever along {falling_unknown(grid, point)}"
+        index = shared + int(np.argmax(growth[shared:]))
+    if growth[index] > GROWTH:
+        return f"{unknown_name(grid, point.unknowns, index)} has grown to {point.unknowns[index]:.1e}"
+    return f"the cost falls for ever along {negative_curvature_unknown(grid, point)}"
 
 
-def falling_unknown(grid, point):
+def negative_curvature_unknown(grid, point):
     """The unknown that changes most along the direction in which the cost curves downwards most, or least upwards."""
-    direction = np.where(grid.is_multiplier, 0.0, falling_direction(grid, point.unknowns))
+    direction = np.where(grid.is_multiplier, 0.0, negative_curvature_direction(grid, point.unknowns))
     return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
 
 
@@ -3005,11 +3141,11 @@ def not_finite(grid, point):
     """The first derivative, share of the cost or second derivative that is infinite or NaN, and its kernel."""
     bad = np.flatnonzero(~np.isfinite(point.gradient))
     if bad.size:
-        place = int(bad[0])
-        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)}"
-        if grid.is_multiplier[place]:
-            text = equation_name(grid, point.unknowns, place)
-        return f"{text} is {point.gradient[place]} (kernel {kernel_name(grid, place)})"
+        index = int(bad[0])
+        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)}"
+        if grid.is_multiplier[index]:
+            text = equation_name(grid, point.unknowns, index)
+        return f"{text} is {point.gradient[index]} (kernel {kernel_name(grid, index)})"
     if not np.isfinite(point.cost):
         return cost_not_finite(grid, point)
     for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
@@ -3024,7 +3160,7 @@ def not_finite(grid, point):
 def cost_not_finite(grid, point):
     """Where the discrete cost is infinite or NaN."""
     costs = np.empty((BODIES, grid.steps))
-    interval_costs(point.unknowns, grid.steps, grid.h, grid.parameters, costs)
+    interval_costs(point.unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, costs)
     bad = np.argwhere(~np.isfinite(costs))
     if bad.size:
         body, k = bad[0]
@@ -3033,42 +3169,43 @@ def cost_not_finite(grid, point):
 
 
 @njit(cache=True, error_model="numpy")
-def interval_costs(unknowns, steps, h, parameters, costs):
+def interval_costs(unknowns, steps, h, nodes, parameters, costs):
     """Fill in the discrete cost of each interval of each body."""
     part = np.empty(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
             here = body * (steps * STRIDE + NODE) + k * STRIDE
-            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            t, length = span(nodes, k, h)
+            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], t, length, parameters[body], part)
 
 
-def kernel_name(grid, place):
+def kernel_name(grid, index):
     """The kernels whose values add up to a row."""
     chain = grid.steps * STRIDE + NODE
-    if place >= grid.is_multiplier.size - COUPLINGS:
+    if index >= grid.is_multiplier.size - COUPLINGS:
         return "coupling_term"
-    local = place % chain
-    if place >= BODIES * chain or NODE <= local < chain - NODE:
+    local = index % chain
+    if index >= BODIES * chain or NODE <= local < chain - NODE:
         return "interval_gradient"
     return f"interval_gradient or {'start' if local < NODE else 'end'}_gradient"
 
 
-def unknown_name(grid, unknowns, place):
+def unknown_name(grid, unknowns, index):
     """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
-    name = local_name(grid, place)
+    name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, "")
-    where = whereabouts(grid, unknowns, place)
-    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
+    where = whereabouts(grid, unknowns, index)
+    return with_location(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
-def equation_name(grid, unknowns, place):
+def equation_name(grid, unknowns, index):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
-    name = local_name(grid, place)
+    name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    return placed(meaning, whereabouts(grid, unknowns, place))
+    return with_location(meaning, whereabouts(grid, unknowns, index))
 
 
-def placed(meaning, where):
+def with_location(meaning, where):
     """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
     for tail in (" at the start", " at the end", " of an interval", ""):
         if meaning.endswith(tail):
@@ -3089,20 +3226,20 @@ def shortened(text):
     return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
-def local_name(grid, place):
+def local_name(grid, index):
     """The name of an unknown without its place, or of a shared one with its body."""
     chain = grid.steps * STRIDE + NODE
-    return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+    return (*metadata["node"], *metadata["interval"])[index % chain % STRIDE]
 
 
-def whereabouts(grid, unknowns, place):
+def whereabouts(grid, unknowns, index):
     """Node or interval, time and body of an unknown."""
     chain = grid.steps * STRIDE + NODE
-    if place >= BODIES * chain:
+    if index >= BODIES * chain:
         return ""
-    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
+    body, (k, local) = index // chain, divmod(index % chain, STRIDE)
     kind = "at node" if local < NODE else "on interval"
-    t = duration_of(grid, unknowns) * k / grid.steps
+    t = duration_of(grid, unknowns) * grid.nodes[k] / grid.steps
     return f" {kind} {k} (t = {t:.3g}){of_body(body)}"
 
 
@@ -3119,7 +3256,7 @@ CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 KINDS = STRIDE
 # The kind of each unknown of an element, its time in lengths of an interval, and which kinds are multipliers.
 KIND = np.concatenate([np.arange(STRIDE), np.arange(NODE), STRIDE + np.arange(SHARED)])
-PLACE = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
+ABSCISSA = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
 KIND_IS_MULTIPLIER = np.concatenate(
     [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
 )
@@ -3141,7 +3278,7 @@ def add_entry(row, column, value, tables):
 
 
 @njit(error_model="numpy")
-def measure_intervals(unknowns, steps, h, parameters, tables):
+def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
     """Fill three tables by kinds from some intervals.
 
     The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
@@ -3155,7 +3292,9 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
             if k % intervals % stride > 0:
                 continue
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
+            part = nodes[k + 1] - nodes[k]  # of a mean length
             moments[:] = 0.0
             for j in range(HESSIAN_ROWS.size):
                 row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
@@ -3163,18 +3302,18 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
                     row, column = column, row
                 if not LOCAL_IS_MULTIPLIER[row]:
                     if not IS_AT_ENDS[KIND[row]]:
-                        add_entry(KIND[row], KIND[column], stride * abs(hessian[j]), tables)
+                        add_entry(KIND[row], KIND[column], stride * abs(hessian[j]) / part, tables)
                 elif not LOCAL_IS_MULTIPLIER[column]:
-                    ahead = PLACE[column] - PLACE[row]
+                    ahead = ABSCISSA[column] - ABSCISSA[row]
                     moments[row, KIND[column], 0] += hessian[j]
                     moments[row, KIND[column], 1] += hessian[j] * ahead
                     moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
                     moments[row, KIND[column], 3] += abs(hessian[j])
-            fold(moments, intervals, tables)
+            fold(moments, intervals, part, tables)
 
 
 @njit(error_model="numpy")
-def fold(moments, intervals, tables):
+def fold(moments, intervals, part, tables):
     """Put the moments of one interval's equations into the tables.
 
     An equation of a node is a sum of two intervals' shares, each as large as what is equated: as a momentum, say.
@@ -3191,18 +3330,19 @@ def fold(moments, intervals, tables):
                 for i in range(4):
                     total[i] += moments[STRIDE + row, column, i]
                 largest = max(
-                    change(moments[row, column], intervals, 1), change(moments[STRIDE + row, column], intervals, 1)
+                    change(moments[row, column], intervals, part, 1),
+                    change(moments[STRIDE + row, column], intervals, part, 1),
                 )
             tables[0, KIND[row], column] = max(tables[0, KIND[row], column], largest)
-            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, 2))
+            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, part, 2))
 
 
 @njit(error_model="numpy")
-def change(moments, intervals, powers):
-    """What an equation with these moments makes of motions of size one."""
+def change(moments, intervals, part, powers):
+    """What an equation with these moments makes of motions of size one, on an interval that is `part` of a mean one."""
     largest = abs(moments[0]) if abs(moments[0]) > CANCELLED * moments[3] else 0.0
-    largest = max(largest, abs(moments[1]) / intervals)
-    return max(largest, abs(moments[2]) / intervals**2) if powers == 2 else largest
+    largest = max(largest, abs(moments[1]) * part / intervals)
+    return max(largest, abs(moments[2]) * part**2 / intervals**2) if powers == 2 else largest
 
 
 # How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
@@ -3222,7 +3362,7 @@ def change(moments, intervals, powers):
 SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
 LEAST = 1e-150  # what is below, or above its inverse, is no size
 LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
-DUST = 1e-6  # the same beside the other terms of every equation
+NEGLIGIBLE = 1e-6  # the same beside the other terms of every equation
 
 # Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
 NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
@@ -3235,7 +3375,7 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes):
+def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
     """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
 
     `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
@@ -3247,14 +3387,14 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes)
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
-    measure_intervals(primal, steps, h, parameters, tables)
-    forget_dust(size, tables[1])
+    measure_intervals(primal, steps, h, nodes, parameters, tables)
+    drop_negligible_sizes(size, tables[1])
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
             size[j] = GIVEN[j]
     for j in range(KINDS):
         bound[j] = bound[j] if size[j] == 0.0 else 0.0
-    spread(size, rest, tables[1])
+    balance_sizes(size, rest, tables[1])
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), 6.0, False)
@@ -3337,7 +3477,7 @@ def fit_bounds(lower, upper, kinds, size):
 
 
 @njit(error_model="numpy")
-def forget_dust(size, effect):
+def drop_negligible_sizes(size, effect):
     """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
     for j in range(KINDS):
         least = np.inf
@@ -3348,12 +3488,12 @@ def forget_dust(size, effect):
                     others = max(others, effect[i, k] * size[k])
             if effect[i, j] > 0.0:
                 least = min(least, others / effect[i, j])
-        if least < np.inf and size[j] < DUST * least:
+        if least < np.inf and size[j] < NEGLIGIBLE * least:
             size[j] = 0.0
 
 
 @njit(error_model="numpy")
-def spread(size, rest, effect):
+def balance_sizes(size, rest, effect):
     """Give unknowns without a size the least one with which they balance an equation, until nothing is new."""
     for _ in range(KINDS):
         found, is_new = zero_vector(KINDS), False
@@ -3392,13 +3532,14 @@ def change_of_cost(slopes, kinds, size, curvature):
 
 # Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
 #
-# What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
-# they are that already, it is solved as it is.
+# What is solved is the same problem in other units, those in which its numbers are of ordinary size (see
+# `scaling_factors`); where they are that already, it is solved as it is.
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
 WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
+LARGE_CORRECTION = 1e-3  # part of the cost
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -3408,19 +3549,19 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     if scaling == "auto":
         grid = scaled_grid(grid, unknowns)
-    start = in_parts(grid, unknowns)
+    start = scaled_unknowns(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status = final_status(grid, in_parts(grid, unknowns), point, status)
+    status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = final_status(grid, unknowns, point, status)
-    own = in_units(grid, point)
+    own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations
@@ -3434,11 +3575,11 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
-        unknowns = own_values(grid, point.unknowns)
+        unknowns = unscaled_unknowns(grid, point.unknowns)
         finer = scaled_grid(plain_grid(grid), unknowns)
-        if not is_steeper(finer, grid):
+        if not has_larger_derivatives(finer, grid):
             break
-        begin = in_parts(finer, unknowns)
+        begin = scaled_unknowns(finer, unknowns)
         same = evaluate(finer, begin)
         if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
             return "solved", finer, begin, same, total
@@ -3462,13 +3603,13 @@ def nearly_holds(grid, point):
     return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
 
 
-def is_steeper(finer, grid):
+def has_larger_derivatives(finer, grid):
     """Whether a grid's forces, ones where it has no sizes, are far larger than those of a grid that has sizes."""
     large = finer.forces if finer.sizes.size else 1.0
     return (large > np.where(grid.is_multiplier, COARSE, COARSE_COST) * grid.forces).any()
 
 
-def in_parts(grid, unknowns):
+def scaled_unknowns(grid, unknowns):
     """Unknowns in parts of sizes where the grid has them."""
     return unknowns / grid.sizes if grid.sizes.size else unknowns
 
@@ -3479,7 +3620,9 @@ def scaled_grid(grid, unknowns):
     bounds = variable_bounds(grid)
     primal = np.where(grid.is_multiplier, 0.0, unknowns)
     slopes = evaluate(grid, primal).gradient
-    weight, is_scaled = fill_sizes(primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    weight, is_scaled = fill_sizes(
+        primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
+    )
     if not is_scaled:
         return grid._replace(bounds=bounds)
     units = np.where(IS_SLACK[kinds], 1.0, sizes)
@@ -3488,9 +3631,16 @@ def scaled_grid(grid, unknowns):
 
 
 def corrected_cost(grid, point):
-    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
-    gap = remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
-    return float(lagrangian(grid, point) - gap) / grid.weight
+    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth.
+
+    That is so to first order. A large correction belongs to multipliers without limit, as where equations force
+    unknowns onto their bounds, and says nothing: the cost stays as it is.
+    """
+    corrected = lagrangian(grid, point)
+    corrected -= remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
+    if abs(corrected - point.cost) > LARGE_CORRECTION * abs(point.cost):
+        corrected = point.cost
+    return float(corrected) / grid.weight
 
 
 @njit(cache=True, error_model="numpy")
@@ -3510,12 +3660,12 @@ def remaining_gap(unknowns, gradient, lower, upper):
 
 @lru_cache(maxsize=4)
 def kinds_of(steps):
-    """The kind of every unknown: its place in a node with the interval after it, then the shared ones."""
+    """The kind of every unknown: its index in a node with the interval after it, then the shared ones."""
     chain = np.tile(np.arange(steps * STRIDE + NODE) % STRIDE, BODIES)
     return chain
 
 
-def in_units(grid, point):
+def unscaled_point(grid, point):
     """A point in the problem's own units; its stationarity is the change of the cost with parts of sizes."""
     if not grid.sizes.size:
         return point
@@ -3565,6 +3715,7 @@ def solve(
     u_max=20.0,
     d_max=2.0,
     duration=None,
+    grid=None,
     start=None,
     end=None,
     guess=None,
@@ -3578,7 +3729,8 @@ def solve(
 ):
     """Find a local minimum on `steps` intervals and return a Solution.
 
-    `start` and `end` may replace prescribed boundary values by name, as in start={"x": 0.5}.
+    `grid`, in place of `steps`, holds the fractions (N,) of the duration that intervals of
+    different lengths last. `start` and `end` may replace prescribed boundary values by name, as in start={"x": 0.5}.
     `duration`, if given, overrides the one that the problem states, whatever its parameters are.
     `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. The search ends
     after `max_iterations`, or at the first iterate after `time_limit` seconds; `watch`, if given, is called with the
@@ -3597,6 +3749,7 @@ def solve(
         u_max=u_max,
         d_max=d_max,
         duration=duration,
+        grid=grid,
         start=start,
         end=end,
     )
@@ -3633,6 +3786,7 @@ def make_grid(
     u_max=20.0,
     d_max=2.0,
     duration=None,
+    grid=None,
     start=None,
     end=None,
 ):
@@ -3662,7 +3816,7 @@ def make_grid(
         d_max,
         *boundary.values(),
     ]
-    return checked_grid(steps, duration, parameters)
+    return checked_grid(steps, duration, parameters, grid)
 
 
 def duration_of(grid, unknowns):
@@ -3679,7 +3833,7 @@ def initial_guess(grid):
     unknowns = np.zeros(grid.is_multiplier.size)
     nodes, intervals = views(grid, unknowns)
     duration = duration_of(grid, unknowns)
-    t = duration * np.arange(grid.steps + 1) / grid.steps
+    t = duration * grid.nodes / grid.steps
     nodes[:, :, 0] = start_x + t*(end_x - start_x)/duration  # x
     nodes[:, :, 1] = start_theta + t*(end_theta - start_theta)/duration  # theta
     pin_values(grid, unknowns, nodes)
@@ -3728,7 +3882,7 @@ def variable_bounds(grid):
 def unpack(grid, unknowns):
     """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
-    t = duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps
+    t = duration_of(grid, unknowns) * grid.nodes / grid.steps
     p = discrete_momenta(grid, unknowns)
     return t, side_by_side(nodes[:, :, :2]), side_by_side(p), side_by_side(intervals[:, :, 0:1]), side_by_side(nodes[:, :, 2:4])
 
@@ -3749,10 +3903,10 @@ BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
-def remove_unfit_code(functions, identity):
+def remove_invalid_code(functions, identity):
     """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
     damaged = []
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         try:
             data = file.read_bytes()
         except FileNotFoundError:  # another process was quicker
@@ -3780,16 +3934,16 @@ def remove_partial_bytecode(file):
         pass
 
 
-def seal_new_code(functions):
+def add_new_checksums(functions):
     """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
     if any(function.stats.cache_misses for function in functions):
         with suppress(OSError):
-            seal_code(functions)
+            add_checksums(functions)
 
 
-def seal_code(functions):
+def add_checksums(functions):
     """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         data = file.read_bytes()
         if SEAL not in data:
             temporary = file.with_name(f".{file.name}.{os.getpid()}")
@@ -3800,7 +3954,7 @@ def seal_code(functions):
                 temporary.unlink(missing_ok=True)
 
 
-def kept_code(functions):
+def machine_code_cache(functions):
     """The files in which numba keeps compiled functions of the modules that some functions belong to."""
     statistics = [(getattr(function, "stats", None), function) for function in functions]
     places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
@@ -3831,11 +3985,11 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_cart_pole_db417b54d0769f40"
+_IDENTITY = "codegen_cart_pole_9ddf882092875963"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
-DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
-atexit.register(seal_new_code, _COMPILED)
+DAMAGED = remove_invalid_code(_COMPILED, _IDENTITY)
+atexit.register(add_new_checksums, _COMPILED)
 remove_partial_bytecode(getattr(__spec__, "cached", None))

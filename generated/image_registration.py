@@ -10,7 +10,7 @@
 # - threads that share the gradient of many particles: parallel=True has them
 """Register two images by landmarks: find the geodesic interpolating spline that carries one set of points to another.
 
-Particles i = 1 ... n with places q_i and momenta p_i move by the Hamiltonian
+Particles i = 1 ... n with positions q_i and momenta p_i move by the Hamiltonian
 
     H = sum_i self(z_i) + sum_{i<j} pair(z_i, z_j)
     self = (px_i**2 + py_i**2)*(-x_i**2 - y_i**2 + 1)**2/4
@@ -83,7 +83,7 @@ DIMENSION = 2  # coordinates of a particle: x, y
 BLOCKS = 1  # rows of H_pp for each particle
 CLOSEST = 1e-300  # squared distances below this count as zero
 POINTS = 1  # points of a step at which H is evaluated
-SUBSTEPS = ((1.0, 0.5, 0.5),)  # fraction of the step, place and momentum between its ends
+SUBSTEPS = ((1.0, 0.5, 0.5),)  # fraction of the step, position and momentum between its ends
 COST_WEIGHTS = (1.0,)  # weights of the points in the discrete cost
 GROUP = 64  # particles whose derivatives are gathered together
 
@@ -110,8 +110,8 @@ def domain_margin(z):
 
 
 @njit(cache=True, error_model="numpy")
-def guide(start, target, fraction, place):
-    """Fill `place`, shape (n, d) as all are, with where particles may be after a part of their way."""
+def guide(start, target, fraction, position):
+    """Fill `position`, shape (n, d) as all are, with where particles may be after a part of their way."""
     for i in range(start.shape[0]):
         x_i = start[i, 0]
         y_i = start[i, 1]
@@ -134,8 +134,8 @@ def guide(start, target, fraction, place):
         x14 = 1/(x12**2 + x13**2)
         x15 = x11 + x_i
         x16 = x10 + y_i
-        place[i, 0] = x14*(x12*x16 + x13*x15)
-        place[i, 1] = x14*(-x12*x15 + x13*x16)
+        position[i, 0] = x14*(x12*x16 + x13*x15)
+        position[i, 1] = x14*(-x12*x15 + x13*x16)
 
 
 @njit(cache=True, error_model="numpy")
@@ -892,12 +892,12 @@ def linearised_field(hessians, points, k, own, parameters, directions, products)
     half = directions.shape[0] // 2
     for row in range(half):
         for c in range(directions.shape[1]):
-            by_place = products[row, c]
+            by_position = products[row, c]
             products[row, c] = products[half + row, c]
-            products[half + row, c] = -by_place
+            products[half + row, c] = -by_position
 
 
-# Places and momenta moved along the field (H_p, -H_q).
+# Positions and momenta moved along the field (H_p, -H_q).
 
 
 @njit(cache=True, error_model="numpy")
@@ -906,11 +906,11 @@ def moved(before, step, gradient, after):
     change, size = 0.0, 0.0
     for i in range(before.shape[1]):
         for k in range(before.shape[2]):
-            place = before[0, i, k] + step * gradient[1, i, k]
+            position = before[0, i, k] + step * gradient[1, i, k]
             momentum = before[1, i, k] - step * gradient[0, i, k]
-            change = max(change, abs(place - after[0, i, k]), abs(momentum - after[1, i, k]))
-            size = max(size, abs(place), abs(momentum))
-            after[0, i, k], after[1, i, k] = place, momentum
+            change = max(change, abs(position - after[0, i, k]), abs(momentum - after[1, i, k]))
+            size = max(size, abs(position), abs(momentum))
+            after[0, i, k], after[1, i, k] = position, momentum
     return change, size
 
 
@@ -1016,7 +1016,7 @@ def implicit_substep(before, step, a, b, own, parameters, near, gradient, point,
         change, size = moved(before, step, gradient, after)
         if is_settled(change, previous, size, max(near, ROUNDING)):
             return iteration + 1
-        # Places and momenta take turns, so that two iterations are compared.
+        # Positions and momenta take turns, so that two iterations are compared.
         if not change < np.inf or (iteration > 3 and change > 0.5 * earlier):
             break
         previous, earlier = change, previous
@@ -1115,11 +1115,11 @@ def direct_directions(hessian, step, a, b, before, after):
         for row in range(size):
             middle[row] = (1.0 - (a if row < half else b)) * before[row, c]
         for row in range(half):
-            place, momentum = before[row, c], before[half + row, c]
+            position, momentum = before[row, c], before[half + row, c]
             for column in range(size):
-                place += step * hessian[half + row, column] * middle[column]
+                position += step * hessian[half + row, column] * middle[column]
                 momentum -= step * hessian[row, column] * middle[column]
-            right[row], right[half + row] = place, momentum
+            right[row], right[half + row] = position, momentum
         solve_factored(matrix, pivots, right)
         for row in range(size):
             after[row, c] = right[row]
@@ -1209,7 +1209,7 @@ def same_state(one, other):
 # adds; each step corrects that by a matrix of rank one. Where the residual no longer falls, Newton's method takes over.
 # Source: Kelley (1995), Iterative methods for linear and nonlinear equations, section 7.3 (the inverse as a product).
 
-SECANTS = 40  # iterations, each of which keeps two vectors
+BROYDEN_STEPS = 40  # iterations, each of which keeps two vectors
 PATIENCE = 6  # iterations after which the residual must have halved
 ENOUGH = 1e-4  # relative accuracy of implicit steps, as a part of that of the arrival before
 
@@ -1241,13 +1241,13 @@ def approximate_inverse(factor, left, right, count, values, change):
 
 
 @njit(cache=True, error_model="numpy")
-def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, points):
+def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, points):
     """Improve path[0, 1], shape (n, d), as long as the residual falls; return how many steps were made.
 
     `path` and `points` belong to the best momenta at the end, whose residual the caller has to look at.
     """
     size = target.size
-    left, right = np.empty((SECANTS, size)), np.empty((SECANTS, size))
+    left, right = np.empty((BROYDEN_STEPS, size)), np.empty((BROYDEN_STEPS, size))
     step, change, residual = np.empty(size), np.empty(size), np.empty(size)
     momenta = path[0, 1].copy()
     moved, kept = momenta.reshape(size), momenta.copy()
@@ -1255,7 +1255,7 @@ def secant_steps(h, own, parameters, target, sigma, factor, tolerance, path, poi
     scale = max(np.abs(target).max(), 1e-300)
     start, best, halved, waited, made, is_kept = norm, norm, norm, 0, 0, True
     approximate_inverse(factor, left, right, 0, residual, step)
-    while made < SECANTS and error > tolerance and waited < PATIENCE:
+    while made < BROYDEN_STEPS and error > tolerance and waited < PATIENCE:
         for k in range(size):
             step[k] = -step[k]
             moved[k] += step[k]
@@ -1322,7 +1322,7 @@ def tangents(hessians, points, steps, h, own, parameters, directions):
     return True
 
 
-def arrival(directions, sigma):
+def end_residual_change(directions, sigma):
     """The change of q_N + sigma^2 p_N along directions, shape (nd, m)."""
     half = directions.shape[0] // 2
     variances = np.repeat(sigma**2, half // sigma.size)
@@ -1387,12 +1387,12 @@ class Linearised:
         """The change of the residual for a change of the initial momenta, shape (nd,)."""
         directions = np.zeros((2 * change.size, 1))
         directions[change.size :, 0] = change
-        return arrival(self.tangents(directions), self.case.sigma)[:, 0]
+        return end_residual_change(self.tangents(directions), self.case.sigma)[:, 0]
 
     def matrix(self):
         """The derivative as a matrix, shape (nd, nd)."""
         size = self.case.start.size
-        return arrival(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
+        return end_residual_change(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
 
     def solved(self, right, forcing):
         """The change of initial momenta that changes the residual by `right`, both (nd,); NaN where there is none."""
@@ -1479,7 +1479,7 @@ def first_steps(case, h, factor, path, points):
     """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
     if factor is None or case.start.size <= DENSE:
         return 0
-    return secant_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
+    return broyden_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
 
 
 def shoot(case, factor, path, points, log):
@@ -1524,7 +1524,7 @@ def shoot(case, factor, path, points, log):
 
 
 def all_states(case, factor, path, points, log):
-    """Improve all states of `path` but the places at the start; otherwise as `shoot`.
+    """Improve all states of `path` but the positions at the start; otherwise as `shoot`.
 
     The residual is the largest of all defects of steps and of the end conditions.
     """
@@ -1544,7 +1544,7 @@ def all_states(case, factor, path, points, log):
         linear = Linearised(case, points, factor)
         shifts = np.zeros((case.steps + 1, 2 * residual.size, 1))
         shift_states(linear, errors, shifts)
-        right = -residual - arrival(shifts[-1], case.sigma)[:, 0]
+        right = -residual - end_residual_change(shifts[-1], case.sigma)[:, 0]
         shifts[0, residual.size :, 0] = linear.solved(right, min(1e-3, 0.1 * error)) if right.any() else 0.0
         shift_states(linear, errors, shifts)
         log[iteration, 1] = linear.count + 2
@@ -1664,8 +1664,8 @@ def require_possible(what, points):
         raise ValueError(f"{what} of point {row + 1} is {points[row]}, expected finite numbers")
     if not domain_margin(np.stack([points, np.zeros_like(points)])) > 0.0:
         row = next(k for k in range(len(points)) if not domain_margin(np.stack([points[k : k + 1]] * 2)) > 0.0)
-        place = ", ".join(f"{x:.6g}" for x in points[row])
-        raise ValueError(f"{what} of point {row + 1}, ({place}), is on or outside the boundary of the domain")
+        position = ", ".join(f"{x:.6g}" for x in points[row])
+        raise ValueError(f"{what} of point {row + 1}, ({position}), is on or outside the boundary of the domain")
     order = np.lexsort(points.T)
     same = np.flatnonzero((points[order[1:]] == points[order[:-1]]).all(axis=1))
     if same.size:
@@ -1677,7 +1677,7 @@ def require_possible(what, points):
 #
 # The action sum_k v.G(q)^-1 v/(2h) with v = q_k+1 - q_k, q midway and G = H_pp is bounded below and grows without bound
 # where points are driven together, so that a method of descent finds a minimum from any path. Where only a sigma is
-# asked for, |q_N - target|^2/(2 sigma^2) is added and the last places move as well. The method is BFGS with limited
+# asked for, |q_N - target|^2/(2 sigma^2) is added and the last positions move as well. The method is BFGS with limited
 # memory, which begins from the inverse of the second derivatives that leave out how G changes: a block-tridiagonal
 # matrix. Source: Nocedal and Wright (2006), Numerical optimization, algorithms 7.4 and 7.5.
 
@@ -1691,15 +1691,15 @@ SHORTEST = 2.0**-20  # least part of a step that is tried
 MOST_ENTRIES = 5_000_000  # entries of the matrices G of a path: of more particles than about 500 none is sought
 
 
-def action_of(case, places):
-    """The action of places at the nodes, shape (N + 1, n, d), its gradient by them, momenta (N, n, d), and all G^-1.
+def action_of(case, positions):
+    """The action of positions at the nodes, shape (N + 1, n, d), its gradient by them, momenta (N, n, d), and all G^-1.
 
     The action is infinite, and the rest None, where a path leaves the domain or G has no inverse.
     """
-    count, (n, d) = len(places) - 1, case.start.shape
+    count, (n, d) = len(positions) - 1, case.start.shape
     h, size = case.duration / count, n if BLOCKS == 1 else n * d
     states, matrices = np.zeros((count, 2, n, d)), np.empty((count, size, size))
-    states[:, 0] = 0.5 * (places[:-1] + places[1:])
+    states[:, 0] = 0.5 * (positions[:-1] + positions[1:])
     if not np.isfinite(states).all() or not all(domain_margin(z) > 0.0 for z in states):
         return np.inf, None, None, None
     for z, matrix in zip(states, matrices, strict=True):
@@ -1708,17 +1708,17 @@ def action_of(case, places):
         inverses = np.linalg.inv(matrices)
     except np.linalg.LinAlgError:
         return np.inf, None, None, None
-    ways = (places[1:] - places[:-1]).reshape(count, size, -1)
+    ways = (positions[1:] - positions[:-1]).reshape(count, size, -1)
     states[:, 1] = (inverses @ ways / h).reshape(count, n, d)
     parts = (states[:, 1].reshape(ways.shape) * ways).sum(axis=(1, 2))
     if not (parts >= 0.0).all():  # rounding has made G indefinite
         return np.inf, None, None, None
-    slopes, gradient = np.empty_like(states), np.zeros_like(places)
+    slopes, gradient = np.empty_like(states), np.zeros_like(positions)
     for z, slope in zip(states, slopes, strict=True):
         hamiltonian_gradient(z, case.own, case.parameters, slope)
     gradient[:-1] -= states[:, 1] + 0.5 * h * slopes[:, 0]
     gradient[1:] += states[:, 1] - 0.5 * h * slopes[:, 0]
-    missed = np.where(case.sigma > 0.0, 1.0, 0.0)[:, None] * (places[-1] - case.target)
+    missed = np.where(case.sigma > 0.0, 1.0, 0.0)[:, None] * (positions[-1] - case.target)
     weighted = missed / np.where(case.sigma > 0.0, case.sigma, 1.0)[:, None] ** 2
     gradient[-1] += weighted
     gradient[-1, case.sigma == 0.0] = 0.0
@@ -1768,12 +1768,12 @@ def direction(pivots, couplings, memory, gradient):
 
 
 def bent_path(case, count, bend):
-    """Places (count + 1, n, d) on the guessed way, in the middle aside by a part of its length, all to one hand."""
-    places, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
+    """Positions (count + 1, n, d) on the guessed way, in the middle aside by a part of its length, all to one hand."""
+    positions, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
     for k in range(count + 1):
-        guide(case.start, case.target, k / count, places[k])
+        guide(case.start, case.target, k / count, positions[k])
     aside = (case.target - case.start) @ (np.tri(d, d, -1) - np.tri(d, d, -1).T)  # a quarter of a turn in the plane
-    return places + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
+    return positions + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
 
 
 def path_intervals(case):
@@ -1790,21 +1790,21 @@ def momenta_of_least_action(case):
     """
     count = path_intervals(case)
     with np.errstate(all="ignore"):  # what is not finite is looked for wherever it matters
-        places, momenta = descended(case, count) if count else (None, None)
+        positions, momenta = descended(case, count) if count else (None, None)
     if momenta is None:
         return np.full(case.start.shape, np.nan)
-    state, slope = np.stack([0.5 * (places[0] + places[1]), momenta[0]]), np.empty((2, *case.start.shape))
+    state, slope = np.stack([0.5 * (positions[0] + positions[1]), momenta[0]]), np.empty((2, *case.start.shape))
     hamiltonian_gradient(state, case.own, case.parameters, slope)
     return momenta[0] + 0.5 * case.duration / count * slope[0]
 
 
 def descended(case, count):
-    """Places at the nodes, shape (N + 1, n, d), and momenta of the intervals, None where no guessed path has any."""
+    """Positions at the nodes, shape (N + 1, n, d), and momenta of the intervals, None where no guessed path has any."""
     memory, pivots, couplings = [], None, None
-    places = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
-    action, gradient, momenta, inverses = action_of(case, places)
+    positions = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
+    action, gradient, momenta, inverses = action_of(case, positions)
     if gradient is None:
-        return places, None
+        return positions, None
     for iteration in range(DESCENTS):
         if iteration % REFRESHED == 0:
             memory = []
@@ -1818,21 +1818,21 @@ def descended(case, count):
             break
         length, reached = 1.0, None
         while length >= SHORTEST and reached is None:
-            trial = places.copy()
+            trial = positions.copy()
             trial[1:] += length * way
             found = action_of(case, trial)
             reached = found if found[0] <= action - SUFFICIENT * length * decrease else None
             length *= 0.5
         if reached is None:
             break
-        step, change = trial[1:] - places[1:], reached[1][1:] - gradient[1:]
+        step, change = trial[1:] - positions[1:], reached[1][1:] - gradient[1:]
         if (step * change).sum() > 0.0:
             memory.append((step, change))
-        places, (action, gradient, momenta, inverses) = trial, reached
-    return places, momenta
+        positions, (action, gradient, momenta, inverses) = trial, reached
+    return positions, momenta
 
 
-# Which attempts are made to connect given points, in which order, and what is reported about them.
+# The globalisation cascade of the boundary-value problem: attempts to connect given points, in their order.
 #
 # Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
 # path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
@@ -1887,13 +1887,13 @@ def guessed_path(start, target, steps, duration, own, parameters):
     return path
 
 
-def climb(case, method, guess):
+def run_cascade(case, method, guess):
     """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
-    (path, points), factor = room(case), preconditioner(case)
+    (path, points), factor = allocate_path(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
-    rungs = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
-    for name, attempt in rungs:
+    cascade = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
+    for name, attempt in cascade:
         path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
         log[:] = 0.0
         outcome, made, residual, *note = attempt(case, factor, path, points, log)
@@ -1914,9 +1914,9 @@ def by_less_action(case, factor, path, points, log):
     """Shoot from a path of least action as well as whatever led to `path`, and keep what costs less.
 
     With a sigma, equations are solved by any stationary point of the cost, such as two points that ought to change
-    places and end together half way. Returns iterations, the residual if something cheaper was found, and a note.
+    positions and end together half way. Returns iterations, the residual if something cheaper was found, a note.
     """
-    other, other_points = room(case)
+    other, other_points = allocate_path(case)
     log[:] = 0.0
     outcome, made, residual = from_least_action(case, factor, other, other_points, log)
     if outcome <= 0:
@@ -2000,7 +2000,7 @@ def by_continuation(case, factor, path, points, log):
     return (outcome if done >= 1.0 or outcome <= 0 else 0), total, residual if done >= 1.0 else np.inf
 
 
-def room(case, start_momenta=None):
+def allocate_path(case, start_momenta=None):
     """A `path` and `points` for the steps of a case, with its points at the start and given momenta, shape (n, d)."""
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
@@ -2016,7 +2016,7 @@ def by_steps(case, factor, path, points, log):
     total, outcome = 0, 0
     for multiple in MORE_STEPS:
         finer = case._replace(steps=multiple * case.steps)
-        fine_path, fine_points = room(finer)
+        fine_path, fine_points = allocate_path(finer)
         attempt = from_least_action if path_intervals(finer) else by_continuation
         outcome, made, residual = attempt(finer, factor, fine_path, fine_points, log)
         total += made
@@ -2031,7 +2031,7 @@ def by_steps(case, factor, path, points, log):
         if len(known) > 1:
             (s0, p0), (s1, p1) = known[-2:]
             momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
-        fine_path, fine_points = room(fewer, momenta)
+        fine_path, fine_points = allocate_path(fewer, momenta)
         outcome, made, residual = shoot_at(fewer, fewer.target, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
@@ -2068,7 +2068,7 @@ ATTEMPTS = {
 
 def described(case, method, guess=None):
     """The fields of a Solution."""
-    outcome, path, points, iterations, tangents, residual, attempts = climb(case, method, guess)
+    outcome, path, points, iterations, tangents, residual, attempts = run_cascade(case, method, guess)
     status = "solved" if outcome > 0 else "not connected"
     message = (
         attempts[-1]
@@ -2144,7 +2144,7 @@ def path_of(case, unknowns):
 
 
 def first_unknowns(case):
-    """Inner places and all momenta on the guessed path, shape (2ndN,)."""
+    """Inner positions and all momenta on the guessed path, shape (2ndN,)."""
     path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
@@ -2152,7 +2152,7 @@ def first_unknowns(case):
 def all_equations(case, unknowns):
     """Every step from a state minus the next state, shape (2ndN,).
 
-    Unknowns are the places at inner nodes, then the momenta at all nodes; the last places are target - sigma^2 p_N.
+    Unknowns are the positions at inner nodes, then the momenta at all nodes; the last ones are target - sigma^2 p_N.
     """
     return path_errors(case, path_of(case, unknowns))[0].ravel()
 
@@ -2283,10 +2283,10 @@ BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
-def remove_unfit_code(functions, identity):
+def remove_invalid_code(functions, identity):
     """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
     damaged = []
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         try:
             data = file.read_bytes()
         except FileNotFoundError:  # another process was quicker
@@ -2314,16 +2314,16 @@ def remove_partial_bytecode(file):
         pass
 
 
-def seal_new_code(functions):
+def add_new_checksums(functions):
     """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
     if any(function.stats.cache_misses for function in functions):
         with suppress(OSError):
-            seal_code(functions)
+            add_checksums(functions)
 
 
-def seal_code(functions):
+def add_checksums(functions):
     """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         data = file.read_bytes()
         if SEAL not in data:
             temporary = file.with_name(f".{file.name}.{os.getpid()}")
@@ -2334,7 +2334,7 @@ def seal_code(functions):
                 temporary.unlink(missing_ok=True)
 
 
-def kept_code(functions):
+def machine_code_cache(functions):
     """The files in which numba keeps compiled functions of the modules that some functions belong to."""
     statistics = [(getattr(function, "stats", None), function) for function in functions]
     places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
@@ -2365,11 +2365,11 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_6c856b9ff32c1590"
+_IDENTITY = "codegen_image_registration_95a29a5cba6483d6"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
-DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
-atexit.register(seal_new_code, _COMPILED)
+DAMAGED = remove_invalid_code(_COMPILED, _IDENTITY)
+atexit.register(add_new_checksums, _COMPILED)
 remove_partial_bytecode(getattr(__spec__, "cached", None))

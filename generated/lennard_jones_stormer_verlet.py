@@ -9,7 +9,7 @@
 # - Newton's method and second derivatives: H is separable, so that steps are explicit
 """Let seven argon atoms of a frozen crystal in the plane vibrate under the potential of Lennard and Jones.
 
-Particles i = 1 ... n with places q_i and momenta p_i move by the Hamiltonian
+Particles i = 1 ... n with positions q_i and momenta p_i move by the Hamiltonian
 
     H = sum_i self(z_i) + sum_{i<j} pair(z_i, z_j)
     self = (px_i**2 + py_i**2)/(2*m)
@@ -71,7 +71,7 @@ metadata = {
 
 DIMENSION = 2  # coordinates of a particle: x, y
 POINTS = 2  # points of a step at which H is evaluated
-SUBSTEPS = ((0.5, 0.0, 1.0), (0.5, 1.0, 0.0),)  # fraction of the step, place and momentum between its ends
+SUBSTEPS = ((0.5, 0.0, 1.0), (0.5, 1.0, 0.0),)  # fraction of the step, position and momentum between its ends
 
 
 # ---- Kernels: everything that is special about this problem ----
@@ -175,7 +175,7 @@ def packed_operations():
                 config.SLP_VECTORIZE = PACKING["before"]
 
 
-# One step of a composition method for a separable Hamiltonian: places and momenta take turns, nothing is solved.
+# One step of a composition method for a separable Hamiltonian: positions and momenta take turns, nothing is solved.
 #
 # z1 = z0 + f h (H_p(p), -H_q(q)) at q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1, with a and b zero or one, not both one.
 
@@ -184,16 +184,16 @@ def packed_operations():
 def advance(z, t, h, given, work, after):
     """Fill the state `after` a step from `z`, both of shape (2, n, d); return 0 iterations.
 
-    Neighbouring substeps share what has not changed between them: H_q as long as places rest, H_p as long as momenta
-    do. `points[0]` keeps H_q and the places to which it belongs, for the step that follows.
+    Neighbouring substeps share what has not changed between them: H_q as long as positions rest, H_p as long as momenta
+    do. `points[0]` keeps H_q and the positions to which it belongs, for the step that follows.
     """
     (parameters, own), points = given, work[0]
-    rates, slopes, places = np.empty(z[0].shape), points[0, 0], points[0, 1]
+    rates, slopes, positions = np.empty(z[0].shape), points[0, 0], points[0, 1]
     has_rates, has_slopes = False, True
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             after[0, i, k], after[1, i, k] = z[0, i, k], z[1, i, k]
-            has_slopes = has_slopes and places[i, k] == z[0, i, k]
+            has_slopes = has_slopes and positions[i, k] == z[0, i, k]
     for s in range(POINTS):
         step, a, b = h * SUBSTEPS[s][0], SUBSTEPS[s][1], SUBSTEPS[s][2]
         if not (a > 0.0 or has_slopes):
@@ -216,13 +216,13 @@ def advance(z, t, h, given, work, after):
             has_rates, has_slopes = False, True
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
-            places[i, k] = after[0, i, k] if has_slopes else np.nan
+            positions[i, k] = after[0, i, k] if has_slopes else np.nan
     return 0
 
 
 @njit(cache=True, error_model="numpy")
 def moved(z, part, step, rates):
-    """Add step times rates, shape (n, d), to the places (part 0) or momenta (part 1) of a state, shape (2, n, d)."""
+    """Add step times rates, shape (n, d), to the positions (part 0) or momenta (part 1) of a state, shape (2, n, d)."""
     for i in range(z.shape[1]):
         for k in range(z.shape[2]):
             z[part, i, k] += step * rates[i, k]
@@ -261,7 +261,7 @@ FAILURES = {
 def settings_for(start, own):
     """What steps are given beside parameters: own parameters, shape (n, k); ValueError when a shape does not fit."""
     if start.ndim != 3 or start.shape[0] != 2 or start.shape[2] != DIMENSION:
-        raise ValueError(f"start has shape {start.shape}, expected (2, n, {DIMENSION}): places, then momenta")
+        raise ValueError(f"start has shape {start.shape}, expected (2, n, {DIMENSION}): positions, then momenta")
     own = np.array([np.broadcast_to(np.asarray(values, dtype=float), start.shape[1:2]) for values in own])
     if not np.isfinite(own).all():
         raise ValueError("own parameters must be finite")
@@ -403,8 +403,8 @@ def describe(grid, steps, iterations, outcome):
         effort = f" with {iterations / steps:.2f} iterations each" if iterations else ""
         return "solved", f"all {steps} steps were made{effort}"
     status, remedy = FAILURES[outcome]
-    place = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
-    return status, f"{status} in {place}: {remedy}"
+    where = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
+    return status, f"{status} in {where}: {remedy}"
 
 
 def path_residual(grid, path):
@@ -436,7 +436,7 @@ START = np.array(
             (-5307.200000000001, -3980.4),
         ],
     ]
-)  # places and momenta of the default particles
+)  # positions and momenta of the default particles
 OWN = np.array(
     [
         (),
@@ -502,8 +502,8 @@ def solve(
 ):
     """Follow any number n of particles over `duration` in `steps` steps and return a Solution.
 
-    `start` holds places and momenta, shape (2, n, 2); own parameters are arrays of shape (n,) or numbers. Never raises
-    when the numerics fail: then `status` is not "solved", `message` names the step, and the states before it are
+    `start` holds positions and momenta, shape (2, n, 2); own parameters are arrays of shape (n,) or numbers. Never
+    raises when the numerics fail: then `status` is not "solved", `message` names the step, and the states before it are
     returned. Raises ValueError when an argument is unusable.
     """
     grid = make_grid(
@@ -533,10 +533,10 @@ BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
-def remove_unfit_code(functions, identity):
+def remove_invalid_code(functions, identity):
     """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
     damaged = []
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         try:
             data = file.read_bytes()
         except FileNotFoundError:  # another process was quicker
@@ -564,16 +564,16 @@ def remove_partial_bytecode(file):
         pass
 
 
-def seal_new_code(functions):
+def add_new_checksums(functions):
     """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
     if any(function.stats.cache_misses for function in functions):
         with suppress(OSError):
-            seal_code(functions)
+            add_checksums(functions)
 
 
-def seal_code(functions):
+def add_checksums(functions):
     """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         data = file.read_bytes()
         if SEAL not in data:
             temporary = file.with_name(f".{file.name}.{os.getpid()}")
@@ -584,7 +584,7 @@ def seal_code(functions):
                 temporary.unlink(missing_ok=True)
 
 
-def kept_code(functions):
+def machine_code_cache(functions):
     """The files in which numba keeps compiled functions of the modules that some functions belong to."""
     statistics = [(getattr(function, "stats", None), function) for function in functions]
     places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
@@ -615,11 +615,11 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_lennard_jones_36de3a69825c3caa"
+_IDENTITY = "codegen_lennard_jones_5bd4bb0b2b1ba658"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
-DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
-atexit.register(seal_new_code, _COMPILED)
+DAMAGED = remove_invalid_code(_COMPILED, _IDENTITY)
+atexit.register(add_new_checksums, _COMPILED)
 remove_partial_bytecode(getattr(__spec__, "cached", None))

@@ -164,8 +164,9 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     hessian[6] = x1  # d2l/dlambda_q_k1 dq_k1
 
 
+@njit(error_model="numpy")
 def control_hessian(h, parameters, block):
-    """Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on every interval."""
+    """Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on all of length h."""
     block[0, 0] = 2*h  # d2l/df_k df_k
 
 
@@ -248,6 +249,17 @@ def clear(matrix):
             matrix[i, j] = 0.0
 
 
+# Where nodes are in time: `nodes` (N + 1,) in parts of the mean interval, 0, 1, ..., N where all are as long.
+#
+# Times are products with the mean length h, so that equal intervals have exactly that length.
+
+
+@njit(error_model="numpy", forceinline=True)
+def span(nodes, k, h):
+    """The time at which interval k begins, and its length."""
+    return nodes[k] * h, (nodes[k + 1] - nodes[k]) * h
+
+
 # The log of a search, which also tells when its time is up.
 
 
@@ -283,7 +295,7 @@ class Log:
 
 
 @njit(error_model="numpy")
-def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
+def lagrangian_gradient(unknowns, steps, h, nodes, parameters, gradient):
     """Fill the `gradient` (n,) by `unknowns` (n,), zero where they are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
@@ -304,7 +316,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
         for k in range(steps):
             here = first + k * STRIDE
             copy_part(unknowns, here, local)
-            cost += interval_gradient(local, k * h, h, own, part)
+            t, length = span(nodes, k, h)
+            cost += interval_gradient(local, t, length, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         for i in START_PINNED:
             gradient[first + i] = 0.0
@@ -347,7 +360,10 @@ def measure(gradient, is_multiplier):
 
 
 class Grid(NamedTuple):
-    """N = `steps` intervals of length h, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
+    """N = `steps` intervals, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
+
+    Intervals have the mean length h, and `nodes` (N + 1,) are the indices of all nodes in time, in mean lengths.
+    `is_uniform` says that all intervals have that length.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
     Where there are `sizes` (n,), all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces`
@@ -357,6 +373,8 @@ class Grid(NamedTuple):
 
     steps: int
     h: float
+    nodes: np.ndarray
+    is_uniform: bool
     parameters: np.ndarray
     is_multiplier: np.ndarray
     sizes: np.ndarray
@@ -388,7 +406,15 @@ def evaluate(grid, unknowns):
         unknowns,
         gradient,
         *measured_gradient(
-            unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient
+            unknowns,
+            grid.sizes,
+            grid.weight,
+            grid.steps,
+            grid.h,
+            grid.nodes,
+            grid.parameters,
+            grid.is_multiplier,
+            gradient,
         ),
     )
 
@@ -402,9 +428,9 @@ def lagrangian(grid, point):
 
 
 @njit(cache=True, error_model="numpy")
-def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
+def measured_gradient(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient):
     """Fill the `gradient` (n,) of the Lagrangian; return what a Point holds beside it."""
-    cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+    cost = lagrangian_gradient(unknowns, steps, h, nodes, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
     error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
     return cost, residual, violation, stationarity, error
@@ -436,8 +462,9 @@ COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 RIGHT = ROWS  # the column of the right-hand side
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
-# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
+IS_LACKING = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] & (HESSIAN_ROWS == HESSIAN_COLUMNS)
 
 
 @njit(error_model="numpy")
@@ -458,20 +485,20 @@ def pin_ends(k, steps, diagonal, element):
 
 
 @njit(error_model="numpy")
-def pin(place, element):
+def pin(index, element):
     """Make a row and column of `element` (ROWS, WIDTH) that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
-        element[place, i] = 0.0
-        element[i, place] = 0.0
-    element[place, place] = 1.0
-    element[place, RIGHT] = 0.0
+        element[index, i] = 0.0
+        element[i, index] = 0.0
+    element[index, index] = 1.0
+    element[index, RIGHT] = 0.0
 
 
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
+def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Pin what is given in the `element` (ROWS, WIDTH) of interval k."""
     pin_ends(k, steps, diagonal, element)
 
@@ -515,22 +542,22 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
             paired = False
             continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
-        row, place = order[c], c
+        row, position = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
         for k in range(c + 1, count):
             if abs(matrix[row, order[k]]) > beside:
-                beside, place = abs(matrix[row, order[k]]), k
+                beside, position = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
-            other, largest = order[place], 0.0
+            other, largest = order[position], 0.0
             for k in range(c, count):
-                if k != place:
+                if k != position:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
-                order[place], order[to] = order[to], order[place]
+                order[position], order[to] = order[to], order[position]
         row = order[c]
         if not paired and not abs(matrix[row, row]) > 1e-300:  # its reciprocal would overflow
             return -1
@@ -544,7 +571,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row that comes at place c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
+    """Eliminate the row at position c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -567,7 +594,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows at places c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
+    """Eliminate the rows at positions c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b
@@ -704,21 +731,21 @@ def invert_positive_definite(block, size):
     return True
 
 
-# What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery.
+# Static condensation of unknowns inside an interval: entries, Schur complement, right-hand sides, recovery.
 
 
 def sort_entries():
     """Sort the entries of an interval's Hessian by how many of their two unknowns are eliminated: none, one or both.
 
-    Each kind is a list of arrays (place in the list of entries, row, column); rows and columns are those of the
+    Each kind is a list of arrays (index in the list of entries, row, column); rows and columns are those of the
     element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT) >= BLOCK) & (np.arange(ELEMENT) < STRIDE)
-    place = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
+    index = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
     kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
-    rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
-    columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
+    rows = index[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
+    columns = index[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
     # Indices without a sign need no test for what counts from the end.
     tables = [table.astype(np.uint64) for table in (np.arange(kinds.size), rows, columns)]
     return [[table[kinds == n] for table in tables] for n in range(3)]
@@ -745,8 +772,11 @@ def scatter(hessian, gradient, k, element, coupling):
 
 
 @njit(error_model="numpy", inline="always")
-def subtract_condensed(coupling, inverse, element):
-    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH); B, `coupling` (CONDENSED, WIDTH), has its columns."""
+def subtract_schur_complement(coupling, inverse, element):
+    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH), which leaves the Schur complement.
+
+    B, `coupling` (CONDENSED, WIDTH), has its columns.
+    """
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0
@@ -773,7 +803,7 @@ def condense(gradient, inverses, couplings, steps, right):
 
 
 @njit(error_model="numpy")
-def expand(gradient, inverses, couplings, steps, solved, step):
+def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):
@@ -795,37 +825,42 @@ def expand(gradient, inverses, couplings, steps, solved, step):
 
 # An interval's element matrix, with the interval's controls eliminated.
 #
-# The controls' block C of the Hessian is the same on every interval, so it is inverted once. Eliminating the controls
-# of an interval leaves, in the remaining unknowns of its element, K - B' inverse(C) B, with B the coupling block.
+# The controls' block C of the Hessian depends on parameters and on the length of an interval alone, so it is inverted
+# once where all are equally long, and else before all other work. Eliminating the controls of an interval leaves, in the
+# remaining unknowns of its element, K - B' inverse(C) B, with B the coupling block.
 
 
 def allocate_condensed(grid):
-    """`inverses` (BODIES, 2, CONDENSED, CONDENSED) of C and its inverse, `couplings` (BODIES, N, CONDENSED, WIDTH)."""
-    inverses, block = np.zeros((BODIES, 2, CONDENSED, CONDENSED)), np.zeros((CONDENSED, CONDENSED))
-    control_hessian(grid.h, grid.parameters[0], block)
-    for a in range(CONDENSED):
-        for b in range(a):
-            block[b, a] = block[a, b]
-    inverses[:, 0] = block
-    return inverses, np.zeros((BODIES, grid.steps, CONDENSED, WIDTH))
+    """`inverses` (BODIES, 2, CONDENSED, CONDENSED) of C at 1, and `couplings` (BODIES, N, CONDENSED, WIDTH).
+
+    Where intervals differ in length there are N + 1 inverses, that of interval k at k + 1.
+    """
+    count = 2 if grid.is_uniform else grid.steps + 1
+    return np.zeros((BODIES, count, CONDENSED, CONDENSED)), np.zeros((BODIES, grid.steps, CONDENSED, WIDTH))
 
 
-@njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, parts, diagonal, inverses):
-    """Invert the block C of a body, by `parts` (ELEMENT,), `weight` and `diagonal`; False if not positive definite."""
-    block, inverse = inverses[0], inverses[1]
-    for a in range(CONDENSED):
-        for b in range(CONDENSED):
-            inverse[a, b] = weight * parts[BLOCK + a] * parts[BLOCK + b] * block[a, b]
-        inverse[a, a] += diagonal[BLOCK + a]
-    return invert_positive_definite(inverse, CONDENSED)
+@njit(error_model="numpy")
+def prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
+    """Invert the blocks C of a body, by `parts` (ELEMENT,), `weight` and `diagonal`; False if not positive definite."""
+    block = zero_matrix(CONDENSED, CONDENSED)
+    for k in range(inverses.shape[0] - 1):
+        inverse = inverses[k + 1]
+        control_hessian(span(nodes, k, h)[1], parameters, block)
+        for a in range(CONDENSED):
+            for b in range(CONDENSED):
+                factor = weight * parts[BLOCK + a] * parts[BLOCK + b]
+                inverse[a, b] = factor * block[max(a, b), min(a, b)]
+            inverse[a, a] += diagonal[k * STRIDE + BLOCK + a]
+        if not invert_positive_definite(inverse, CONDENSED):
+            return False
+    return True
 
 
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k, from `hessian`, to `element` (ROWS, WIDTH); `couplings` keeps B."""
     scatter(hessian, gradient, k, element, couplings[k])
-    subtract_condensed(couplings[k], inverses[1], element)
+    subtract_schur_complement(couplings[k], inverses[min(k + 1, inverses.shape[0] - 1)], element)
     return True
 
 
@@ -859,7 +894,7 @@ def allocate_factors(grid):
     A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
     upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
     The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
-    pivots already. Places and the inverse of the pivots are zeros, so that solving without factors, as compilation
+    pivots already. Indices and the inverse of the pivots are zeros, so that solving without factors, as compilation
     does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
@@ -870,17 +905,17 @@ def allocate_factors(grid):
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate_body(
-    unknowns, gradient, diagonal, steps, h, parameters, weight, parts, upper, inverse, order, inverses, couplings,
-    last,
+    unknowns, gradient, diagonal, steps, h, nodes, parameters, weight, parts, upper, inverse, order, inverses,
+    couplings, last,
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
     the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
-    `allocate_factors`; `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the number of negative
-    pivots, and by how many they are too many: when there are, the elimination has stopped.
+    `allocate_factors`; `nodes` (N + 1,), `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the
+    number of negative pivots, and by how many they are too many: when there are, the elimination has stopped.
     """
-    if not prepare_condensed(weight, parts, diagonal, inverses):
+    if not prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
@@ -888,7 +923,8 @@ def eliminate_body(
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         copy_part(unknowns, k * STRIDE, local)
-        interval_hessian(local, k * h, h, parameters, hessian)
+        t, length = span(nodes, k, h)
+        interval_hessian(local, t, length, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]
@@ -899,7 +935,7 @@ def eliminate_body(
             element[i, i] += diagonal[k * STRIDE + i]
         add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
-            close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
+            apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue
@@ -947,11 +983,12 @@ def fill_parts(sizes, forces, parts):
 def fill_factors(weight, parts, factors):
     """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
 
-    It is the sizes of both unknowns, and the weight where both are primal.
+    It is the sizes of both unknowns, and the weight where both are primal. The one for a multiplier that there is not
+    stays one: a shift of the multipliers' diagonal would turn a smaller one's sign, and so be counted as an equation.
     """
     is_weighted = False
     for j in range(factors.size):
-        factors[j] = parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
+        factors[j] = 1.0 if IS_LACKING[j] else parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
         if IS_CURVATURE[j]:
             factors[j] *= weight
         is_weighted = is_weighted or factors[j] != 1.0
@@ -1079,13 +1116,13 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
-    inverses, couplings,
+    unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
+    order, inverses, couplings,
 ):  # fmt: skip
     """Eliminate all bodies; whether that was possible, and the excess of negative pivots.
 
-    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P); the factors are those of
-    `allocate_factors`.
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `nodes` (N + 1,), `parameters` (BODIES, P); the
+    factors are those of `allocate_factors`.
     """
     parts = zero_vector(ELEMENT)
     fill_parts(sizes, forces, parts)
@@ -1093,8 +1130,9 @@ def factor(
     for body in range(BODIES):
         first, behind = body * chain, (body + 1) * chain
         regular, found, excess = eliminate_body(
-            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
+            parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body], couplings[body],
+            last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess
@@ -1114,7 +1152,7 @@ def substitute(gradient, carried, steps, upper, inverse, order, inverses, coupli
             forward(upper[body], inverse[body], order[body], steps, right, last)
         last[LAST] = -1.0 if carried else 0.0
         backward(upper[body], order[body], steps, carried, last, right)
-        expand(slopes, inverses[body], couplings[body], steps, right, solution)
+        recover_condensed(slopes, inverses[body], couplings[body], steps, right, solution)
 
 
 # The linear system of a Newton step: factor the KKT matrix, solve with the factors.
@@ -1133,8 +1171,8 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     factors, equations = system
     right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
     regular, excess = factor(
-        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.parameters, weight, diagonal, equations,
-        *factors,
+        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.nodes, grid.parameters, weight,
+        diagonal, equations, *factors,
     )  # fmt: skip
     return excess if regular else None
 
@@ -1159,7 +1197,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
@@ -1171,7 +1209,8 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(here, t, length, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 sums[row] += abs(hessian[j] * unknowns[column])
@@ -1190,7 +1229,9 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
 
 def sizes_of_terms(grid, unknowns):
     """The same of a grid, in parts of sizes where it has them."""
-    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return term_sizes(
+        unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.nodes, grid.parameters, grid.is_multiplier
+    )
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):
@@ -1246,7 +1287,7 @@ def without_minimum(grid, point, system):
     least = least_violation(grid, point, system)
     if least.residual > CONTRADICTORY * point.residual:
         return "infeasible", least
-    if least_shift(grid, point.unknowns, system) > FLAT:
+    if least_delta_w(grid, point.unknowns, system) > FLAT:
         return "unbounded", least
     step = np.empty_like(point.unknowns)
     solve_kkt(grid, system, least.gradient, step)
@@ -1278,18 +1319,19 @@ def discrete_momenta(grid, unknowns):
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
     momenta = np.empty((BODIES, grid.steps + 1, EQUATIONS.size))
-    interval_momenta(unknowns, grid.steps, grid.h, grid.parameters, momenta)
+    interval_momenta(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, momenta)
     return momenta
 
 
 @njit(cache=True, error_model="numpy")
-def interval_momenta(unknowns, steps, h, parameters, momenta):
+def interval_momenta(unknowns, steps, h, nodes, parameters, momenta):
     """Fill `momenta` (BODIES, N + 1, EQUATIONS.size) from the gradient of every interval's l at `unknowns` (n,)."""
     part = zero_vector(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters[body], part)
+            t, length = span(nodes, k, h)
+            interval_gradient(unknowns[first : first + ELEMENT], t, length, parameters[body], part)
             for i in range(EQUATIONS.size):
                 momenta[body, k, i] = -part[EQUATIONS[i]]
         for i in range(EQUATIONS.size):
@@ -1335,11 +1377,14 @@ def checked_tolerance(tolerance, most):
 # The time grid of a solution and its checks, views of the unknowns, the iteration log.
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
+SHORTEST = 1e-10  # part of the duration, or of a phase, that an interval has at least
+EQUAL = 1e-12  # parts of their length by which equal intervals may differ
 
 
-def checked_grid(steps, duration, parameters):
+def checked_grid(steps, duration, parameters, fractions):
     """A Grid; `parameters` are numbers, or arrays (BODIES,). ValueError for what is not finite or not positive."""
     steps, duration = checked_times(steps, duration)
+    steps, nodes, is_uniform = checked_nodes(steps, fractions)
     table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
@@ -1350,7 +1395,33 @@ def checked_grid(steps, duration, parameters):
             finite = finite and all(map(math.isfinite, table[:, i].tolist()))
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
-    return Grid(steps, duration / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+    return Grid(
+        steps, duration / steps, nodes, is_uniform, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ()
+    )
+
+
+def checked_nodes(steps, fractions):
+    """The number of intervals, the indices of all nodes in mean lengths, and whether all intervals are equally long.
+
+    `fractions`, if given, are parts of the duration, (N,), or of every phase, also (PHASES, N). ValueError for others.
+    """
+    chains = 1
+    if fractions is None:
+        return steps, np.arange(chains * steps + 1.0), True
+    lengths = np.array(fractions, dtype=float)
+    if lengths.ndim == 1:
+        lengths = np.tile(lengths, (chains, 1))
+    if lengths.ndim != 2 or lengths.shape[0] != chains or not lengths.size:
+        shape = "(N,)" if chains == 1 else f"(N,) or ({chains}, N)"
+        raise ValueError(f"grid has shape {np.shape(fractions)}, expected {shape}")
+    if not (lengths > SHORTEST).all() or not np.allclose(lengths.sum(axis=1), 1.0, rtol=0.0, atol=1e-6):
+        raise ValueError(f"grid must hold fractions above {SHORTEST:g} whose sum is one, got {fractions!r}")
+    steps = lengths.shape[1]
+    if np.ptp(lengths) <= EQUAL / steps:
+        return steps, np.arange(chains * steps + 1.0), True
+    ends = np.cumsum(lengths, axis=1)
+    indices = steps * (ends / ends[:, -1:] + np.arange(chains)[:, None])
+    return steps, np.concatenate([[0.0], indices.ravel()]), False
 
 
 def plain_grid(grid):
@@ -1477,7 +1548,7 @@ def hessian(grid, unknowns):
 def submatrix(grid, unknowns, rows, columns, is_curvature):
     """Entries of the KKT matrix in the given rows and columns, renumbered; duplicates are to be added."""
     values = np.empty((BODIES * grid.steps, HESSIAN_ROWS.size))
-    interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
+    interval_hessians(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, values)
     chain = grid.steps * STRIDE + NODE
     offsets = (chain * np.arange(BODIES)[:, None] + STRIDE * np.arange(grid.steps)).reshape(-1, 1)
     row, column, value = offsets + HESSIAN_ROWS, offsets + HESSIAN_COLUMNS, values
@@ -1495,44 +1566,45 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
 
 
 @njit(cache=True, error_model="numpy")
-def interval_hessians(unknowns, steps, h, parameters, values):
+def interval_hessians(unknowns, steps, h, nodes, parameters, values):
     """Fill a row of `values` with the entries of the Hessian of each interval of each body."""
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
+            t, length = span(nodes, k, h)
+            interval_hessian(here, t, length, parameters[body], values[body * steps + k])
 
 
-# The direction along which the cost curves downwards most while the equations hold to first order.
+# The direction of most negative curvature of the Lagrangian while the equations hold to first order.
 
-FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
+FLAT = 1e-8  # a delta_w that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
 
 
-def least_shift(grid, unknowns, system, curvature=0.0):
-    """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
+def least_delta_w(grid, unknowns, system, curvature=0.0):
+    """A delta_w that makes the Hessian on the equations' null space positive definite; the system is factored with it.
 
-    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where no
-    shift helps.
+    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where none
+    is enough.
     """
-    shift = FLAT
-    while shift < 1e20:
-        diagonal = np.where(grid.is_multiplier, -FLAT, shift + curvature)
+    delta_w = FLAT
+    while delta_w < 1e20:
+        diagonal = np.where(grid.is_multiplier, -FLAT, delta_w + curvature)
         if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
-            return shift
-        shift *= 10.0
+            return delta_w
+        delta_w *= 10.0
     return np.inf
 
 
-def falling_direction(grid, unknowns, curvature=0.0):
-    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
+def negative_curvature_direction(grid, unknowns, curvature=0.0):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no delta_w helps.
 
     `curvature` is what a barrier adds to the Hessian's diagonal.
     """
     system = allocate_system(grid)
     direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_shift(grid, unknowns, system, curvature) == np.inf:
+    if least_delta_w(grid, unknowns, system, curvature) == np.inf:
         return np.zeros(unknowns.size)
     free = free_unknowns(grid) & ~grid.is_multiplier
     for _ in range(ITERATIONS):
@@ -1562,10 +1634,10 @@ def final_status(grid, guess, point, status):
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
-        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+        status == "rank-deficient" and not is_finite_matrix(grid, unscaled_unknowns(grid, point.unknowns))
     ):
         return "non-finite"
-    if runaways(grid, guess, point, status == "solved").any():
+    if diverging_unknowns(grid, guess, point, status == "solved").any():
         return "unbounded"
     if status in ("infeasible", "stalled") and point.residual <= HOLDS:
         return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
@@ -1574,7 +1646,7 @@ def final_status(grid, guess, point, status):
     return status
 
 
-def own_values(grid, unknowns):
+def unscaled_unknowns(grid, unknowns):
     """Unknowns in the problem's own units."""
     return unknowns * grid.sizes if grid.sizes.size else unknowns
 
@@ -1594,7 +1666,7 @@ def largest_multiplier(grid, point):
     return np.abs(point.unknowns[grid.is_multiplier]).max(initial=0.0)
 
 
-def runaways(grid, guess, point, is_stationary):
+def diverging_unknowns(grid, guess, point, is_stationary):
     """Boolean mask of unknowns that have grown beyond reason, and that go on growing.
 
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
@@ -1659,9 +1731,9 @@ def finding(grid, guess, point, status):
     if status == "rank-deficient":
         return dependent(grid, point)
     if status == "saddle point":
-        return f"the cost falls along {falling_unknown(grid, point)}"
+        return f"the cost falls along {negative_curvature_unknown(grid, point)}"
     if status == "unbounded":
-        return run_away(grid, guess, point)
+        return diverging_unknown(grid, guess, point)
     if status == "time limit":
         reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
         return f"{reached}; {worst_row(grid, point)}"
@@ -1674,18 +1746,18 @@ def worst_row(grid, point):
     return row_text(grid, point, int(np.argmax(size)))
 
 
-def row_text(grid, point, place):
+def row_text(grid, point, index):
     """Name and value of a row of the optimality conditions."""
-    value = point.gradient[place]
-    if grid.is_multiplier[place]:
-        return f"{equation_name(grid, point.unknowns, place)} is off by {value:.1e}"
-    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)} is {value:.1e}"
+    value = point.gradient[index]
+    if grid.is_multiplier[index]:
+        return f"{equation_name(grid, point.unknowns, index)} is off by {value:.1e}"
+    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)} is {value:.1e}"
 
 
 def violated(grid, point):
-    """The equations that are off most, each at its worst place, and the bounds that stand against them."""
+    """The equations that are off most, each where it is worst, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
+    text = ", ".join(row_text(grid, point, index) for index in largest_by_name(grid, point.gradient, rows))
     if rows.size > columns.size:
         text += f"; there are {rows.size} equations for {columns.size} unknowns"
     return text
@@ -1694,44 +1766,45 @@ def violated(grid, point):
 def dependent(grid, point):
     """The equations with the largest multipliers, or the count where no multiplier is large."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    places = leading(grid, point.unknowns, rows)
-    if places and abs(point.unknowns[places[0]]) > 1e3:
-        names = " and ".join(equation_name(grid, point.unknowns, place) for place in places)
+    indices = largest_by_name(grid, point.unknowns, rows)
+    if indices and abs(point.unknowns[indices[0]]) > 1e3:
+        names = " and ".join(equation_name(grid, point.unknowns, index) for index in indices)
         return f"equations depend on each other, or have no slope where they hold: {names}"
     if rows.size > columns.size:
         return f"there are {rows.size} equations for {columns.size} unknowns"
-    return f"the cost does not change along {falling_unknown(grid, point)}, so that its least value is not unique"
+    name = negative_curvature_unknown(grid, point)
+    return f"the cost does not change along {name}, so that its least value is not unique"
 
 
-def leading(grid, values, rows):
-    """Places of the largest values among some rows, one for each name, as long as they are comparable.
+def largest_by_name(grid, values, rows):
+    """Indices of the largest values among some rows, one for each name, as long as they are comparable.
 
     The first of them come first where they are as large as each other but for a thousandth.
     """
-    size, places = np.abs(values[rows]), {}
+    size, indices = np.abs(values[rows]), {}
     order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
-    for place in order:
-        if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
+    for index in order:
+        if abs(values[index]) < 1e-3 * abs(values[order[0]]) or len(indices) == NAMED:
             break
-        places.setdefault(local_name(grid, place), int(place))
-    return list(places.values())
+        indices.setdefault(local_name(grid, index), int(index))
+    return list(indices.values())
 
 
-def run_away(grid, guess, point):
+def diverging_unknown(grid, guess, point):
     """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
     growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
     shared = growth.size - ROOT
-    place = int(np.argmax(growth))
+    index = int(np.argmax(growth))
     if growth[shared:].max(initial=0.0) > GROWTH:
-        place = shared + int(np.argmax(growth[shared:]))
-    if growth[place] > GROWTH:
-        return f"{unknown_name(grid, point.unknowns, place)} has grown to {point.unknowns[place]:.1e}"
-    return f"the cost falls for ever along {falling_unknown(grid, point)}"
+        index = shared + int(np.argmax(growth[shared:]))
+    if growth[index] > GROWTH:
+        return f"{unknown_name(grid, point.unknowns, index)} has grown to {point.unknowns[index]:.1e}"
+    return f"the cost falls for ever along {negative_curvature_unknown(grid, point)}"
 
 
-def falling_unknown(grid, point):
+def negative_curvature_unknown(grid, point):
     """The unknown that changes most along the direction in which the cost curves downwards most, or least upwards."""
-    direction = np.where(grid.is_multiplier, 0.0, falling_direction(grid, point.unknowns))
+    direction = np.where(grid.is_multiplier, 0.0, negative_curvature_direction(grid, point.unknowns))
     return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
 
 
@@ -1739,11 +1812,11 @@ def not_finite(grid, point):
     """The first derivative, share of the cost or second derivative that is infinite or NaN, and its kernel."""
     bad = np.flatnonzero(~np.isfinite(point.gradient))
     if bad.size:
-        place = int(bad[0])
-        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)}"
-        if grid.is_multiplier[place]:
-            text = equation_name(grid, point.unknowns, place)
-        return f"{text} is {point.gradient[place]} (kernel {kernel_name(grid, place)})"
+        index = int(bad[0])
+        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)}"
+        if grid.is_multiplier[index]:
+            text = equation_name(grid, point.unknowns, index)
+        return f"{text} is {point.gradient[index]} (kernel {kernel_name(grid, index)})"
     if not np.isfinite(point.cost):
         return cost_not_finite(grid, point)
     for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
@@ -1758,7 +1831,7 @@ def not_finite(grid, point):
 def cost_not_finite(grid, point):
     """Where the discrete cost is infinite or NaN."""
     costs = np.empty((BODIES, grid.steps))
-    interval_costs(point.unknowns, grid.steps, grid.h, grid.parameters, costs)
+    interval_costs(point.unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, costs)
     bad = np.argwhere(~np.isfinite(costs))
     if bad.size:
         body, k = bad[0]
@@ -1767,42 +1840,43 @@ def cost_not_finite(grid, point):
 
 
 @njit(cache=True, error_model="numpy")
-def interval_costs(unknowns, steps, h, parameters, costs):
+def interval_costs(unknowns, steps, h, nodes, parameters, costs):
     """Fill in the discrete cost of each interval of each body."""
     part = np.empty(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
             here = body * (steps * STRIDE + NODE) + k * STRIDE
-            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            t, length = span(nodes, k, h)
+            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], t, length, parameters[body], part)
 
 
-def kernel_name(grid, place):
+def kernel_name(grid, index):
     """The kernels whose values add up to a row."""
     chain = grid.steps * STRIDE + NODE
-    if place >= grid.is_multiplier.size - COUPLINGS:
+    if index >= grid.is_multiplier.size - COUPLINGS:
         return "coupling_term"
-    local = place % chain
-    if place >= BODIES * chain or NODE <= local < chain - NODE:
+    local = index % chain
+    if index >= BODIES * chain or NODE <= local < chain - NODE:
         return "interval_gradient"
     return f"interval_gradient or {'start' if local < NODE else 'end'}_gradient"
 
 
-def unknown_name(grid, unknowns, place):
+def unknown_name(grid, unknowns, index):
     """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
-    name = local_name(grid, place)
+    name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, "")
-    where = whereabouts(grid, unknowns, place)
-    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
+    where = whereabouts(grid, unknowns, index)
+    return with_location(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
-def equation_name(grid, unknowns, place):
+def equation_name(grid, unknowns, index):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
-    name = local_name(grid, place)
+    name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    return placed(meaning, whereabouts(grid, unknowns, place))
+    return with_location(meaning, whereabouts(grid, unknowns, index))
 
 
-def placed(meaning, where):
+def with_location(meaning, where):
     """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
     for tail in (" at the start", " at the end", " of an interval", ""):
         if meaning.endswith(tail):
@@ -1823,20 +1897,20 @@ def shortened(text):
     return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
-def local_name(grid, place):
+def local_name(grid, index):
     """The name of an unknown without its place, or of a shared one with its body."""
     chain = grid.steps * STRIDE + NODE
-    return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+    return (*metadata["node"], *metadata["interval"])[index % chain % STRIDE]
 
 
-def whereabouts(grid, unknowns, place):
+def whereabouts(grid, unknowns, index):
     """Node or interval, time and body of an unknown."""
     chain = grid.steps * STRIDE + NODE
-    if place >= BODIES * chain:
+    if index >= BODIES * chain:
         return ""
-    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
+    body, (k, local) = index // chain, divmod(index % chain, STRIDE)
     kind = "at node" if local < NODE else "on interval"
-    t = duration_of(grid, unknowns) * k / grid.steps
+    t = duration_of(grid, unknowns) * grid.nodes[k] / grid.steps
     return f" {kind} {k} (t = {t:.3g}){of_body(body)}"
 
 
@@ -1900,6 +1974,7 @@ def solve(
     steps=50,
     *,
     duration=None,
+    grid=None,
     start=None,
     end=None,
     guess=None,
@@ -1913,7 +1988,8 @@ def solve(
 ):
     """Find a local minimum on `steps` intervals and return a Solution.
 
-    `start` and `end` may replace prescribed boundary values by name, as in start={"q": 0.5}.
+    `grid`, in place of `steps`, holds the fractions (N,) of the duration that intervals of
+    different lengths last. `start` and `end` may replace prescribed boundary values by name, as in start={"q": 0.5}.
     `duration`, if given, overrides the one that the problem states, whatever its parameters are.
     `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. The search ends
     after `max_iterations`, or at the first iterate after `time_limit` seconds; `watch`, if given, is called with the
@@ -1924,6 +2000,7 @@ def solve(
     grid = make_grid(
         steps,
         duration=duration,
+        grid=grid,
         start=start,
         end=end,
     )
@@ -1952,6 +2029,7 @@ def make_grid(
     steps=50,
     *,
     duration=None,
+    grid=None,
     start=None,
     end=None,
 ):
@@ -1969,7 +2047,7 @@ def make_grid(
     parameters = [
         *boundary.values(),
     ]
-    return checked_grid(steps, duration, parameters)
+    return checked_grid(steps, duration, parameters, grid)
 
 
 def duration_of(grid, unknowns):
@@ -1984,7 +2062,7 @@ def initial_guess(grid):
     unknowns = np.zeros(grid.is_multiplier.size)
     nodes, intervals = views(grid, unknowns)
     duration = duration_of(grid, unknowns)
-    t = duration * np.arange(grid.steps + 1) / grid.steps
+    t = duration * grid.nodes / grid.steps
     nodes[:, :, 0] = start_q + t*(end_q - start_q)/duration  # q
     pin_values(grid, unknowns, nodes)
     return unknowns
@@ -2011,7 +2089,7 @@ def pin_values(grid, unknowns, nodes):
 def unpack(grid, unknowns):
     """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
-    t = duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps
+    t = duration_of(grid, unknowns) * grid.nodes / grid.steps
     p = discrete_momenta(grid, unknowns)
     return t, side_by_side(nodes[:, :, :1]), side_by_side(p), side_by_side(intervals[:, :, 0:1]), side_by_side(nodes[:, :, 1:2])
 
@@ -2032,10 +2110,10 @@ BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
-def remove_unfit_code(functions, identity):
+def remove_invalid_code(functions, identity):
     """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
     damaged = []
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         try:
             data = file.read_bytes()
         except FileNotFoundError:  # another process was quicker
@@ -2063,16 +2141,16 @@ def remove_partial_bytecode(file):
         pass
 
 
-def seal_new_code(functions):
+def add_new_checksums(functions):
     """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
     if any(function.stats.cache_misses for function in functions):
         with suppress(OSError):
-            seal_code(functions)
+            add_checksums(functions)
 
 
-def seal_code(functions):
+def add_checksums(functions):
     """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         data = file.read_bytes()
         if SEAL not in data:
             temporary = file.with_name(f".{file.name}.{os.getpid()}")
@@ -2083,7 +2161,7 @@ def seal_code(functions):
                 temporary.unlink(missing_ok=True)
 
 
-def kept_code(functions):
+def machine_code_cache(functions):
     """The files in which numba keeps compiled functions of the modules that some functions belong to."""
     statistics = [(getattr(function, "stats", None), function) for function in functions]
     places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
@@ -2114,11 +2192,11 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_6bae41adcc4bda07"
+_IDENTITY = "codegen_linear_pendulum_2eaa718b6adf85b4"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
-DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
-atexit.register(seal_new_code, _COMPILED)
+DAMAGED = remove_invalid_code(_COMPILED, _IDENTITY)
+atexit.register(add_new_checksums, _COMPILED)
 remove_partial_bytecode(getattr(__spec__, "cached", None))

@@ -267,8 +267,9 @@ def interval_hessian(unknowns, t, h, parameters, hessian):
     hessian[30] = x25  # d2l/dlambda_phi_k1 dphi_k1
 
 
+@njit(error_model="numpy")
 def control_hessian(h, parameters, block):
-    """Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on every interval."""
+    """Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on all of length h."""
     block[0, 0] = 2*h  # d2l/du_k du_k
 
 
@@ -359,6 +360,17 @@ def clear(matrix):
             matrix[i, j] = 0.0
 
 
+# Where nodes are in time: `nodes` (N + 1,) in parts of the mean interval, 0, 1, ..., N where all are as long.
+#
+# Times are products with the mean length h, so that equal intervals have exactly that length.
+
+
+@njit(error_model="numpy", forceinline=True)
+def span(nodes, k, h):
+    """The time at which interval k begins, and its length."""
+    return nodes[k] * h, (nodes[k + 1] - nodes[k]) * h
+
+
 # The log of a search, which also tells when its time is up.
 
 
@@ -397,7 +409,7 @@ class Log:
 
 
 @njit(error_model="numpy")
-def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
+def lagrangian_gradient(unknowns, steps, h, nodes, parameters, gradient):
     """Fill the `gradient` (n,) by `unknowns` (n,), zero where they are pinned, and return the discrete cost."""
     chain = steps * STRIDE + NODE
     for i in range(gradient.size):
@@ -418,7 +430,8 @@ def lagrangian_gradient(unknowns, steps, h, parameters, gradient):
         for k in range(steps):
             here = first + k * STRIDE
             copy_part(unknowns, here, local)
-            cost += interval_gradient(local, k * h, h, own, part)
+            t, length = span(nodes, k, h)
+            cost += interval_gradient(local, t, length, own, part)
             add_end(part, here, ELEMENT, body, gradient)
         for i in START_PINNED:
             gradient[first + i] = 0.0
@@ -461,7 +474,10 @@ def measure(gradient, is_multiplier):
 
 
 class Grid(NamedTuple):
-    """N = `steps` intervals of length h, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
+    """N = `steps` intervals, parameters (BODIES, P + SHARED), and which unknowns are multipliers: (n,).
+
+    Intervals have the mean length h, and `nodes` (N + 1,) are the indices of all nodes in time, in mean lengths.
+    `is_uniform` says that all intervals have that length.
 
     The last columns of `parameters` hold the shared unknowns of each body at the point that was evaluated last.
     Where there are `sizes` (n,), all unknowns are in parts of them, and the cost is multiplied by `weight`; `forces`
@@ -471,6 +487,8 @@ class Grid(NamedTuple):
 
     steps: int
     h: float
+    nodes: np.ndarray
+    is_uniform: bool
     parameters: np.ndarray
     is_multiplier: np.ndarray
     sizes: np.ndarray
@@ -502,7 +520,15 @@ def evaluate(grid, unknowns):
         unknowns,
         gradient,
         *measured_gradient(
-            unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier, gradient
+            unknowns,
+            grid.sizes,
+            grid.weight,
+            grid.steps,
+            grid.h,
+            grid.nodes,
+            grid.parameters,
+            grid.is_multiplier,
+            gradient,
         ),
     )
 
@@ -516,14 +542,14 @@ def lagrangian(grid, point):
 
 
 @njit(cache=True, error_model="numpy")
-def measured_gradient(unknowns, sizes, weight, steps, h, parameters, is_multiplier, gradient):
+def measured_gradient(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient):
     """Fill the `gradient` (n,) of the Lagrangian; return what a Point holds beside it."""
     if sizes.size:
-        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, parameters, gradient)
+        cost = weight * lagrangian_gradient(unknowns * sizes, steps, h, nodes, parameters, gradient)
         for i in range(gradient.size):
             gradient[i] *= weight * sizes[i]
     else:
-        cost = lagrangian_gradient(unknowns, steps, h, parameters, gradient)
+        cost = lagrangian_gradient(unknowns, steps, h, nodes, parameters, gradient)
     residual, violation, stationarity = measure(gradient, is_multiplier)
     error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
     return cost, residual, violation, stationarity, error
@@ -555,8 +581,9 @@ COLUMNS = padded(ROWS)  # that elimination passes over
 WIDTH = padded(BLOCK + padded(ROWS - BLOCK))  # and its columns, in fours from 0 and from BLOCK on
 RIGHT = ROWS  # the column of the right-hand side
 LOCAL_IS_MULTIPLIER = np.concatenate([IS_MULTIPLIER, IS_MULTIPLIER[:NODE], np.zeros(SHARED, bool)])
-# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
 IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN_COLUMNS])
+# The Lagrangian is linear in multipliers: on their diagonal stands only a one for each that a node or interval lacks.
+IS_LACKING = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] & (HESSIAN_ROWS == HESSIAN_COLUMNS)
 
 
 @njit(error_model="numpy")
@@ -577,20 +604,20 @@ def pin_ends(k, steps, diagonal, element):
 
 
 @njit(error_model="numpy")
-def pin(place, element):
+def pin(index, element):
     """Make a row and column of `element` (ROWS, WIDTH) that of the unit matrix, and its right-hand side zero."""
     for i in range(element.shape[0]):
-        element[place, i] = 0.0
-        element[i, place] = 0.0
-    element[place, place] = 1.0
-    element[place, RIGHT] = 0.0
+        element[index, i] = 0.0
+        element[i, index] = 0.0
+    element[index, index] = 1.0
+    element[index, RIGHT] = 0.0
 
 
 # What the boundary conditions do to the first and last element matrix where they are not curved: pin what is given.
 
 
 @njit(error_model="numpy")
-def close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
+def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element):
     """Pin what is given in the `element` (ROWS, WIDTH) of interval k."""
     pin_ends(k, steps, diagonal, element)
 
@@ -643,22 +670,22 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
             paired = False
             continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
-        row, place = order[c], c
+        row, position = order[c], c
         own, beside = abs(matrix[row, row]), 0.0
         for k in range(c + 1, count):
             if abs(matrix[row, order[k]]) > beside:
-                beside, place = abs(matrix[row, order[k]]), k
+                beside, position = abs(matrix[row, order[k]]), k
         if not 0.0 < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
-            other, largest = order[place], 0.0
+            other, largest = order[position], 0.0
             for k in range(c, count):
-                if k != place:
+                if k != position:
                     largest = max(largest, abs(matrix[other, order[k]]))
             if own * largest < BALANCE * beside * beside:
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
-                order[place], order[to] = order[to], order[place]
+                order[position], order[to] = order[to], order[position]
         row = order[c]
         if not paired and not abs(matrix[row, row]) > 1e-300:  # its reciprocal would overflow
             return -1
@@ -672,7 +699,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row that comes at place c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
+    """Eliminate the row at position c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -695,7 +722,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the rows at places c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
+    """Eliminate the rows at positions c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
     a, b, d = matrix[p, p], matrix[p, q], matrix[q, q]
     determinant = a * d - b * b
@@ -832,21 +859,21 @@ def invert_positive_definite(block, size):
     return True
 
 
-# What is common to the elimination of unknowns inside their interval: sorted entries, right-hand sides, recovery.
+# Static condensation of unknowns inside an interval: entries, Schur complement, right-hand sides, recovery.
 
 
 def sort_entries():
     """Sort the entries of an interval's Hessian by how many of their two unknowns are eliminated: none, one or both.
 
-    Each kind is a list of arrays (place in the list of entries, row, column); rows and columns are those of the
+    Each kind is a list of arrays (index in the list of entries, row, column); rows and columns are those of the
     element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT) >= BLOCK) & (np.arange(ELEMENT) < STRIDE)
-    place = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
+    index = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
     kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
-    rows = place[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
-    columns = place[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
+    rows = index[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
+    columns = index[np.where(swapped, HESSIAN_ROWS, HESSIAN_COLUMNS)]
     # Indices without a sign need no test for what counts from the end.
     tables = [table.astype(np.uint64) for table in (np.arange(kinds.size), rows, columns)]
     return [[table[kinds == n] for table in tables] for n in range(3)]
@@ -873,8 +900,11 @@ def scatter(hessian, gradient, k, element, coupling):
 
 
 @njit(error_model="numpy", inline="always")
-def subtract_condensed(coupling, inverse, element):
-    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH); B, `coupling` (CONDENSED, WIDTH), has its columns."""
+def subtract_schur_complement(coupling, inverse, element):
+    """Subtract B' inverse(C) B from `element` (ROWS, WIDTH), which leaves the Schur complement.
+
+    B, `coupling` (CONDENSED, WIDTH), has its columns.
+    """
     for i in TOUCHED:
         for a in range(CONDENSED):
             weighted = 0.0
@@ -901,7 +931,7 @@ def condense(gradient, inverses, couplings, steps, right):
 
 
 @njit(error_model="numpy")
-def expand(gradient, inverses, couplings, steps, solved, step):
+def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):
@@ -923,37 +953,42 @@ def expand(gradient, inverses, couplings, steps, solved, step):
 
 # An interval's element matrix, with the interval's controls eliminated.
 #
-# The controls' block C of the Hessian is the same on every interval, so it is inverted once. Eliminating the controls
-# of an interval leaves, in the remaining unknowns of its element, K - B' inverse(C) B, with B the coupling block.
+# The controls' block C of the Hessian depends on parameters and on the length of an interval alone, so it is inverted
+# once where all are equally long, and else before all other work. Eliminating the controls of an interval leaves, in the
+# remaining unknowns of its element, K - B' inverse(C) B, with B the coupling block.
 
 
 def allocate_condensed(grid):
-    """`inverses` (BODIES, 2, CONDENSED, CONDENSED) of C and its inverse, `couplings` (BODIES, N, CONDENSED, WIDTH)."""
-    inverses, block = np.zeros((BODIES, 2, CONDENSED, CONDENSED)), np.zeros((CONDENSED, CONDENSED))
-    control_hessian(grid.h, grid.parameters[0], block)
-    for a in range(CONDENSED):
-        for b in range(a):
-            block[b, a] = block[a, b]
-    inverses[:, 0] = block
-    return inverses, np.zeros((BODIES, grid.steps, CONDENSED, WIDTH))
+    """`inverses` (BODIES, 2, CONDENSED, CONDENSED) of C at 1, and `couplings` (BODIES, N, CONDENSED, WIDTH).
+
+    Where intervals differ in length there are N + 1 inverses, that of interval k at k + 1.
+    """
+    count = 2 if grid.is_uniform else grid.steps + 1
+    return np.zeros((BODIES, count, CONDENSED, CONDENSED)), np.zeros((BODIES, grid.steps, CONDENSED, WIDTH))
 
 
-@njit(error_model="numpy", inline="always")
-def prepare_condensed(weight, parts, diagonal, inverses):
-    """Invert the block C of a body, by `parts` (ELEMENT,), `weight` and `diagonal`; False if not positive definite."""
-    block, inverse = inverses[0], inverses[1]
-    for a in range(CONDENSED):
-        for b in range(CONDENSED):
-            inverse[a, b] = weight * parts[BLOCK + a] * parts[BLOCK + b] * block[a, b]
-        inverse[a, a] += diagonal[BLOCK + a]
-    return invert_positive_definite(inverse, CONDENSED)
+@njit(error_model="numpy")
+def prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
+    """Invert the blocks C of a body, by `parts` (ELEMENT,), `weight` and `diagonal`; False if not positive definite."""
+    block = zero_matrix(CONDENSED, CONDENSED)
+    for k in range(inverses.shape[0] - 1):
+        inverse = inverses[k + 1]
+        control_hessian(span(nodes, k, h)[1], parameters, block)
+        for a in range(CONDENSED):
+            for b in range(CONDENSED):
+                factor = weight * parts[BLOCK + a] * parts[BLOCK + b]
+                inverse[a, b] = factor * block[max(a, b), min(a, b)]
+            inverse[a, a] += diagonal[k * STRIDE + BLOCK + a]
+        if not invert_positive_definite(inverse, CONDENSED):
+            return False
+    return True
 
 
 @njit(error_model="numpy", inline="always")
 def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
     """Add K - B' inverse(C) B of interval k, from `hessian`, to `element` (ROWS, WIDTH); `couplings` keeps B."""
     scatter(hessian, gradient, k, element, couplings[k])
-    subtract_condensed(couplings[k], inverses[1], element)
+    subtract_schur_complement(couplings[k], inverses[min(k + 1, inverses.shape[0] - 1)], element)
     return True
 
 
@@ -987,7 +1022,7 @@ def allocate_factors(grid):
     A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
     upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
     The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
-    pivots already. Places and the inverse of the pivots are zeros, so that solving without factors, as compilation
+    pivots already. Indices and the inverse of the pivots are zeros, so that solving without factors, as compilation
     does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
@@ -998,17 +1033,17 @@ def allocate_factors(grid):
 # Sums may be taken in any order, which lets them run in parallel in the processor.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate_body(
-    unknowns, gradient, diagonal, steps, h, parameters, weight, parts, upper, inverse, order, inverses, couplings,
-    last,
+    unknowns, gradient, diagonal, steps, h, nodes, parameters, weight, parts, upper, inverse, order, inverses,
+    couplings, last,
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
 
     `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
     the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
-    `allocate_factors`; `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the number of negative
-    pivots, and by how many they are too many: when there are, the elimination has stopped.
+    `allocate_factors`; `nodes` (N + 1,), `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the
+    number of negative pivots, and by how many they are too many: when there are, the elimination has stopped.
     """
-    if not prepare_condensed(weight, parts, diagonal, inverses):
+    if not prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
         return False, 0, 0
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
@@ -1016,7 +1051,8 @@ def eliminate_body(
     for k in range(steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         copy_part(unknowns, k * STRIDE, local)
-        interval_hessian(local, k * h, h, parameters, hessian)
+        t, length = span(nodes, k, h)
+        interval_hessian(local, t, length, parameters, hessian)
         if is_weighted:
             for j in range(hessian.size):
                 hessian[j] *= factors[j]
@@ -1027,7 +1063,7 @@ def eliminate_body(
             element[i, i] += diagonal[k * STRIDE + i]
         add_right_hand_side(gradient, k, steps, element)
         if k == 0 or k == steps - 1:
-            close_element(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
+            apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
         if k == 0:
             begin_front(element, rest)
             continue
@@ -1078,11 +1114,12 @@ def fill_parts(sizes, forces, parts):
 def fill_factors(weight, parts, factors):
     """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
 
-    It is the sizes of both unknowns, and the weight where both are primal.
+    It is the sizes of both unknowns, and the weight where both are primal. The one for a multiplier that there is not
+    stays one: a shift of the multipliers' diagonal would turn a smaller one's sign, and so be counted as an equation.
     """
     is_weighted = False
     for j in range(factors.size):
-        factors[j] = parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
+        factors[j] = 1.0 if IS_LACKING[j] else parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
         if IS_CURVATURE[j]:
             factors[j] *= weight
         is_weighted = is_weighted or factors[j] != 1.0
@@ -1210,13 +1247,13 @@ def allocate_system(grid):
 
 @njit(cache=True, error_model="numpy")
 def factor(
-    unknowns, gradient, sizes, forces, steps, h, parameters, weight, diagonal, equations, upper, inverse, order,
-    inverses, couplings,
+    unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
+    order, inverses, couplings,
 ):  # fmt: skip
     """Eliminate all bodies; whether that was possible, and the excess of negative pivots.
 
-    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `parameters` (BODIES, P); the factors are those of
-    `allocate_factors`.
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `nodes` (N + 1,), `parameters` (BODIES, P); the
+    factors are those of `allocate_factors`.
     """
     parts = zero_vector(ELEMENT)
     fill_parts(sizes, forces, parts)
@@ -1224,8 +1261,9 @@ def factor(
     for body in range(BODIES):
         first, behind = body * chain, (body + 1) * chain
         regular, found, excess = eliminate_body(
-            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, parameters[body], weight,
-            parts, upper[body], inverse[body], order[body], inverses[body], couplings[body], last,
+            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
+            parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body], couplings[body],
+            last,
         )  # fmt: skip
         if not regular or excess > 0:
             return regular, excess
@@ -1245,7 +1283,7 @@ def substitute(gradient, carried, steps, upper, inverse, order, inverses, coupli
             forward(upper[body], inverse[body], order[body], steps, right, last)
         last[LAST] = -1.0 if carried else 0.0
         backward(upper[body], order[body], steps, carried, last, right)
-        expand(slopes, inverses[body], couplings[body], steps, right, solution)
+        recover_condensed(slopes, inverses[body], couplings[body], steps, right, solution)
 
 
 # The linear system of a Newton step: factor the KKT matrix, solve with the factors.
@@ -1266,8 +1304,8 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None):
     if grid.sizes.size:
         unknowns = unknowns * grid.sizes
     regular, excess = factor(
-        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.parameters, weight, diagonal, equations,
-        *factors,
+        unknowns, right, grid.sizes, grid.forces, grid.steps, grid.h, grid.nodes, grid.parameters, weight,
+        diagonal, equations, *factors,
     )  # fmt: skip
     return excess if regular else None
 
@@ -1292,7 +1330,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
@@ -1306,7 +1344,8 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(here, t, length, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 sums[row] += abs(hessian[j] * unknowns[column])
@@ -1327,7 +1366,9 @@ def term_sizes(unknowns, sizes, weight, steps, h, parameters, is_multiplier):
 
 def sizes_of_terms(grid, unknowns):
     """The same of a grid, in parts of sizes where it has them."""
-    return term_sizes(unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.parameters, grid.is_multiplier)
+    return term_sizes(
+        unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.nodes, grid.parameters, grid.is_multiplier
+    )
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):
@@ -1352,7 +1393,7 @@ def is_small(value, size, tolerance, roundings):
 # Whether nothing but rounding is left, so that no step makes progress.
 
 
-def is_rounding(grid, point):
+def is_at_rounding_level(grid, point):
     """Whether residual and stationarity are no larger than a thousand rounding errors."""
     sizes = sizes_of_terms(grid, point.unknowns)
     return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]
@@ -1445,8 +1486,10 @@ def envelope(violation, cost):
 # The elimination pairs the state of a node with the equation of the interval after it, and so runs the dynamics
 # backwards. Where that grows, as dissipative dynamics do over a long time, the factors are those of a matrix that is off
 # by far more than rounding, and a step leaves equations unsolved. Refinement with residuals of the matrix itself makes up
-# for it. Source: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; the measure of the residual
-# is that of Waechter and Biegler (2006), section 3.10.
+# for it. Corrections one after the other need not converge with such factors; their best combination, by generalised
+# conjugate residuals with the factors to precondition them, does. Sources: Higham (2002), Accuracy and stability of
+# numerical algorithms, chapter 12; Eisenstat, Elman and Schultz (1983), Variational iterative methods for nonsymmetric
+# systems of linear equations; the measure of the residual is that of Waechter and Biegler (2006), section 3.10.
 
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
 LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
@@ -1454,13 +1497,14 @@ SOLVED_AGAIN = 10  # times at most, as in IPOPT
 
 
 @njit(cache=True, error_model="numpy")
-def multiply_kkt(unknowns, steps, h, parameters, vector, product):
+def multiply_kkt(unknowns, steps, h, nodes, parameters, vector, product):
     """Add to `product` what the second derivatives of the Lagrangian, at `unknowns`, make of `vector`, all (n,)."""
     hessian = zero_vector(HESSIAN_ROWS.size)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
                 product[row] += hessian[j] * vector[column]
@@ -1469,38 +1513,54 @@ def multiply_kkt(unknowns, steps, h, parameters, vector, product):
         multiply_ends(unknowns, body, steps, h, parameters[body], vector, product)
 
 
-def left_over(grid, unknowns, diagonal, gradient, step):
+def linear_residual(grid, unknowns, diagonal, gradient, step):
     """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
     product, vector = np.zeros(step.size), step
     if grid.sizes.size:
         roots = np.sqrt(grid.sizes * grid.forces)
         unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_kkt(unknowns, grid.steps, grid.h, grid.parameters, vector, product)
+    multiply_kkt(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, vector, product)
     if grid.sizes.size:
         product *= roots
     product += diagonal * step + gradient
     return np.where(free_unknowns(grid), product, 0.0)
 
 
-def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine `step` (n,) in place until its residual is small, or falls no more; return whether that was necessary.
+def inaccuracy(grid, gradient, step, left):
+    """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
-    The system is still factored, and the matrix as `factor_kkt` says.
+    Large multipliers, and barriers close to their bounds, take no part in the equations.
     """
-    correction, right = np.empty_like(step), np.abs(gradient).max(initial=0.0)
-    left = left_over(grid, unknowns, diagonal, gradient, step)
-    size = np.abs(left).max(initial=0.0)
+    equations, most = grid.is_multiplier, LARGE_STEP * np.abs(gradient).max(initial=0.0)
+    unsolved = relative(left[equations], gradient[equations], step[~equations], most)
+    return max(unsolved, relative(left, gradient, step, most))
+
+
+def relative(left, right, step, most):
+    """The largest of `left`, in parts of the largest of `right` and of `step`, which counts up to `most`."""
+    scale = np.abs(right).max(initial=0.0) + min(np.abs(step).max(initial=0.0), most)
+    return np.abs(left).max(initial=0.0) / max(scale, 1e-300)
+
+
+def refine(grid, unknowns, diagonal, system, gradient, step):
+    """Refine `step` (n,) in place until it is accurate; return whether that was necessary.
+
+    The system is still factored, and the matrix as `factor_kkt` says. Each time, what the factors make of the residual
+    is one more correction, and that sum of all corrections is added which leaves least.
+    """
+    zero, corrections, products = np.zeros_like(step), [], []
+    left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        scale = right + min(np.abs(step).max(initial=0.0), LARGE_STEP * right)
-        if not ACCURATE * scale < size < np.inf:
+        if not ACCURATE < inaccuracy(grid, gradient, step, left) < np.inf:
             return refinement > 0
-        solve_kkt(grid, system, left, correction)
-        better = step + correction
-        left, before = left_over(grid, unknowns, diagonal, gradient, better), size
-        size = np.abs(left).max(initial=0.0)
-        if not size < before:
-            break
-        step[:] = better
+        corrections.append(np.empty_like(step))
+        solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
+        products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1]))
+        if not np.isfinite(products[-1]).all():
+            return True
+        parts, *_ = np.linalg.lstsq(np.array(products).T, -left, rcond=None)
+        step += parts @ np.array(corrections)
+        left = linear_residual(grid, unknowns, diagonal, gradient, step)
     return True
 
 
@@ -1519,18 +1579,18 @@ class Attempt(NamedTuple):
     nearby: float
     shortest: float
     funnel: float
-    bend: float = 0.0
+    bulge: float = 0.0
 
 
 FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
 WARM = FROM_GUESS  # Newton's method needs no telling
-OTHERS = (
+CASCADE = (
     Attempt(0.1, 1e-3, 2.0),
     Attempt(1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
 )
 
 
-SMALL_SHIFT = 1e-2  # below it, the Hessian is first tried as it is
+SMALL_DELTA_W = 1e-2  # below it, the Hessian is first tried as it is
 
 
 class Search(NamedTuple):
@@ -1547,13 +1607,13 @@ class Iterate(NamedTuple):
     point: NamedTuple
 
 
-class Shift(NamedTuple):
-    """The Hessian's shift at an iterate, the last one that was not zero, and how many times in turn it was lowered.
+class InertiaCorrection(NamedTuple):
+    """delta_w, the Hessian's shift at an iterate, its last value above zero, and how often in turn it was lowered.
 
     `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
     """
 
-    value: float = 0.0
+    delta_w: float = 0.0
     last: float = 0.0
     lowered: int = 0
     singular: bool = False
@@ -1569,7 +1629,7 @@ class Step(NamedTuple):
     gradient: np.ndarray
     slope: float
     longest: float
-    shift: NamedTuple
+    inertia: NamedTuple
     refined: bool
 
 
@@ -1583,8 +1643,8 @@ def begin(search, unknowns, attempt):
     return Iterate(evaluate(search.grid, unknowns))
 
 
-def with_multipliers(search, iterate):
-    """An iterate whose multipliers solve stationarity by least squares (36), or vanish where that is huge or singular.
+def with_least_squares_multipliers(search, iterate):
+    """An iterate whose multipliers solve stationarity by least squares (36), zero where that is huge or singular.
 
     All multipliers of `iterate` are zero.
     """
@@ -1592,7 +1652,7 @@ def with_multipliers(search, iterate):
     if point.stationarity == 0.0:
         return iterate
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, shifts(grid, 1.0, 1e-12), system, gradient)):
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, regularisation(grid, 1.0, 1e-12), system, gradient)):
         return iterate
     solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
@@ -1604,16 +1664,16 @@ def barrier_curvature(search, iterate):
     return 0.0
 
 
-def newton_system(search, iterate, gradient, shift, dual_shift):
+def newton_system(search, iterate, gradient, delta_w, delta_c):
     """Right-hand side and diagonal (unknowns,) of Newton's equations, given the gradient of the Lagrangian."""
-    return gradient, shifts(search.grid, shift, dual_shift)
+    return gradient, regularisation(search.grid, delta_w, delta_c)
 
 
-def shifts(grid, shift, dual_shift):
-    """Diagonal that shifts the Hessian by primal unknowns up, and that by multipliers down."""
-    if dual_shift == 0.0:
-        return shift * primal_ones(grid.steps)
-    return np.where(grid.is_multiplier, -dual_shift, shift)
+def regularisation(grid, delta_w, delta_c):
+    """Diagonal with delta_w on the Hessian by primal unknowns, and -delta_c on the multipliers' block."""
+    if delta_c == 0.0:
+        return delta_w * primal_ones(grid.steps)
+    return np.where(grid.is_multiplier, -delta_c, delta_w)
 
 
 @lru_cache(maxsize=4)
@@ -1622,7 +1682,7 @@ def primal_ones(steps):
     return np.where(layout(steps).is_multiplier, 0.0, 1.0)
 
 
-def shifts_to_try(before):
+def first_delta_w(before):
     """The shift that is tried first, and the least one after none; `before` is that of the iterate before.
 
     Two changes to algorithm IC save factorisations. Where the iterate before needed a shift for its curvatures, a lower
@@ -1630,24 +1690,24 @@ def shifts_to_try(before):
     the lower the next one is.
     """
     least = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
-    at_once = before.value > 0.0 and least > SMALL_SHIFT and not before.singular
+    at_once = before.delta_w > 0.0 and least > SMALL_DELTA_W and not before.singular
     return least if at_once else 0.0, least
 
 
-def found(before, shift, least, singular):
+def corrected_inertia(before, delta_w, least, singular):
     """The shift that was enough; `least` was the least to try, `singular` says whether the matrix was without it."""
     singular = singular or before.singular
-    lowered = before.lowered + 1 if shift == least and not singular else 0
-    return Shift(shift, shift or before.last, lowered, singular)
+    lowered = before.lowered + 1 if delta_w == least and not singular else 0
+    return InertiaCorrection(delta_w, delta_w or before.last, lowered, singular)
 
 
-def step_along(search, iterate, gradient, primal, shift, refined):
+def step_along(search, iterate, gradient, primal, inertia, refined):
     """The step with a primal part, the gradient that it was solved for and a shift, and with its slope."""
     slope = slope_of(iterate.point.unknowns, gradient, primal, search.grid.is_multiplier)
-    return Step(primal, gradient, slope, 1.0, shift, refined)
+    return Step(primal, gradient, slope, 1.0, inertia, refined)
 
 
-def merit(iterate):
+def barrier_objective(iterate):
     """What a line search lowers: the cost."""
     return iterate.point.cost
 
@@ -1657,7 +1717,7 @@ def moved(search, iterate, primal, length):
     return Iterate(evaluate(search.grid, iterate.point.unknowns + (primal if length == 1.0 else length * primal)))
 
 
-# Newton's steps: the Hessian's shift that makes them lead downhill, and how far to go along them.
+# Newton's steps: inertia correction, which makes them lead downhill, line search, second-order correction, watchdog.
 #
 # Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
 # large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
@@ -1670,7 +1730,7 @@ UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solutio
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
-class Watch(NamedTuple):
+class Watchdog(NamedTuple):
     """Where full steps began: the iterate, its Newton step, and how many may still follow."""
 
     iterate: NamedTuple
@@ -1678,61 +1738,76 @@ class Watch(NamedTuple):
     left: int = FULL_STEPS
 
 
-class Doubts:
-    """When to measure what steps leave of the linear system: where whole ones leave as much of the equations as before.
+class AccuracyMonitor:
+    """When to measure what a step leaves of the linear system: where it left more of the equations than it should.
 
-    Curvature may be the reason, so that steps that were measured and found accurate make it take twice as many doubts.
-    Once one was not, all are measured.
+    Curvature may be the reason, so that a step that was measured and found accurate makes it take twice as many
+    doubtful ones. After one that was not, the next is measured, and refined, before it is taken.
     """
 
     def __init__(self):
-        self.doubts, self.enough = 0, 1
+        self.doubtful, self.enough = 0, 1
 
-    def are_enough(self):
-        """Whether the next step has to be measured."""
-        return self.doubts >= self.enough
+    def add(self):
+        """Take note of a step that left too much."""
+        self.doubtful += 1
 
-    def judge(self, refined):
+    def is_due(self):
+        """Whether a step has to be measured: the one that has just left too much, or the next."""
+        return self.doubtful >= self.enough
+
+    def record(self, refined):
         """Take note of whether a step that was measured had to be refined."""
-        self.doubts, self.enough = (1, 1) if refined else (0, 2 * self.enough)
+        self.doubtful, self.enough = (1, 1) if refined else (0, 2 * self.enough)
 
 
 def regularised_step(search, iterate, before, damping, careful):
-    """A Newton step with the least shift of the Hessian, from `damping` on, that makes it one of descent, or None.
+    """A Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step, or None.
 
-    This is algorithm IC; `before` is the shift at the last iterate. With `careful`, what the step leaves of the linear
-    system is measured, and solved for again where that is much. There is no step where the system stays singular.
+    This is algorithm IC; `before` is the correction at the last iterate. With `careful`, what the step leaves of the
+    linear system is measured, and solved for again where that is much. None where the system stays singular.
     """
     grid, system, point = search.grid, search.system, iterate.point
-    primal, singular, dual_shift = np.empty(point.unknowns.size), False, 0.0
-    at_once, least = shifts_to_try(before)
-    shift = max(damping, at_once)
-    while shift < 1e20:
-        gradient, diagonal = newton_system(search, iterate, point.gradient, shift, dual_shift)
+    primal, singular, delta_c = np.empty(point.unknowns.size), False, 0.0
+    at_once, least = first_delta_w(before)
+    delta_w = max(damping, at_once)
+    while delta_w < 1e20:
+        gradient, diagonal = newton_system(search, iterate, point.gradient, delta_w, delta_c)
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            same = shift == before.value == 0.0 and not singular
-            given = before if same else found(before, shift, least, singular)
+            same = delta_w == before.delta_w == 0.0 and not singular
+            given = before if same else corrected_inertia(before, delta_w, least, singular)
             step = step_along(search, iterate, gradient, primal, given, refined)
             if abs(step.slope) < np.inf:
                 return step
-        elif dual_shift == 0.0 and (excess is None or excess < 0):
-            dual_shift, singular = 1e-8, True  # the equations may be dependent
+        elif delta_c == 0.0 and (excess is None or excess < 0):
+            delta_c, singular = 1e-8, True  # the equations may be dependent
             continue
-        if shift == 0.0:
-            shift = least
+        if delta_w == 0.0:
+            delta_w = least
         else:
-            shift *= 100.0 if before.last == 0.0 else 8.0
+            delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
 
 
-def leaves_much(point, step, trial):
-    """Whether a whole step has left as much of the equations as there was: their curvature, or an inaccurate step."""
-    if step.shift.value > 0.0:
+def is_inaccurate(search, iterate, step):
+    """Whether a step leaves so much of its linear system that it has to be refined."""
+    grid, point = search.grid, iterate.point
+    _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
+    left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
+    return inaccuracy(grid, step.gradient, step.primal, left) > ACCURATE
+
+
+def barely_reduces_residual(point, step, length, trial):
+    """Whether a step of some length has left more than its part of the equations: they are curved, or it is inaccurate.
+
+    Were they linear, 1 - `length` of each would be left.
+    """
+    if step.inertia.delta_w > 0.0:
         return False  # it is far from a solution, where curvature is the reason
-    return trial.residual > UNSOLVED * point.residual
+    return trial.residual > (1.0 - length + UNSOLVED) * point.residual
 
 
 def damped(damping, step, length, shortened):
@@ -1741,7 +1816,7 @@ def damped(damping, step, length, shortened):
     A Hessian that is barely positive definite sends steps far beyond where it means something.
     """
     if length <= SHORT * step.longest and shortened >= SHORT_IN_TURN:
-        return 4.0 * max(step.shift.value, damping, LEAST_DAMPING)
+        return 4.0 * max(step.inertia.delta_w, damping, LEAST_DAMPING)
     if length < step.longest:
         return damping
     return damping / 2.0 if damping > LEAST_DAMPING else 0.0
@@ -1755,35 +1830,41 @@ def line_search(search, iterate, step, shortest, small_violation, filtered):
         if is_better(trial, iterate, step, length, small_violation, filtered):
             return trial, length
         if length == step.longest and trial.point.violation >= iterate.point.violation:
-            better = corrected(search, iterate, step, trial.point, small_violation, filtered)
+            better = second_order_correction(search, iterate, step, trial.point, small_violation, filtered)
             if better is not None:
                 return better, length
         length *= 0.5
     return None, length
 
 
-def watched(search, iterate, step, watch, small_violation, filtered):
-    """(next iterate, length, watch) after a full step that is taken untested, in the hope that one soon is better.
+def watchdog_step(search, iterate, step, watchdog, small_violation, filtered):
+    """(next iterate, length, watchdog) after a full step that is taken untested, in the hope that one soon is better.
 
     The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
     better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
     """
     trial = moved(search, iterate, step.primal, step.longest)
-    better = is_better(trial, watch.iterate, watch.step, watch.step.longest, small_violation, filtered)
-    if not better and (watch.left == 1 or not trial.point.error < np.inf):
-        return watch.iterate, 0.0, None
-    return trial, step.longest, None if better else watch._replace(left=watch.left - 1)
+    better = is_better(trial, watchdog.iterate, watchdog.step, watchdog.step.longest, small_violation, filtered)
+    if not better and (watchdog.left == 1 or not trial.point.error < np.inf):
+        return watchdog.iterate, 0.0, None
+    return trial, step.longest, None if better else watchdog._replace(left=watchdog.left - 1)
 
 
 def is_better(trial, iterate, step, length, small_violation, filtered):
     """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
     new, old = trial.point, iterate.point
     return new.error < np.inf and filtered.accept(
-        old.violation, merit(iterate), new.violation, merit(trial), step.slope, length, small_violation
+        old.violation,
+        barrier_objective(iterate),
+        new.violation,
+        barrier_objective(trial),
+        step.slope,
+        length,
+        small_violation,
     )
 
 
-def corrected(search, iterate, step, refused, small_violation, filtered):
+def second_order_correction(search, iterate, step, refused, small_violation, filtered):
     """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
 
     `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
@@ -1796,7 +1877,7 @@ def corrected(search, iterate, step, refused, small_violation, filtered):
         right[grid.is_multiplier] = residual
         correction = np.empty_like(step.primal)
         solve_kkt(grid, search.system, right, correction)
-        better = step_along(search, iterate, right, correction, step.shift, False)
+        better = step_along(search, iterate, right, correction, step.inertia, False)
         length = better.longest
         trial = moved(search, iterate, correction, length)
         if is_better(trial, iterate, step, step.longest, small_violation, filtered):
@@ -1825,12 +1906,12 @@ def restore(search, iterate, reduction, filtered, is_late):
     bounds, the weight and the duals are those of the restoration.
     """
     grid, damping = search.grid, 0.0
-    first, current = iterate.point.violation, begun(search, iterate)
+    first, current = iterate.point.violation, restoration_start(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
             return "time limit", current
         point = current.point
-        pull = attraction(grid, point)
+        pull = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, pull)
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
@@ -1841,19 +1922,19 @@ def restore(search, iterate, reduction, filtered, is_late):
         current, damping = taken
         if current.point.violation <= reduction * first:
             accepted = current
-            if filtered.lets_pass(accepted.point.violation, merit(accepted)):
+            if filtered.lets_pass(accepted.point.violation, barrier_objective(accepted)):
                 return "restored", accepted
     return "stalled", current
 
 
-def begun(search, iterate):
+def restoration_start(search, iterate):
     """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
     grid = search.grid
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
     return start
 
 
-def attraction(grid, point):
+def residual_gradient(grid, point):
     """A' c, the gradient of half the squared residuals by primal unknowns, by the linearity of the Lagrangian."""
     with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
     pull = evaluate(grid, with_residuals).gradient - point.gradient
@@ -1878,24 +1959,24 @@ def restoration_error(search, current, pull):
 def damped_step(search, current, pull, damping):
     """(iterate, damping) after a step that lowers the sum of squares, or None."""
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
-    least = restoration_merit(grid, current)
+    least = restoration_objective(grid, current)
     while damping < 1e12:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right) is not None:
+        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
             solve_kkt(grid, search.system, right, step, carried=True)
             step[grid.is_multiplier] = 0.0
-            taken = step_along(search, current, slopes, step, Shift(), False)
+            taken = step_along(search, current, slopes, step, InertiaCorrection(), False)
             trial = moved(search, current, step, taken.longest)
             expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
-            if trial.point.error < np.inf and restoration_merit(grid, trial) <= least + expected:
+            if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
                 return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None
 
 
-def restoration_merit(grid, current):
+def restoration_objective(grid, current):
     """Half the sum of squared residuals, with the restoration's barrier where there are bounds."""
     value = sum_of_squares(grid, current.point)
     return value
@@ -1914,7 +1995,7 @@ def sum_of_squares(grid, point):
 # decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
 # line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
-BOTTOMLESS = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
@@ -1924,21 +2005,21 @@ NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates t
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     """Find a local minimum; return (status, point, iterations).
 
-    Where the search from the guess fails, it begins anew in other ways; if none succeeds, the end of the first one is
-    reported. With `warm`, the barrier of bounds begins with a small weight and leaves unknowns close to them. A row
-    (cost, residual, stationarity, Hessian's shift, step length) is appended to `log` at every iterate, and the
-    barrier's weight where there is one. `max_iterations` is for all searches together; steps of the restoration are not
-    counted.
+    Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
+    succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
+    leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
+    `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
+    steps of the restoration are not counted.
     """
     search, first, total = search_on(grid), None, 0
-    primal, attempts = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *OTHERS)
-    guess = begin(search, primal, attempts[0])
+    primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
+    guess = begin(search, primal, cascade[0])
     if guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
             return status, iterate.point, total
-    for attempt in attempts:
-        iterate = begin(search, bent(grid, primal, attempt.bend), attempt) if first else guess
+    for attempt in cascade:
+        iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt) if first else guess
         status = "restored"
         if attempt.nearby < 1.0 and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
@@ -1970,7 +2051,7 @@ def from_nearby(search, guess, tolerance, max_iterations, log):
     return leave_saddles(search, iterate, NEARBY, tolerance, limit, log)
 
 
-def bent(grid, unknowns, part):
+def bulged_guess(grid, unknowns, part):
     """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
     if part == 0.0:
         return unknowns
@@ -1989,7 +2070,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
     status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
-        for beside in neighbours(search, saddle, attempt, escapes):
+        for beside in escaping_iterates(search, saddle, attempt, escapes):
             ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
             total += iterations
             if ended in LEFT and is_below(other.point, saddle.point):
@@ -1998,15 +2079,16 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
             failed = failed or ended not in LEFT
         escapes += 1
     if status == "saddle point" and escapes == ESCAPES and not failed:
-        status = "solved" if is_solved(search.grid, saddle.point, tolerance) else "stalled"
+        is_over = is_solved(search.grid, saddle.point, tolerance) or is_at_rounding_level(search.grid, saddle.point)
+        status = "solved" if is_over else "stalled"
     return status, saddle, total
 
 
-def neighbours(search, saddle, attempt, escapes):
+def escaping_iterates(search, saddle, attempt, escapes):
     """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
     grid, unknowns = search.grid, saddle.point.unknowns
     curvature = barrier_curvature(search, saddle)
-    for step in steps_aside(grid, unknowns, curvature, escapes):
+    for step in escape_steps(grid, unknowns, curvature, escapes):
         yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
 
 
@@ -2017,56 +2099,62 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
     tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
     corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
     """
-    grid, iterate = search.grid, with_multipliers(search, iterate)
+    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
     first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
     small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
-    shift, length, damping, shortened, watch, doubts = Shift(), 0.0, 0.0, 0, None, Doubts()
+    inertia, length, damping, shortened, watchdog, monitor = InertiaCorrection(), 0.0, 0.0, 0, None, AccuracyMonitor()
     for iteration in range(max_iterations + 1):
-        log.append(grid, iterate.point, shift.value, length)
+        log.append(grid, iterate.point, inertia.delta_w, length)
         converged = is_solved(grid, iterate.point, tolerance)
         point, status = iterate.point, ""
         if not point.error < np.inf:
             status = "non-finite"
         elif converged:
             # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or shift.value > 0.0
+            doubtful = iteration == 0 or inertia.delta_w > 0.0
             status = "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
-        elif is_boundless(iterate, first_cost):
+        elif is_unbounded_below(iterate, first_cost):
             status = "unbounded"
         elif log.is_late():
             status = "time limit"
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
-        careful = doubts.are_enough()
-        trial, step = None, regularised_step(search, iterate, shift, damping, careful)
+        careful, before = monitor.is_due(), inertia
+        trial, step = None, regularised_step(search, iterate, inertia, damping, careful)
         if step is not None:
-            shift = step.shift
+            inertia = step.inertia
             if careful:
-                doubts.judge(step.refined)
-            watch = Watch(iterate, step) if shortened == SHORTENED else watch
-            if watch is not None:
-                iterate, length, watch = watched(search, iterate, step, watch, small_violation, filtered)
+                monitor.record(step.refined)
+            watchdog = Watchdog(iterate, step) if shortened == SHORTENED else watchdog
+            if watchdog is not None:
+                iterate, length, watchdog = watchdog_step(search, iterate, step, watchdog, small_violation, filtered)
                 shortened = 0
                 continue
             trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and length == 1.0:
-                doubts.doubts += leaves_much(point, step, trial.point)
+            if trial is not None and not careful and barely_reduces_residual(point, step, length, trial.point):
+                monitor.add()
+                if monitor.is_due() and is_inaccurate(search, iterate, step):
+                    step = regularised_step(search, iterate, before, damping, True) or step
+                    inertia = step.inertia
+                    trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
+                if monitor.is_due():
+                    monitor.record(step.refined)
             shortened = shortened + 1 if trial is None or length < step.longest else 0
             if shortened or damping > 0.0:
                 damping = damped(damping, step, length, shortened) if trial is not None else 0.0
         if trial is None:
-            convex = step is None or shift.value == 0.0 or is_minimum(search, iterate, tolerance)
+            convex = step is None or inertia.delta_w == 0.0 or is_minimum(search, iterate, tolerance)
             if step is None:
                 return "rank-deficient", iterate, iteration
             if not convex and is_nearly_stationary(point):
                 return "saddle point", iterate, iteration
-            if is_rounding(grid, point):
-                return "solved", iterate, iteration  # rounding has the last word
-            filtered.add(point.violation, merit(iterate))
+            if is_at_rounding_level(grid, point):
+                return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
+            filtered.add(point.violation, barrier_objective(iterate))
             status, trial = restored(search, iterate, 0.9, filtered, log)
             if status != "restored":
                 return status, trial if status == "infeasible" else iterate, iteration
-            trial = with_multipliers(search, trial)
+            trial = with_least_squares_multipliers(search, trial)
         iterate = trial
     return "iteration limit", iterate, max_iterations
 
@@ -2076,14 +2164,14 @@ def is_minimum(search, iterate, tolerance):
 
     Multipliers are known to the tolerance, and so are curvatures, up to a factor.
     """
-    unknowns, shift = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
-    _, diagonal = newton_system(search, iterate, iterate.point.gradient, shift, FLAT)
+    unknowns, delta_w = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
     return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
 
 
-def is_boundless(iterate, first_cost):
+def is_unbounded_below(iterate, first_cost):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    return iterate.point.residual <= 1e-6 and iterate.point.cost < -BOTTOMLESS * max(1.0, first_cost)
+    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
 
 
 def restored(search, iterate, reduction, filtered, log):
@@ -2104,18 +2192,19 @@ def discrete_momenta(grid, unknowns):
     Both are what the multipliers of the equations of motion multiply in an interval's l.
     """
     momenta = np.empty((BODIES, grid.steps + 1, EQUATIONS.size))
-    interval_momenta(unknowns, grid.steps, grid.h, grid.parameters, momenta)
+    interval_momenta(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, momenta)
     return momenta
 
 
 @njit(cache=True, error_model="numpy")
-def interval_momenta(unknowns, steps, h, parameters, momenta):
+def interval_momenta(unknowns, steps, h, nodes, parameters, momenta):
     """Fill `momenta` (BODIES, N + 1, EQUATIONS.size) from the gradient of every interval's l at `unknowns` (n,)."""
     part = zero_vector(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_gradient(unknowns[first : first + ELEMENT], k * h, h, parameters[body], part)
+            t, length = span(nodes, k, h)
+            interval_gradient(unknowns[first : first + ELEMENT], t, length, parameters[body], part)
             for i in range(EQUATIONS.size):
                 momenta[body, k, i] = -part[EQUATIONS[i]]
         for i in range(EQUATIONS.size):
@@ -2161,11 +2250,14 @@ def checked_tolerance(tolerance, most):
 # The time grid of a solution and its checks, views of the unknowns, the iteration log.
 
 NONE = np.zeros(0)  # sizes of unknowns that are not scaled
+SHORTEST = 1e-10  # part of the duration, or of a phase, that an interval has at least
+EQUAL = 1e-12  # parts of their length by which equal intervals may differ
 
 
-def checked_grid(steps, duration, parameters):
+def checked_grid(steps, duration, parameters, fractions):
     """A Grid; `parameters` are numbers, or arrays (BODIES,). ValueError for what is not finite or not positive."""
     steps, duration = checked_times(steps, duration)
+    steps, nodes, is_uniform = checked_nodes(steps, fractions)
     table = np.zeros((BODIES, len(parameters)))  # shared unknowns stand behind the parameters
     numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
     table[:, : len(parameters)] = numbers
@@ -2176,7 +2268,33 @@ def checked_grid(steps, duration, parameters):
             finite = finite and all(map(math.isfinite, table[:, i].tolist()))
     if not finite:
         raise ValueError(f"parameters and boundary values must be finite, got {table}")
-    return Grid(steps, duration / steps, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ())
+    return Grid(
+        steps, duration / steps, nodes, is_uniform, table, layout(steps).is_multiplier.copy(), NONE, NONE, 1.0, ()
+    )
+
+
+def checked_nodes(steps, fractions):
+    """The number of intervals, the indices of all nodes in mean lengths, and whether all intervals are equally long.
+
+    `fractions`, if given, are parts of the duration, (N,), or of every phase, also (PHASES, N). ValueError for others.
+    """
+    chains = 1
+    if fractions is None:
+        return steps, np.arange(chains * steps + 1.0), True
+    lengths = np.array(fractions, dtype=float)
+    if lengths.ndim == 1:
+        lengths = np.tile(lengths, (chains, 1))
+    if lengths.ndim != 2 or lengths.shape[0] != chains or not lengths.size:
+        shape = "(N,)" if chains == 1 else f"(N,) or ({chains}, N)"
+        raise ValueError(f"grid has shape {np.shape(fractions)}, expected {shape}")
+    if not (lengths > SHORTEST).all() or not np.allclose(lengths.sum(axis=1), 1.0, rtol=0.0, atol=1e-6):
+        raise ValueError(f"grid must hold fractions above {SHORTEST:g} whose sum is one, got {fractions!r}")
+    steps = lengths.shape[1]
+    if np.ptp(lengths) <= EQUAL / steps:
+        return steps, np.arange(chains * steps + 1.0), True
+    ends = np.cumsum(lengths, axis=1)
+    indices = steps * (ends / ends[:, -1:] + np.arange(chains)[:, None])
+    return steps, np.concatenate([[0.0], indices.ravel()]), False
 
 
 def plain_grid(grid):
@@ -2303,7 +2421,7 @@ def hessian(grid, unknowns):
 def submatrix(grid, unknowns, rows, columns, is_curvature):
     """Entries of the KKT matrix in the given rows and columns, renumbered; duplicates are to be added."""
     values = np.empty((BODIES * grid.steps, HESSIAN_ROWS.size))
-    interval_hessians(unknowns, grid.steps, grid.h, grid.parameters, values)
+    interval_hessians(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, values)
     chain = grid.steps * STRIDE + NODE
     offsets = (chain * np.arange(BODIES)[:, None] + STRIDE * np.arange(grid.steps)).reshape(-1, 1)
     row, column, value = offsets + HESSIAN_ROWS, offsets + HESSIAN_COLUMNS, values
@@ -2321,44 +2439,45 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
 
 
 @njit(cache=True, error_model="numpy")
-def interval_hessians(unknowns, steps, h, parameters, values):
+def interval_hessians(unknowns, steps, h, nodes, parameters, values):
     """Fill a row of `values` with the entries of the Hessian of each interval of each body."""
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             here = unknowns[first : first + ELEMENT]
-            interval_hessian(here, k * h, h, parameters[body], values[body * steps + k])
+            t, length = span(nodes, k, h)
+            interval_hessian(here, t, length, parameters[body], values[body * steps + k])
 
 
-# The direction along which the cost curves downwards most while the equations hold to first order.
+# The direction of most negative curvature of the Lagrangian while the equations hold to first order.
 
-FLAT = 1e-8  # a shift that makes up for rounding: curvatures above minus this count as none
+FLAT = 1e-8  # a delta_w that makes up for rounding: curvatures above minus this count as none
 ITERATIONS = 4
 
 
-def least_shift(grid, unknowns, system, curvature=0.0):
-    """A shift of the Hessian that makes its part along the equations positive definite; the system is factored with it.
+def least_delta_w(grid, unknowns, system, curvature=0.0):
+    """A delta_w that makes the Hessian on the equations' null space positive definite; the system is factored with it.
 
-    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where no
-    shift helps.
+    `curvature` is added to its diagonal first. No more than ten times as much as is needed, and infinite where none
+    is enough.
     """
-    shift = FLAT
-    while shift < 1e20:
-        diagonal = np.where(grid.is_multiplier, -FLAT, shift + curvature)
+    delta_w = FLAT
+    while delta_w < 1e20:
+        diagonal = np.where(grid.is_multiplier, -FLAT, delta_w + curvature)
         if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
-            return shift
-        shift *= 10.0
+            return delta_w
+        delta_w *= 10.0
     return np.inf
 
 
-def falling_direction(grid, unknowns, curvature=0.0):
-    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps.
+def negative_curvature_direction(grid, unknowns, curvature=0.0):
+    """Inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no delta_w helps.
 
     `curvature` is what a barrier adds to the Hessian's diagonal.
     """
     system = allocate_system(grid)
     direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
-    if least_shift(grid, unknowns, system, curvature) == np.inf:
+    if least_delta_w(grid, unknowns, system, curvature) == np.inf:
         return np.zeros(unknowns.size)
     free = free_unknowns(grid) & ~grid.is_multiplier
     for _ in range(ITERATIONS):
@@ -2385,12 +2504,12 @@ def is_below(point, saddle):
     return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
 
 
-def steps_aside(grid, unknowns, curvature, escapes):
+def escape_steps(grid, unknowns, curvature, escapes):
     """Steps along the falling direction to both sides; the more escapes there were, the longer.
 
     The first are a tenth of the greatest unknown long, or of one where that is smaller.
     """
-    direction = falling_direction(grid, unknowns, curvature)
+    direction = negative_curvature_direction(grid, unknowns, curvature)
     size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
     direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
     return direction, -direction
@@ -2416,10 +2535,10 @@ def final_status(grid, guess, point, status):
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
-        status == "rank-deficient" and not is_finite_matrix(grid, own_values(grid, point.unknowns))
+        status == "rank-deficient" and not is_finite_matrix(grid, unscaled_unknowns(grid, point.unknowns))
     ):
         return "non-finite"
-    if runaways(grid, guess, point, status == "solved").any():
+    if diverging_unknowns(grid, guess, point, status == "solved").any():
         return "unbounded"
     if status in ("infeasible", "stalled") and point.residual <= HOLDS:
         return "rank-deficient" if largest_multiplier(grid, point) > HUGE else "stalled"
@@ -2428,7 +2547,7 @@ def final_status(grid, guess, point, status):
     return status
 
 
-def own_values(grid, unknowns):
+def unscaled_unknowns(grid, unknowns):
     """Unknowns in the problem's own units."""
     return unknowns * grid.sizes if grid.sizes.size else unknowns
 
@@ -2448,7 +2567,7 @@ def largest_multiplier(grid, point):
     return np.abs(point.unknowns[grid.is_multiplier]).max(initial=0.0)
 
 
-def runaways(grid, guess, point, is_stationary):
+def diverging_unknowns(grid, guess, point, is_stationary):
     """Boolean mask of unknowns that have grown beyond reason, and that go on growing.
 
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
@@ -2515,9 +2634,9 @@ def finding(grid, guess, point, status):
     if status == "rank-deficient":
         return dependent(grid, point)
     if status == "saddle point":
-        return f"the cost falls along {falling_unknown(grid, point)}"
+        return f"the cost falls along {negative_curvature_unknown(grid, point)}"
     if status == "unbounded":
-        return run_away(grid, guess, point)
+        return diverging_unknown(grid, guess, point)
     if status == "time limit":
         reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
         return f"{reached}; {worst_row(grid, point)}"
@@ -2530,18 +2649,18 @@ def worst_row(grid, point):
     return row_text(grid, point, int(np.argmax(size)))
 
 
-def row_text(grid, point, place):
+def row_text(grid, point, index):
     """Name and value of a row of the optimality conditions."""
-    value = point.gradient[place]
-    if grid.is_multiplier[place]:
-        return f"{equation_name(grid, point.unknowns, place)} is off by {value:.1e}"
-    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)} is {value:.1e}"
+    value = point.gradient[index]
+    if grid.is_multiplier[index]:
+        return f"{equation_name(grid, point.unknowns, index)} is off by {value:.1e}"
+    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)} is {value:.1e}"
 
 
 def violated(grid, point):
-    """The equations that are off most, each at its worst place, and the bounds that stand against them."""
+    """The equations that are off most, each where it is worst, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    text = ", ".join(row_text(grid, point, place) for place in leading(grid, point.gradient, rows))
+    text = ", ".join(row_text(grid, point, index) for index in largest_by_name(grid, point.gradient, rows))
     if rows.size > columns.size:
         text += f"; there are {rows.size} equations for {columns.size} unknowns"
     return text
@@ -2550,44 +2669,45 @@ def violated(grid, point):
 def dependent(grid, point):
     """The equations with the largest multipliers, or the count where no multiplier is large."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
-    places = leading(grid, point.unknowns, rows)
-    if places and abs(point.unknowns[places[0]]) > 1e3:
-        names = " and ".join(equation_name(grid, point.unknowns, place) for place in places)
+    indices = largest_by_name(grid, point.unknowns, rows)
+    if indices and abs(point.unknowns[indices[0]]) > 1e3:
+        names = " and ".join(equation_name(grid, point.unknowns, index) for index in indices)
         return f"equations depend on each other, or have no slope where they hold: {names}"
     if rows.size > columns.size:
         return f"there are {rows.size} equations for {columns.size} unknowns"
-    return f"the cost does not change along {falling_unknown(grid, point)}, so that its least value is not unique"
+    name = negative_curvature_unknown(grid, point)
+    return f"the cost does not change along {name}, so that its least value is not unique"
 
 
-def leading(grid, values, rows):
-    """Places of the largest values among some rows, one for each name, as long as they are comparable.
+def largest_by_name(grid, values, rows):
+    """Indices of the largest values among some rows, one for each name, as long as they are comparable.
 
     The first of them come first where they are as large as each other but for a thousandth.
     """
-    size, places = np.abs(values[rows]), {}
+    size, indices = np.abs(values[rows]), {}
     order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
-    for place in order:
-        if abs(values[place]) < 1e-3 * abs(values[order[0]]) or len(places) == NAMED:
+    for index in order:
+        if abs(values[index]) < 1e-3 * abs(values[order[0]]) or len(indices) == NAMED:
             break
-        places.setdefault(local_name(grid, place), int(place))
-    return list(places.values())
+        indices.setdefault(local_name(grid, index), int(index))
+    return list(indices.values())
 
 
-def run_away(grid, guess, point):
+def diverging_unknown(grid, guess, point):
     """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
     growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
     shared = growth.size - ROOT
-    place = int(np.argmax(growth))
+    index = int(np.argmax(growth))
     if growth[shared:].max(initial=0.0) > GROWTH:
-        place = shared + int(np.argmax(growth[shared:]))
-    if growth[place] > GROWTH:
-        return f"{unknown_name(grid, point.unknowns, place)} has grown to {point.unknowns[place]:.1e}"
-    return f"the cost falls for ever along {falling_unknown(grid, point)}"
+        index = shared + int(np.argmax(growth[shared:]))
+    if growth[index] > GROWTH:
+        return f"{unknown_name(grid, point.unknowns, index)} has grown to {point.unknowns[index]:.1e}"
+    return f"the cost falls for ever along {negative_curvature_unknown(grid, point)}"
 
 
-def falling_unknown(grid, point):
+def negative_curvature_unknown(grid, point):
     """The unknown that changes most along the direction in which the cost curves downwards most, or least upwards."""
-    direction = np.where(grid.is_multiplier, 0.0, falling_direction(grid, point.unknowns))
+    direction = np.where(grid.is_multiplier, 0.0, negative_curvature_direction(grid, point.unknowns))
     return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
 
 
@@ -2595,11 +2715,11 @@ def not_finite(grid, point):
     """The first derivative, share of the cost or second derivative that is infinite or NaN, and its kernel."""
     bad = np.flatnonzero(~np.isfinite(point.gradient))
     if bad.size:
-        place = int(bad[0])
-        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, place)}"
-        if grid.is_multiplier[place]:
-            text = equation_name(grid, point.unknowns, place)
-        return f"{text} is {point.gradient[place]} (kernel {kernel_name(grid, place)})"
+        index = int(bad[0])
+        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)}"
+        if grid.is_multiplier[index]:
+            text = equation_name(grid, point.unknowns, index)
+        return f"{text} is {point.gradient[index]} (kernel {kernel_name(grid, index)})"
     if not np.isfinite(point.cost):
         return cost_not_finite(grid, point)
     for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
@@ -2614,7 +2734,7 @@ def not_finite(grid, point):
 def cost_not_finite(grid, point):
     """Where the discrete cost is infinite or NaN."""
     costs = np.empty((BODIES, grid.steps))
-    interval_costs(point.unknowns, grid.steps, grid.h, grid.parameters, costs)
+    interval_costs(point.unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, costs)
     bad = np.argwhere(~np.isfinite(costs))
     if bad.size:
         body, k = bad[0]
@@ -2623,42 +2743,43 @@ def cost_not_finite(grid, point):
 
 
 @njit(cache=True, error_model="numpy")
-def interval_costs(unknowns, steps, h, parameters, costs):
+def interval_costs(unknowns, steps, h, nodes, parameters, costs):
     """Fill in the discrete cost of each interval of each body."""
     part = np.empty(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
             here = body * (steps * STRIDE + NODE) + k * STRIDE
-            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], k * h, h, parameters[body], part)
+            t, length = span(nodes, k, h)
+            costs[body, k] = interval_gradient(unknowns[here : here + ELEMENT], t, length, parameters[body], part)
 
 
-def kernel_name(grid, place):
+def kernel_name(grid, index):
     """The kernels whose values add up to a row."""
     chain = grid.steps * STRIDE + NODE
-    if place >= grid.is_multiplier.size - COUPLINGS:
+    if index >= grid.is_multiplier.size - COUPLINGS:
         return "coupling_term"
-    local = place % chain
-    if place >= BODIES * chain or NODE <= local < chain - NODE:
+    local = index % chain
+    if index >= BODIES * chain or NODE <= local < chain - NODE:
         return "interval_gradient"
     return f"interval_gradient or {'start' if local < NODE else 'end'}_gradient"
 
 
-def unknown_name(grid, unknowns, place):
+def unknown_name(grid, unknowns, index):
     """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
-    name = local_name(grid, place)
+    name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, "")
-    where = whereabouts(grid, unknowns, place)
-    return placed(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
+    where = whereabouts(grid, unknowns, index)
+    return with_location(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
 
 
-def equation_name(grid, unknowns, place):
+def equation_name(grid, unknowns, index):
     """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
-    name = local_name(grid, place)
+    name = local_name(grid, index)
     meaning = metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    return placed(meaning, whereabouts(grid, unknowns, place))
+    return with_location(meaning, whereabouts(grid, unknowns, index))
 
 
-def placed(meaning, where):
+def with_location(meaning, where):
     """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
     for tail in (" at the start", " at the end", " of an interval", ""):
         if meaning.endswith(tail):
@@ -2679,20 +2800,20 @@ def shortened(text):
     return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
-def local_name(grid, place):
+def local_name(grid, index):
     """The name of an unknown without its place, or of a shared one with its body."""
     chain = grid.steps * STRIDE + NODE
-    return (*metadata["node"], *metadata["interval"])[place % chain % STRIDE]
+    return (*metadata["node"], *metadata["interval"])[index % chain % STRIDE]
 
 
-def whereabouts(grid, unknowns, place):
+def whereabouts(grid, unknowns, index):
     """Node or interval, time and body of an unknown."""
     chain = grid.steps * STRIDE + NODE
-    if place >= BODIES * chain:
+    if index >= BODIES * chain:
         return ""
-    body, (k, local) = place // chain, divmod(place % chain, STRIDE)
+    body, (k, local) = index // chain, divmod(index % chain, STRIDE)
     kind = "at node" if local < NODE else "on interval"
-    t = duration_of(grid, unknowns) * k / grid.steps
+    t = duration_of(grid, unknowns) * grid.nodes[k] / grid.steps
     return f" {kind} {k} (t = {t:.3g}){of_body(body)}"
 
 
@@ -2709,7 +2830,7 @@ CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 KINDS = STRIDE
 # The kind of each unknown of an element, its time in lengths of an interval, and which kinds are multipliers.
 KIND = np.concatenate([np.arange(STRIDE), np.arange(NODE), STRIDE + np.arange(SHARED)])
-PLACE = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
+ABSCISSA = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
 KIND_IS_MULTIPLIER = np.concatenate(
     [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
 )
@@ -2731,7 +2852,7 @@ def add_entry(row, column, value, tables):
 
 
 @njit(error_model="numpy")
-def measure_intervals(unknowns, steps, h, parameters, tables):
+def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
     """Fill three tables by kinds from some intervals.
 
     The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
@@ -2745,7 +2866,9 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
             if k % intervals % stride > 0:
                 continue
             first = body * (steps * STRIDE + NODE) + k * STRIDE
-            interval_hessian(unknowns[first : first + ELEMENT], k * h, h, parameters[body], hessian)
+            t, length = span(nodes, k, h)
+            interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
+            part = nodes[k + 1] - nodes[k]  # of a mean length
             moments[:] = 0.0
             for j in range(HESSIAN_ROWS.size):
                 row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
@@ -2753,18 +2876,18 @@ def measure_intervals(unknowns, steps, h, parameters, tables):
                     row, column = column, row
                 if not LOCAL_IS_MULTIPLIER[row]:
                     if not IS_AT_ENDS[KIND[row]]:
-                        add_entry(KIND[row], KIND[column], stride * abs(hessian[j]), tables)
+                        add_entry(KIND[row], KIND[column], stride * abs(hessian[j]) / part, tables)
                 elif not LOCAL_IS_MULTIPLIER[column]:
-                    ahead = PLACE[column] - PLACE[row]
+                    ahead = ABSCISSA[column] - ABSCISSA[row]
                     moments[row, KIND[column], 0] += hessian[j]
                     moments[row, KIND[column], 1] += hessian[j] * ahead
                     moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
                     moments[row, KIND[column], 3] += abs(hessian[j])
-            fold(moments, intervals, tables)
+            fold(moments, intervals, part, tables)
 
 
 @njit(error_model="numpy")
-def fold(moments, intervals, tables):
+def fold(moments, intervals, part, tables):
     """Put the moments of one interval's equations into the tables.
 
     An equation of a node is a sum of two intervals' shares, each as large as what is equated: as a momentum, say.
@@ -2781,18 +2904,19 @@ def fold(moments, intervals, tables):
                 for i in range(4):
                     total[i] += moments[STRIDE + row, column, i]
                 largest = max(
-                    change(moments[row, column], intervals, 1), change(moments[STRIDE + row, column], intervals, 1)
+                    change(moments[row, column], intervals, part, 1),
+                    change(moments[STRIDE + row, column], intervals, part, 1),
                 )
             tables[0, KIND[row], column] = max(tables[0, KIND[row], column], largest)
-            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, 2))
+            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, part, 2))
 
 
 @njit(error_model="numpy")
-def change(moments, intervals, powers):
-    """What an equation with these moments makes of motions of size one."""
+def change(moments, intervals, part, powers):
+    """What an equation with these moments makes of motions of size one, on an interval that is `part` of a mean one."""
     largest = abs(moments[0]) if abs(moments[0]) > CANCELLED * moments[3] else 0.0
-    largest = max(largest, abs(moments[1]) / intervals)
-    return max(largest, abs(moments[2]) / intervals**2) if powers == 2 else largest
+    largest = max(largest, abs(moments[1]) * part / intervals)
+    return max(largest, abs(moments[2]) * part**2 / intervals**2) if powers == 2 else largest
 
 
 # How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
@@ -2812,7 +2936,7 @@ def change(moments, intervals, powers):
 SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
 LEAST = 1e-150  # what is below, or above its inverse, is no size
 LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
-DUST = 1e-6  # the same beside the other terms of every equation
+NEGLIGIBLE = 1e-6  # the same beside the other terms of every equation
 
 # Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
 NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
@@ -2825,7 +2949,7 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes):
+def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
     """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
 
     `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
@@ -2837,14 +2961,14 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, parameters, sizes)
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
-    measure_intervals(primal, steps, h, parameters, tables)
-    forget_dust(size, tables[1])
+    measure_intervals(primal, steps, h, nodes, parameters, tables)
+    drop_negligible_sizes(size, tables[1])
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
             size[j] = GIVEN[j]
     for j in range(KINDS):
         bound[j] = bound[j] if size[j] == 0.0 else 0.0
-    spread(size, rest, tables[1])
+    balance_sizes(size, rest, tables[1])
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), 6.0, False)
@@ -2927,7 +3051,7 @@ def fit_bounds(lower, upper, kinds, size):
 
 
 @njit(error_model="numpy")
-def forget_dust(size, effect):
+def drop_negligible_sizes(size, effect):
     """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
     for j in range(KINDS):
         least = np.inf
@@ -2938,12 +3062,12 @@ def forget_dust(size, effect):
                     others = max(others, effect[i, k] * size[k])
             if effect[i, j] > 0.0:
                 least = min(least, others / effect[i, j])
-        if least < np.inf and size[j] < DUST * least:
+        if least < np.inf and size[j] < NEGLIGIBLE * least:
             size[j] = 0.0
 
 
 @njit(error_model="numpy")
-def spread(size, rest, effect):
+def balance_sizes(size, rest, effect):
     """Give unknowns without a size the least one with which they balance an equation, until nothing is new."""
     for _ in range(KINDS):
         found, is_new = zero_vector(KINDS), False
@@ -2982,13 +3106,14 @@ def change_of_cost(slopes, kinds, size, curvature):
 
 # Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
 #
-# What is solved is the same problem in other units, those in which its numbers are of ordinary size (see `sizes`); where
-# they are that already, it is solved as it is.
+# What is solved is the same problem in other units, those in which its numbers are of ordinary size (see
+# `scaling_factors`); where they are that already, it is solved as it is.
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
 WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
+LARGE_CORRECTION = 1e-3  # part of the cost
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
 
 
@@ -2998,19 +3123,19 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     if scaling == "auto":
         grid = scaled_grid(grid, unknowns)
-    start = in_parts(grid, unknowns)
+    start = scaled_unknowns(grid, unknowns)
     status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status = final_status(grid, in_parts(grid, unknowns), point, status)
+    status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = final_status(grid, unknowns, point, status)
-    own = in_units(grid, point)
+    own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations
@@ -3024,11 +3149,11 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     """
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
-        unknowns = own_values(grid, point.unknowns)
+        unknowns = unscaled_unknowns(grid, point.unknowns)
         finer = scaled_grid(plain_grid(grid), unknowns)
-        if not is_steeper(finer, grid):
+        if not has_larger_derivatives(finer, grid):
             break
-        begin = in_parts(finer, unknowns)
+        begin = scaled_unknowns(finer, unknowns)
         same = evaluate(finer, begin)
         if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
             return "solved", finer, begin, same, total
@@ -3050,13 +3175,13 @@ def nearly_holds(grid, point):
     return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
 
 
-def is_steeper(finer, grid):
+def has_larger_derivatives(finer, grid):
     """Whether a grid's forces, ones where it has no sizes, are far larger than those of a grid that has sizes."""
     large = finer.forces if finer.sizes.size else 1.0
     return (large > np.where(grid.is_multiplier, COARSE, COARSE_COST) * grid.forces).any()
 
 
-def in_parts(grid, unknowns):
+def scaled_unknowns(grid, unknowns):
     """Unknowns in parts of sizes where the grid has them."""
     return unknowns / grid.sizes if grid.sizes.size else unknowns
 
@@ -3066,25 +3191,34 @@ def scaled_grid(grid, unknowns):
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
     primal = np.where(grid.is_multiplier, 0.0, unknowns)
     slopes = evaluate(grid, primal).gradient
-    weight, is_scaled = fill_sizes(primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.parameters, sizes)
+    weight, is_scaled = fill_sizes(
+        primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
+    )
     if not is_scaled:
         return grid._replace(bounds=bounds)
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
 
 
 def corrected_cost(grid, point):
-    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth."""
-    return float(lagrangian(grid, point)) / grid.weight
+    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth.
+
+    That is so to first order. A large correction belongs to multipliers without limit, as where equations force
+    unknowns onto their bounds, and says nothing: the cost stays as it is.
+    """
+    corrected = lagrangian(grid, point)
+    if abs(corrected - point.cost) > LARGE_CORRECTION * abs(point.cost):
+        corrected = point.cost
+    return float(corrected) / grid.weight
 
 
 @lru_cache(maxsize=4)
 def kinds_of(steps):
-    """The kind of every unknown: its place in a node with the interval after it, then the shared ones."""
+    """The kind of every unknown: its index in a node with the interval after it, then the shared ones."""
     chain = np.tile(np.arange(steps * STRIDE + NODE) % STRIDE, BODIES)
     return chain
 
 
-def in_units(grid, point):
+def unscaled_point(grid, point):
     """A point in the problem's own units; its stationarity is the change of the cost with parts of sizes."""
     if not grid.sizes.size:
         return point
@@ -3131,6 +3265,7 @@ def solve(
     r1=6.0,
     revolutions=1.0,
     duration=None,
+    grid=None,
     start=None,
     end=None,
     guess=None,
@@ -3144,7 +3279,8 @@ def solve(
 ):
     """Find a local minimum on `steps` intervals and return a Solution.
 
-    `start` and `end` may replace prescribed boundary values by name, as in start={"r": 0.5}.
+    `grid`, in place of `steps`, holds the fractions (N,) of the duration that intervals of
+    different lengths last. `start` and `end` may replace prescribed boundary values by name, as in start={"r": 0.5}.
     `duration`, if given, overrides the one that the problem states, whatever its parameters are.
     `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. The search ends
     after `max_iterations`, or at the first iterate after `time_limit` seconds; `watch`, if given, is called with the
@@ -3160,6 +3296,7 @@ def solve(
         r1=r1,
         revolutions=revolutions,
         duration=duration,
+        grid=grid,
         start=start,
         end=end,
     )
@@ -3193,6 +3330,7 @@ def make_grid(
     r1=6.0,
     revolutions=1.0,
     duration=None,
+    grid=None,
     start=None,
     end=None,
 ):
@@ -3219,7 +3357,7 @@ def make_grid(
         revolutions,
         *boundary.values(),
     ]
-    return checked_grid(steps, duration, parameters)
+    return checked_grid(steps, duration, parameters, grid)
 
 
 def duration_of(grid, unknowns):
@@ -3236,7 +3374,7 @@ def initial_guess(grid):
     unknowns = np.zeros(grid.is_multiplier.size)
     nodes, intervals = views(grid, unknowns)
     duration = duration_of(grid, unknowns)
-    t = duration * np.arange(grid.steps + 1) / grid.steps
+    t = duration * grid.nodes / grid.steps
     nodes[:, :, 0] = start_r + t*(end_r - start_r)/duration  # r
     nodes[:, :, 1] = start_phi + t*(end_phi - start_phi)/duration  # phi
     pin_values(grid, unknowns, nodes)
@@ -3268,7 +3406,7 @@ def pin_values(grid, unknowns, nodes):
 def unpack(grid, unknowns):
     """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
-    t = duration_of(grid, unknowns) * np.arange(grid.steps + 1) / grid.steps
+    t = duration_of(grid, unknowns) * grid.nodes / grid.steps
     p = discrete_momenta(grid, unknowns)
     return t, side_by_side(nodes[:, :, :2]), side_by_side(p), side_by_side(intervals[:, :, 0:1]), side_by_side(nodes[:, :, 2:4])
 
@@ -3289,10 +3427,10 @@ BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
-def remove_unfit_code(functions, identity):
+def remove_invalid_code(functions, identity):
     """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
     damaged = []
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         try:
             data = file.read_bytes()
         except FileNotFoundError:  # another process was quicker
@@ -3320,16 +3458,16 @@ def remove_partial_bytecode(file):
         pass
 
 
-def seal_new_code(functions):
+def add_new_checksums(functions):
     """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
     if any(function.stats.cache_misses for function in functions):
         with suppress(OSError):
-            seal_code(functions)
+            add_checksums(functions)
 
 
-def seal_code(functions):
+def add_checksums(functions):
     """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         data = file.read_bytes()
         if SEAL not in data:
             temporary = file.with_name(f".{file.name}.{os.getpid()}")
@@ -3340,7 +3478,7 @@ def seal_code(functions):
                 temporary.unlink(missing_ok=True)
 
 
-def kept_code(functions):
+def machine_code_cache(functions):
     """The files in which numba keeps compiled functions of the modules that some functions belong to."""
     statistics = [(getattr(function, "stats", None), function) for function in functions]
     places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
@@ -3371,11 +3509,11 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_6daabe4d33931150"
+_IDENTITY = "codegen_orbital_transfer_5d96c66d4e85108f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
-DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
-atexit.register(seal_new_code, _COMPILED)
+DAMAGED = remove_invalid_code(_COMPILED, _IDENTITY)
+atexit.register(add_new_checksums, _COMPILED)
 remove_partial_bytecode(getattr(__spec__, "cached", None))

@@ -441,8 +441,8 @@ def describe(grid, steps, iterations, outcome):
         effort = f" with {iterations / steps:.2f} iterations each" if iterations else ""
         return "solved", f"all {steps} steps were made{effort}"
     status, remedy = FAILURES[outcome]
-    place = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
-    return status, f"{status} in {place}: {remedy}"
+    where = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
+    return status, f"{status} in {where}: {remedy}"
 
 
 def path_residual(grid, path):
@@ -588,10 +588,10 @@ BYTECODE_HEADER = 16  # bytes before the code itself
 PICKLES = {".nbi": 2, ".nbc": 1}  # how many stand in an index, and in a file of machine code
 
 
-def remove_unfit_code(functions, identity):
+def remove_invalid_code(functions, identity):
     """Remove machine code that is damaged, and say so, or that an older text left; return how many are damaged."""
     damaged = []
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         try:
             data = file.read_bytes()
         except FileNotFoundError:  # another process was quicker
@@ -619,16 +619,16 @@ def remove_partial_bytecode(file):
         pass
 
 
-def seal_new_code(functions):
+def add_new_checksums(functions):
     """Seal machine code if this process has made some of it; where there is no room for that, it stays as it is."""
     if any(function.stats.cache_misses for function in functions):
         with suppress(OSError):
-            seal_code(functions)
+            add_checksums(functions)
 
 
-def seal_code(functions):
+def add_checksums(functions):
     """Write the digest of each file behind its end, if it is not there; a reader sees all of a file at any time."""
-    for file in kept_code(functions):
+    for file in machine_code_cache(functions):
         data = file.read_bytes()
         if SEAL not in data:
             temporary = file.with_name(f".{file.name}.{os.getpid()}")
@@ -639,7 +639,7 @@ def seal_code(functions):
                 temporary.unlink(missing_ok=True)
 
 
-def kept_code(functions):
+def machine_code_cache(functions):
     """The files in which numba keeps compiled functions of the modules that some functions belong to."""
     statistics = [(getattr(function, "stats", None), function) for function in functions]
     places = {(s.cache_path, f.py_func.__code__.co_filename) for s, f in statistics if s and s.cache_path}
@@ -670,11 +670,11 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_d83b21ff00b75425"
+_IDENTITY = "codegen_pendulum_5868e0bdc7096aac"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
     _function.py_func.__module__ = _IDENTITY
-DAMAGED = remove_unfit_code(_COMPILED, _IDENTITY)
-atexit.register(seal_new_code, _COMPILED)
+DAMAGED = remove_invalid_code(_COMPILED, _IDENTITY)
+atexit.register(add_new_checksums, _COMPILED)
 remove_partial_bytecode(getattr(__spec__, "cached", None))

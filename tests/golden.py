@@ -25,12 +25,12 @@ DIGESTS = FOLDER / "digests.txt"
 
 KEPT = (
     "bouncing_ball cart_pole hovercraft image_registration lennard_jones_stormer_verlet linear_pendulum"
-    " orbital_transfer pendulum pendulum_form_lagrangian spherical_pendulum"
+    " orbital_transfer pendulum spherical_pendulum"
 ).split()
 """Modules that are committed.
 
 Their features: phases; a free duration; several bodies; first-order dynamics; particles that are connected, and that
-are simulated; a linear-quadratic problem; steps that are explicit, implicit, or of a Lagrangian; holonomic constraints.
+are simulated; a linear-quadratic problem; steps that are explicit or implicit; holonomic constraints.
 """
 
 CONTROL = (
