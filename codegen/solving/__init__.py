@@ -49,7 +49,8 @@ def solve(*positional: Any, **options: Any) -> Result:
     - `warm`: the `unknowns` of an earlier result to start from, shape (n,), on any grid, or a file of `--save`;
     - `doublings`: solve again on 2 N, 4 N, ... intervals, so often, each time from the solution before;
     - `accuracy`: choose intervals of different lengths, ever more of them, until the estimated relative error of states
-      and cost is below it; `accuracy` of the result tells how, and the scheme is gauss-4 where none is given;
+      and cost is below it; `accuracy` of the result tells how, and the scheme is gauss-4 where none is given, or the
+      problem's own where there are path inequalities;
     - `guesses`: start from the problem's own guess and from variations of it, so many in all, and keep the best;
     - `tolerance`: of the equations, in parts of their sizes; `max_iterations` and `time_limit`, in seconds for all
       guesses and grids together and for each of `repeat` solves by itself; by default the driver's own;

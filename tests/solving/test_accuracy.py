@@ -6,18 +6,36 @@ import json
 
 import numpy as np
 import pytest
+from compiled_modules import compiled
+from conftest import PROBLEMS
 
 from codegen import solving
+from codegen.compiler import build
 from codegen.errors import ArgumentError
 from codegen.solutions import output
 from codegen.solving.accuracy.arcs import Gap
 from codegen.solving.accuracy.grids import bisected, equal, refined
 
 
+@pytest.fixture(scope="module")
+def effort(cache_folder):
+    return compiled(build(PROBLEMS / "double_integrator_effort.py").path)
+
+
+@pytest.fixture(scope="module")
+def fastest(cache_folder):
+    return compiled(build(PROBLEMS / "double_integrator.py").path)
+
+
+@pytest.fixture(scope="module")
+def layer(cache_folder):
+    return compiled(build(PROBLEMS / "hypersensitive.py", {"duration": 1000}).path)
+
+
 @pytest.mark.parametrize("request_", [1e-3, 1e-5])
-def test_states_and_cost_are_as_accurate_as_asked(interpreted, request_):
+def test_states_and_cost_are_as_accurate_as_asked(effort, request_):
     # x = 3 t^2 - 2 t^3 from rest to rest; the integral of u^2 is 12.
-    result = solving.solve(interpreted("double_integrator_effort"), steps=10, accuracy=request_)
+    result = solving.solve(effort, steps=10, accuracy=request_)
     assert result.status == "solved"
     found = result.accuracy
     assert found.estimate <= request_
@@ -27,10 +45,9 @@ def test_states_and_cost_are_as_accurate_as_asked(interpreted, request_):
     assert max(errors) <= found.estimate
 
 
-def test_layers_get_the_short_intervals(interpreted):
+def test_layers_get_the_short_intervals(layer):
     # The closed form of the problem's file for long times.
-    module = interpreted("hypersensitive", arguments={"duration": "1000"})
-    result = solving.solve(module, steps=50, accuracy=1e-4)
+    result = solving.solve(layer, steps=50, accuracy=1e-4)
     exact = (np.sqrt(2.0) * (1.5**2 + 1.0) + 1.0 - 1.5**2) / 2.0
     assert result.status == "solved"
     assert abs(result.cost - exact) <= 1e-4 * exact
@@ -40,17 +57,17 @@ def test_layers_get_the_short_intervals(interpreted):
     assert result.t.size < 7000
 
 
-def test_a_switch_is_closed_in_upon(interpreted):
+def test_a_switch_is_closed_in_upon(fastest):
     # T = 2, and the control switches at half time, which no node of the first grid is.
-    result = solving.solve(interpreted("double_integrator"), steps=7, accuracy=1e-5)
+    result = solving.solve(fastest, steps=7, accuracy=1e-5)
     assert result.status == "solved"
     assert result.t[-1] == pytest.approx(2.0, rel=1e-5)
     inside = np.argmin(np.abs(0.5 * (result.t[1:] + result.t[:-1]) - 1.0))
     assert np.diff(result.t)[inside] < 1e-2
 
 
-def test_what_cannot_be_reached_is_not_claimed(interpreted):
-    result = solving.solve(interpreted("double_integrator_effort"), steps=10, accuracy=1e-15, time_limit=5.0)
+def test_what_cannot_be_reached_is_not_claimed(effort):
+    result = solving.solve(effort, steps=10, accuracy=1e-15, time_limit=5.0)
     assert result.status == "accuracy not reached"
     assert result.accuracy.estimate > 1e-15
     assert "not reached" in result.message
@@ -58,8 +75,8 @@ def test_what_cannot_be_reached_is_not_claimed(interpreted):
     assert abs(result.cost - 12.0) / 12.0 < 1e-3
 
 
-def test_the_history_is_in_the_record(interpreted):
-    result = solving.solve(interpreted("double_integrator_effort"), steps=10, accuracy=1e-3)
+def test_the_history_is_in_the_record(effort):
+    result = solving.solve(effort, steps=10, accuracy=1e-3)
     record = json.loads(output.as_json(output.as_record(result, 0.0, 0.0)))["accuracy"]
     assert record["reached"] is True
     assert record["request"] == 1e-3
@@ -67,11 +84,11 @@ def test_the_history_is_in_the_record(interpreted):
     assert record["t"] == pytest.approx(result.t.tolist())
 
 
-def test_accuracy_and_doublings_exclude_each_other(interpreted):
+def test_accuracy_and_doublings_exclude_each_other(effort):
     with pytest.raises(ArgumentError, match="--accuracy beside --doublings"):
-        solving.solve(interpreted("double_integrator_effort"), accuracy=1e-3, doublings=1)
+        solving.solve(effort, accuracy=1e-3, doublings=1)
     with pytest.raises(ArgumentError, match="between 0 and 1"):
-        solving.solve(interpreted("double_integrator_effort"), accuracy=0.0)
+        solving.solve(effort, accuracy=0.0)
 
 
 def test_errors_of_equal_size_are_distributed():
