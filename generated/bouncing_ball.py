@@ -3704,7 +3704,9 @@ def solve(
     """Find a local minimum on `steps` intervals of each phase and return a Solution.
 
     `grid`, in place of `steps`, holds the fractions (N,) of every phase, or (PHASES, N) of each, that intervals of
-    different lengths last. `start` and `end` may replace prescribed boundary values by name, as in start={"x": 0.5}.
+    different lengths last.
+
+    `start` and `end` may replace prescribed boundary values by name, as in start={"x": 0.5}.
     `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. The search ends
     after `max_iterations`, or at the first iterate after `time_limit` seconds; `watch`, if given, is called with the
     number and the row of the log of every iterate. `scaling` is "auto", or "none" for a solver that works in the
@@ -3957,7 +3959,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_70e61839994f7703"
+_IDENTITY = "codegen_bouncing_ball_dd4319ca31b4ab94"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -3280,7 +3280,9 @@ def solve(
     """Find a local minimum on `steps` intervals and return a Solution.
 
     `grid`, in place of `steps`, holds the fractions (N,) of the duration that intervals of
-    different lengths last. `start` and `end` may replace prescribed boundary values by name, as in start={"r": 0.5}.
+    different lengths last.
+
+    `start` and `end` may replace prescribed boundary values by name, as in start={"r": 0.5}.
     `duration`, if given, overrides the one that the problem states, whatever its parameters are.
     `guess` is a vector of unknowns to start from, and `warm` says that it is close to the solution. The search ends
     after `max_iterations`, or at the first iterate after `time_limit` seconds; `watch`, if given, is called with the
@@ -3509,7 +3511,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_5d96c66d4e85108f"
+_IDENTITY = "codegen_orbital_transfer_ca1e281a75442715"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
