@@ -2365,6 +2365,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
             total += iterations
             first = first or (status, iterate)
+        if first and first[0] == "rank-deficient" and status == "infeasible" and iterate.point.residual > tolerance:
+            first = status, iterate  # equations that contradict each other are dependent as well
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
     status, iterate = (status, iterate) if status == "solved" else first
@@ -3928,7 +3930,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_5a63d164a358b890"
+_IDENTITY = "codegen_hovercraft_d17794ed0b6ff422"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -6,6 +6,7 @@ import hashlib
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import f4_model
@@ -16,6 +17,8 @@ from interpreted import without_compilation
 import codegen
 from codegen.compiler import build
 from codegen.errors import ArgumentError, TableError
+
+IPOPT = pytest.param("ipopt", marks=pytest.mark.skipif(find_spec("cyipopt") is None, reason="cyipopt is an extra"))
 
 _CONTROL = '''"""An oscillator with a spring and with drag, driven to rest in a wind."""
 
@@ -83,7 +86,7 @@ def test_tables_of_polynomials_are_those(folder, tabled, choices):
     assert found.iterations == exact.iterations
 
 
-@pytest.mark.parametrize("driver", ["newton", "ipopt", "slsqp", "trust-constr"])
+@pytest.mark.parametrize("driver", ["newton", IPOPT, "slsqp", "trust-constr"])
 def test_drivers_agree(tabled, driver):
     result = codegen.solve(tabled, driver)
     written = codegen.solve(write_problem(tabled.parent, _FORMULAS, name="written"))
@@ -128,7 +131,7 @@ def test_what_does_not_replace_a_table_is_refused(tabled, folder):
         codegen.solve(Path(__file__).parents[2] / "problems" / "pendulum.py", tables={"spring": few})
 
 
-@pytest.mark.parametrize("driver", ["newton", "ipopt"])
+@pytest.mark.parametrize("driver", ["newton", IPOPT])
 def test_outside_a_table_nothing_is_solved(folder, tabled, driver):
     write_tables(folder, ends=(-0.8, 0.8))
     result = codegen.solve(tabled, driver)

@@ -90,6 +90,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
             total += iterations
             first = first or (status, iterate)
+        if first and first[0] == "rank-deficient" and status == "infeasible" and iterate.point.residual > tolerance:
+            first = status, iterate  # equations that contradict each other are dependent as well
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
     status, iterate = (status, iterate) if status == "solved" else first
