@@ -9,7 +9,6 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-import f4_model
 import numpy as np
 import pytest
 from interpreted import without_compilation
@@ -297,21 +296,6 @@ def test_a_module_needs_no_file(tabled, folder, tmp_path_factory):
     code = f"import sys; sys.path.insert(0, {str(elsewhere.parent)!r}); import tabled; print(tabled.solve().cost)"
     done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
     assert float(done.stdout) == pytest.approx(cost, rel=1e-12)
-
-
-CLIMB = Path(__file__).parents[2] / "problems" / "published" / "time_to_climb.py"
-
-
-@pytest.mark.parametrize("name", f4_model.tables())
-def test_tables_of_the_climb_are_those_of_its_model(name):
-    assert (f4_model.FOLDER / name).read_text() == f4_model.text_of(name)
-
-
-def test_least_time_to_climb():
-    """The optimum of the same program, with CasADi's B-splines, by IPOPT (tests/benchmarks/tables.py)."""
-    solution = interpreted(CLIMB).solve(50)
-    assert solution.status == "solved", solution.message
-    assert solution.cost == pytest.approx(324.424392852084, rel=1e-8)
 
 
 _GUESSED = '''"""An oscillator that starts from a file."""
