@@ -33,16 +33,6 @@ Kinds = NDArray[np.int8]
 
 
 @dataclass(frozen=True)
-class Arc:
-    """What is active (`lower`, `upper` or `inside`) of an unknown with bounds, and from when to when, in time."""
-
-    name: str
-    kind: str
-    begin: float
-    end: float
-
-
-@dataclass(frozen=True)
 class Gap:
     """Where a switching time lies: a phase, places from zero to one in it, and the time itself if it could be told."""
 
@@ -112,19 +102,6 @@ def around(nodes: Vector, gap: Gap, margin: int) -> slice:
     return slice(max(0, int(first) - margin), int(last) + margin + 1)
 
 
-def arcs(module: ControlModule, result: Result) -> list[Arc]:
-    """All arcs of unknowns that have bounds; those of a slack are called by its condition."""
-    kinds = {-1: "lower bound", 0: "inside", 1: "upper bound"}
-    meanings = module.metadata["meanings"]
-    found = []
-    for name, times, runs in _named_runs(module, result):
-        title = meanings.get(name, name).removeprefix("slack of ").partition(" at ")[0]
-        found += [
-            Arc(title, kinds[kind], float(times[a]), float(times[min(b + 1, times.size - 1)])) for a, b, kind in runs
-        ]
-    return found
-
-
 def _merged(found: list[Gap]) -> list[Gap]:
     """Gaps that overlap as one."""
     out: list[Gap] = []
@@ -138,19 +115,12 @@ def _merged(found: list[Gap]) -> list[Gap]:
 
 def _all_runs(module: ControlModule, result: Result) -> Iterator[tuple[int, Vector, list[tuple[int, int, int]]]]:
     grid = time_grid(module, result.steps, result.grid)
-    for phase, _, kinds in _kinds(module, result):
+    for phase, kinds in _kinds(module, result):
         places = grid.nodes[phase * result.steps : (phase + 1) * result.steps + 1] / result.steps - phase
         yield phase, places, _runs(kinds)
 
 
-def _named_runs(module: ControlModule, result: Result) -> Iterator[tuple[str, Vector, list[tuple[int, int, int]]]]:
-    for phase, name, kinds in _kinds(module, result):
-        if np.any(kinds):
-            times = result.t[phase * result.steps : (phase + 1) * result.steps + 1]
-            yield name, times, _runs(kinds)
-
-
-def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, str, Kinds]]:
+def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]:
     """What is active of every unknown with bounds, on all intervals of a phase, of every body."""
     if not module.metadata["inequalities"] or result.unknowns is None:
         return
@@ -168,13 +138,12 @@ def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, str, Ki
     kind[primal] = np.where(active, np.where(below < above, -1, 1), 0)
     bounded[primal] = np.isfinite(close)
     (nodes, intervals), (at_nodes, inside) = (generated.views(grid, table.astype(float)) for table in (kind, bounded))
-    names = [*module.metadata["node"], *module.metadata["interval"]]
     own = np.concatenate([nodes[:, 1:], intervals], axis=2)
     has = np.concatenate([at_nodes[:, 1:], inside], axis=2).any(axis=1)
     for phase in range(module.metadata.get("phases", 1)):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
         for body, column in zip(*np.nonzero(has), strict=True):
-            yield phase, names[column], own[body, rows, column].astype(np.int8)
+            yield phase, own[body, rows, column].astype(np.int8)
 
 
 CLOSE = 1e-3
