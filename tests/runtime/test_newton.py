@@ -19,8 +19,10 @@ from codegen.runtime.kkt import refinement
 from codegen.runtime.optimise import (
     barrier,
     bounded,
+    cascade,
     exact_bounds,
     filter,
+    line_search,
     negative_curvature,
     newton,
     newton_steps,
@@ -39,14 +41,14 @@ LINEAR_ALGEBRA = {
 def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
-        loop = newton, newton_steps, restoration
+        loop = cascade, newton, newton_steps, line_search, restoration
         for module in (*loop, barrier, bounded, unbounded, negative_curvature, exact_bounds, refinement):
             for name in set(vars(module)) & LINEAR_ALGEBRA:
                 patch.setattr(module, name, getattr(dense_problem, name))
         patch.setattr(unbounded, "regularisation", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))
         for module in loop:
             patch.setattr(module, "INEQUALITIES", 1)
-        for module in (newton, newton_steps):
+        for module in (cascade, newton_steps):
             patch.setattr(module, "UNBOUNDED", 0)
         yield
 
@@ -54,7 +56,7 @@ def dense_linear_algebra() -> Iterator[None]:
 @pytest.fixture
 def without_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop as a module has it where no unknown is bounded."""
-    for module in (newton, newton_steps, restoration):
+    for module in (cascade, newton, newton_steps, line_search, restoration):
         monkeypatch.setattr(module, "INEQUALITIES", 0)
         monkeypatch.setattr(module, "UNBOUNDED", 0, raising=False)  # no search from nearby, which the barrier has not
         for name in set(vars(module)) & set(vars(unbounded)) - LINEAR_ALGEBRA - {"np"}:
@@ -63,7 +65,7 @@ def without_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def solve(grid: Dense, limit: int = 300, warm: bool = False, guess: Any = None) -> tuple[str, Point, int]:
     unknowns = grid.guess.copy() if guess is None else guess
-    status, point, iterations = newton.minimise(grid, unknowns, 1e-10, limit, warm, Log())
+    status, point, iterations = cascade.minimise(grid, unknowns, 1e-10, limit, warm, Log())
     assert iterations <= limit + restoration.RESTORATION_STEPS
     return status, point, iterations
 
@@ -262,13 +264,13 @@ def test_start_is_pushed_inside() -> None:
 def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
     """Steps of a sixteenth, a few and then more in turn: only these count; a whole step lowers the shift again."""
     whole = bounded.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, bounded.InertiaCorrection(1e-3), False)
-    assert newton_steps.damped(0.0, whole, 1 / 16, 1) == 0.0
+    assert line_search.damped(0.0, whole, 1 / 16, 1) == 0.0
     shifts = [0.0]
-    for in_turn in (newton_steps.SHORT_IN_TURN, newton_steps.SHORT_IN_TURN + 1):
-        shifts.append(newton_steps.damped(shifts[-1], whole, 1 / 16, in_turn))
+    for in_turn in (line_search.SHORT_IN_TURN, line_search.SHORT_IN_TURN + 1):
+        shifts.append(line_search.damped(shifts[-1], whole, 1 / 16, in_turn))
     assert shifts == pytest.approx([0.0, 4e-3, 16e-3])
-    assert newton_steps.damped(shifts[-1], whole, 1.0, 0) == pytest.approx(8e-3)
-    assert newton_steps.damped(1e-6, whole, 1.0, 0) == 0.0
+    assert line_search.damped(shifts[-1], whole, 1.0, 0) == pytest.approx(8e-3)
+    assert line_search.damped(1e-6, whole, 1.0, 0) == 0.0
 
 
 def test_chattering_takes_no_more_than_half_as_many_iterations_again_as_ipopt() -> None:
@@ -317,7 +319,7 @@ def test_an_empty_barrier_leaves_the_iterates_as_they_are(grid: Dense, request: 
         for name in fixture:
             request.getfixturevalue(name)
         log = Log()
-        status, point, iterations = newton.minimise(grid, grid.guess.copy(), 1e-10, 300, False, log)
+        status, point, iterations = cascade.minimise(grid, grid.guess.copy(), 1e-10, 300, False, log)
         rows.append((status, iterations, point.cost, np.array([row[:5] for row in log.rows])))
     (status, iterations, cost, path), (other, others, least, other_path) = rows
     assert status == other

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy
-from interpreted import of_problem
+from interpreted import Interpreted, of_problem
 from numpy.testing import assert_allclose
 
+from codegen import checks, schemes
 from codegen import expressions as differentiate
+from codegen.checks import Context
 from codegen.derive import step_derivatives
 from codegen.discretise import STEP
 from codegen.errors import SizeError
@@ -17,6 +19,7 @@ from codegen.expressions.samples import hessian_samples
 from codegen.model import Model
 from codegen.model.from_file import load_problem
 from codegen.model.legendre import conjugate_symbols, hamiltonian_form, in_phase_space
+from codegen.naming import Choices
 from codegen.transcribe import transcribe
 from codegen.transcribe.elimination import linear_in
 from codegen.transcribe.phase_functions import phase_functions
@@ -56,6 +59,18 @@ def test_velocities_and_energy_of_an_arm_are_those_of_its_mass_matrix() -> None:
     velocities = np.linalg.solve(mass, p)
     assert_allclose([float(v.xreplace(values)) for v in found.velocities], velocities, rtol=1e-10)
     assert_allclose(float(found.energy.xreplace(values)), np.dot(p, velocities) - at(velocities), rtol=1e-10)
+
+
+def test_layout_and_kernels_are_checked_where_the_energy_reads_assignments(tmp_path: Path) -> None:
+    arguments = {"links": "5", "task": "simulate"}
+    model = model_of("arm", **arguments)
+    program = transcribe(model, None, None, "interval")
+    assert program.state_assignments
+    module = Interpreted(tmp_path, FOLDER)("arm", arguments=arguments)
+    context = Context(Choices(), model, program, schemes.find(program.scheme, program.method), module)
+    findings = [finding for name in ("layout", "derivatives") for finding in checks.apply(name, context)]
+    assert not [f for f in findings if not f.passed]
+    assert any(finding.subject == "energy" for finding in findings), findings
 
 
 def test_small_and_decoupled_systems_have_their_hamiltonian_written_out() -> None:

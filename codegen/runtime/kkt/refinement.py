@@ -27,6 +27,7 @@ from codegen.runtime.unknowns.times import span
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
 LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
 SOLVED_AGAIN = 10  # times at most, as in IPOPT
+NEARLY_ACCURATE = 1e-6  # residuals up to it may be rounding of large solutions, where two corrections do not halve them
 
 
 @njit(cache=True, error_model="numpy")
@@ -85,16 +86,19 @@ def relative(left, right, step, most):
 
 
 def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine `step` (n,) in place until it is accurate; return whether that was necessary.
+    """Refine `step` (n,) in place until it is accurate, or only rounding is left; return whether that lowered it.
 
     The system is still factored, and the matrix as `factor_kkt` says. Each time, what the factors make of the residual
     is one more correction, and that sum of all corrections is added which leaves least.
     """
-    zero, corrections, products = np.zeros_like(step), [], []
+    zero, corrections, products, errors = np.zeros_like(step), [], [], []
     left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        if not ACCURATE < inaccuracy(grid, gradient, step, left) < np.inf:
+        errors.append(inaccuracy(grid, gradient, step, left))
+        if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
+        if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
+            return False
         corrections.append(np.empty_like(step))
         solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
         products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1]))

@@ -12,6 +12,9 @@ from codegen.runtime.stand_ins.example import (
     ELEMENT,
     HESSIAN_COLUMNS,
     HESSIAN_ROWS,
+    INNER_FIRST,
+    INNER_TIMES,
+    INNER_UNKNOWNS,
     NODE,
     ONLY_AT_ENDS,
     PHASE_LACKS,
@@ -35,6 +38,8 @@ KIND_IS_MULTIPLIER = np.concatenate(
     [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
 )
 IS_AT_ENDS = np.isin(np.arange(KINDS), ONLY_AT_ENDS)  # inner nodes have ones on their diagonal
+if INNER_TIMES:
+    IS_AT_ENDS |= np.isin(np.arange(KINDS), INNER_UNKNOWNS)  # and those that are at no inner time
 
 
 @njit(error_model="numpy")
@@ -68,7 +73,12 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
         note_ends(unknowns, body, steps, h, parameters, tables)
         for k in range(steps):
             if k % intervals % stride > 0:
-                continue
+                if INNER_TIMES:
+                    t, length = span(nodes, k, h)
+                    if not is_inner(parameters[body], t, length):
+                        continue
+                else:
+                    continue
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             t, length = span(nodes, k, h)
             interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
@@ -123,6 +133,17 @@ def change(moments, intervals, part, powers):
     largest = abs(moments[0]) if abs(moments[0]) > CANCELLED * moments[3] else 0.0
     largest = max(largest, abs(moments[1]) * part / intervals)
     return max(largest, abs(moments[2]) * part**2 / intervals**2) if powers == 2 else largest
+
+
+if INNER_TIMES:
+
+    @njit(error_model="numpy")
+    def is_inner(parameters, t, h):
+        """Whether the node at time t, before an interval of length h, is at an inner time."""
+        found = False
+        for i in range(INNER_FIRST, INNER_FIRST + INNER_TIMES):
+            found = found or abs(t - parameters[i]) < 1e-6 * h
+        return found
 
 
 if PHASES:

@@ -22,7 +22,7 @@ from codegen.runtime.stand_ins.example import (
 )
 from codegen.runtime.unknowns.time_grid import NONE, plain_grid
 from codegen.runtime.optimise.messages import describe
-from codegen.runtime.optimise.newton import minimise
+from codegen.runtime.optimise.cascade import minimise
 from codegen.runtime.optimise.active_bounds import bounds_of
 from codegen.runtime.unknowns.point import evaluate, lagrangian
 from codegen.runtime.optimise.convergence_test import is_solved
@@ -75,12 +75,14 @@ def refined(grid, start, point, tolerance, max_iterations, log):
             break
         begin = scaled_unknowns(finer, unknowns)
         same = evaluate(finer, begin)
-        if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
+        if is_solved(finer, same, tolerance) or error_of(finer, same) <= tolerance:
             return "solved", finer, begin, same, total
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            found = ("solved", grid, start, point) if nearly_holds(finer, same) else (status, finer, begin, better)
+            found = (
+                ("solved", grid, start, point) if error_of(finer, same) <= VIOLATED else (status, finer, begin, better)
+            )
             return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
@@ -88,14 +90,14 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
-def nearly_holds(grid, point):
-    """Whether equations hold but for VIOLATED, and stationarity too: slopes that no bound holds, beside multipliers."""
+def error_of(grid, point):
+    """The largest residual, or slope that no bound holds beside multipliers: of bounds the duals are missing."""
     slope = np.where(grid.is_multiplier, 0.0, point.gradient)
     if INEQUALITIES:
         lower, upper = bounds_of(grid)
         slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
     mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
-    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
+    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY))
 
 
 def has_larger_derivatives(finer, grid):

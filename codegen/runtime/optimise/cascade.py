@@ -1,0 +1,123 @@
+"""The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed."""
+
+import numpy as np
+
+from codegen.runtime.optimise.bounded import (
+    CASCADE,
+    FROM_GUESS,
+    WARM,
+    barrier_curvature,
+    begin,
+    search_on,
+)
+from codegen.runtime.optimise.convergence_test import is_solved, sizes_of_terms
+from codegen.runtime.optimise.exact_bounds import within_bounds
+from codegen.runtime.optimise.filter import Filter
+from codegen.runtime.optimise.newton import UNLUCKY, descend, restored
+from codegen.runtime.optimise.saddle_points import ESCAPES, LEFT, escape_steps, is_below
+from codegen.runtime.optimise.stagnation import is_at_rounding_level
+from codegen.runtime.optimise.unbounded import NEARBY
+from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
+from codegen.runtime.unknowns.layout import free_unknowns
+from codegen.runtime.unknowns.time_grid import views
+
+if UNBOUNDED:
+    GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
+    NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
+
+
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
+    """Find a local minimum; return (status, point, iterations).
+
+    Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
+    succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
+    leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
+    `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
+    steps of the restoration are not counted.
+    """
+    search, first, total = search_on(grid), None, 0
+    primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
+    guess = begin(search, primal, cascade[0])
+    if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):
+        status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
+        if status in ("solved", "time limit"):
+            return status, iterate.point, total
+    for attempt in cascade:
+        iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt) if first else guess
+        status = "restored"
+        if attempt.nearby < 1.0 and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
+        if status == "restored":
+            left = max_iterations - total
+            status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
+            total += iterations
+            first = first or (status, iterate)
+        if first and first[0] == "rank-deficient" and status == "infeasible" and iterate.point.residual > tolerance:
+            first = status, iterate  # equations that contradict each other are dependent as well
+        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+            break
+    status, iterate = (status, iterate) if status == "solved" else first
+    if INEQUALITIES:
+        return status, within_bounds(search, iterate, tolerance), total
+    else:
+        return status, iterate.point, total
+
+
+if UNBOUNDED:
+
+    def is_gross(grid, point):
+        """Whether the residual is more than a small part of the equations' largest terms."""
+        terms, _ = sizes_of_terms(grid, point.unknowns)
+        return point.residual > GROSS * terms
+
+    def from_nearby(search, guess, tolerance, max_iterations, log):
+        """(status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
+
+        A full Newton step, which knows of no distance, would leave for another optimum.
+        """
+        status, iterate = restored(search, guess, NEARBY.nearby, Filter(np.inf), log)
+        if status != "restored":
+            return status, iterate, 0
+        limit = min(max_iterations // 2, NEARBY_ITERATIONS)
+        return leave_saddles(search, iterate, NEARBY, tolerance, limit, log)
+
+
+def bulged_guess(grid, unknowns, part):
+    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
+    if part == 0.0:
+        return unknowns
+    bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0)
+    for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
+        sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
+        own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
+    return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
+
+
+def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
+    """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
+
+    Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
+    """
+    status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
+    failed, escapes = False, 0
+    while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        for beside in escaping_iterates(search, saddle, attempt, escapes):
+            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
+            total += iterations
+            if ended in LEFT and is_below(other.point, saddle.point):
+                status, saddle = ended, other
+                break
+            failed = failed or ended not in LEFT
+        escapes += 1
+    if status == "saddle point" and escapes == ESCAPES and not failed:
+        is_over = is_solved(search.grid, saddle.point, tolerance) or is_at_rounding_level(search.grid, saddle.point)
+        status = "solved" if is_over else "stalled"
+    return status, saddle, total
+
+
+def escaping_iterates(search, saddle, attempt, escapes):
+    """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
+    grid, unknowns = search.grid, saddle.point.unknowns
+    curvature = barrier_curvature(search, saddle)
+    for step in escape_steps(grid, unknowns, curvature, escapes):
+        yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
