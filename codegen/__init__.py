@@ -8,30 +8,35 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0.dev0"
 
 _HOMES = {
-    **dict.fromkeys(["Control", "Phases", "Simulate"], "codegen.author.problem"),
+    **dict.fromkeys(["Control", "Phases", "Simulate", "Waypoint"], "codegen.author.problem"),
     **dict.fromkeys(
-        "body_number canonical_pair canonical_pairs control controls coordinate coordinates free_parameter parameter "
-        "parameters state states time".split(),
+        "body_number canonical_pair canonical_pairs control controls coordinate coordinates each_body free_parameter "
+        "parameter parameters state states time".split(),
         "codegen.author.symbols",
     ),
     **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.author.particles"),
     **dict.fromkeys(["Points"], "codegen.author.points"),
+    **dict.fromkeys(["Measurements"], "codegen.author.measurements"),
     **dict.fromkeys(["Table", "Trajectory"], "codegen.author.tables"),
     **dict.fromkeys(["together"], "codegen.author.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
+    **dict.fromkeys(["CodegenError"], "codegen.errors"),
     **dict.fromkeys(["load"], "codegen.loading"),
     **dict.fromkeys(["solve"], "codegen.solving"),
 }
 
 __all__ = [
+    "CodegenError",
     "Connect",
     "Control",
+    "Measurements",
     "Pairwise",
     "Phases",
     "Points",
     "Simulate",
     "Table",
     "Trajectory",
+    "Waypoint",
     "body_number",
     "build",
     "canonical_pair",
@@ -40,6 +45,7 @@ __all__ = [
     "controls",
     "coordinate",
     "coordinates",
+    "each_body",
     "free_parameter",
     "load",
     "parameter",
@@ -55,9 +61,10 @@ __all__ = [
 
 if TYPE_CHECKING:
     from codegen.author.bodies import together
+    from codegen.author.measurements import Measurements
     from codegen.author.particles import Connect, Pairwise, particle, particles
     from codegen.author.points import Points
-    from codegen.author.problem import Control, Phases, Simulate
+    from codegen.author.problem import Control, Phases, Simulate, Waypoint
     from codegen.author.symbols import (
         body_number,
         canonical_pair,
@@ -66,6 +73,7 @@ if TYPE_CHECKING:
         controls,
         coordinate,
         coordinates,
+        each_body,
         free_parameter,
         parameter,
         parameters,
@@ -75,6 +83,7 @@ if TYPE_CHECKING:
     )
     from codegen.author.tables import Table, Trajectory
     from codegen.compiler import build
+    from codegen.errors import CodegenError
     from codegen.loading import load
     from codegen.solving import solve
 

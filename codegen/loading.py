@@ -33,7 +33,8 @@ Entries: TypeAlias = tuple[Indices, Indices, Vector]
 class Grid(Protocol):
     """N intervals of mean length h, the parameters of each body, and which unknowns are multipliers of equations.
 
-    `nodes` (N + 1,) are the indices of all nodes in time, in mean lengths.
+    `nodes` (N + 1,) are the indices of all nodes in time, in mean lengths. Where there are inner times, `inner` are the
+    numbers of their nodes.
     """
 
     steps: int
@@ -43,6 +44,7 @@ class Grid(Protocol):
     is_multiplier: NDArray[np.bool_]
     sizes: Vector
     weight: float
+    inner: tuple[int, ...]
 
 
 class ControlSolution(Protocol):
@@ -207,6 +209,19 @@ def load(path: Path | str) -> GeneratedModule:
     path = Path(path)
     text = _text(path)
     return cast(GeneratedModule, importlib.import_module(_name(path.resolve(), text)))
+
+
+def few_steps(module: Any, steps: int) -> int:
+    """As many intervals of a control problem, or more where there are inner times."""
+    return max(steps, int(module.metadata.get("inner_times", 0)) + 1)
+
+
+def inner_places(module: Any) -> tuple[float, ...]:
+    """Where inner times are, in parts of the duration, or of the whole chain where they are free; none, often."""
+    if not module.metadata.get("inner_times", 0):
+        return ()
+    grid = module.make_grid(few_steps(module, 1))
+    return tuple(float(grid.nodes[number]) / grid.steps for number in grid.inner)
 
 
 def time_grid(module: ControlModule, steps: int, fractions: Vector | None = None) -> Grid:

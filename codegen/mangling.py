@@ -34,7 +34,7 @@ _TEMPLATES = {
 _IN_KERNELS = {
     "control": "unknowns t h parameters gradient hessian block values slopes curvatures common duration body own "
     "shared_views lower_own upper_own lower_common upper_common NODE START END BODIES PHASES node_times interval_times "
-    "with_slacks",
+    "with_slacks checked_grid with_inner_times with_tables with_observations",
     "simulate": "unknowns t h parameters state lengths interval residual jacobian",
 }
 _IN_LOOPS = (

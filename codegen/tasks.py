@@ -71,7 +71,7 @@ TASKS = {
         _task(
             "control",
             "optimisation",
-            "warm doublings accuracy guesses tables",
+            "warm doublings accuracy guesses tables observations",
             "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
             "constraints jacobian hessian stationarity evaluate worst_row unpack",
         ),

@@ -4,7 +4,6 @@
 #
 # Left out, because this problem does not need it:
 # - curvature of the boundary conditions: positions that they depend on are given
-# - interior point: there are no inequalities
 # - derivatives of the Lagrangian by x: cyclic
 # - time in the kernels: nothing depends on it explicitly
 # - 100 of 153 entries of the interval's Hessian: identically zero
@@ -14,6 +13,8 @@ Find x, y at the nodes, f_x, f_y on the intervals, switch_dx, switch_dy at a swi
 the sum of Cd over all intervals, where
 
     duration = T_1 + T_2
+    T_1 >= 0
+    T_2 >= 0
 
 On each of N intervals of a phase, from t_k to t_k1 = t_k + h, h = 1/N (suffixes _k and _k1 mark its nodes),
 where t runs from the number of the phase, less one, to that number. An unknown x that an interval lacks
@@ -117,7 +118,7 @@ metadata = {
     "interval": ('switch_dx', 'switch_dy', 'pi_x', 'pi_y', 'f_x', 'f_y'),
     "shared": ('nu_1', 'T_1', 'T_2'),
     "meanings": {'lambda_x': 'multiplier of the equation of motion of x', 'lambda_y': 'multiplier of the equation of motion of y', 'pi_x': 'multiplier of the momentum of x after a switch', 'pi_y': 'multiplier of the momentum of y after a switch', 'nu_1': 'multiplier of y = 0 at switch 1', 'T_1': 'free parameter T_1', 'T_2': 'free parameter T_2'},
-    "inequalities": False,
+    "inequalities": True,
     "boundary": ('start x', 'start y', 'start dx', 'start dy', 'end x', 'end y', 'end dx', 'end dy'),
     "operations": {'phase_1_gradient': (195, 91), 'phase_1_hessian': (189, 84), 'switch_1_gradient': (215, 113), 'switch_1_hessian': (194, 83), 'phase_2_gradient': (195, 91), 'phase_2_hessian': (189, 84), 'start_gradient': (2, 2), 'end_gradient': (4, 4)},
     "phases": 2,
@@ -125,7 +126,6 @@ metadata = {
     "slacks": ({}, {}),
     "left_out": (
         'curvature of the boundary conditions: positions that they depend on are given',
-        'interior point: there are no inequalities',
         'derivatives of the Lagrangian by x: cyclic',
         'time in the kernels: nothing depends on it explicitly',
         "100 of 153 entries of the interval's Hessian: identically zero",
@@ -1858,6 +1858,7 @@ def envelope(violation, cost):
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
 LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
 SOLVED_AGAIN = 10  # times at most, as in IPOPT
+NEARLY_ACCURATE = 1e-6  # residuals up to it may be rounding of large solutions, where two corrections do not halve them
 
 
 @njit(cache=True, error_model="numpy")
@@ -1910,16 +1911,19 @@ def relative(left, right, step, most):
 
 
 def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine `step` (n,) in place until it is accurate; return whether that was necessary.
+    """Refine `step` (n,) in place until it is accurate, or only rounding is left; return whether that lowered it.
 
     The system is still factored, and the matrix as `factor_kkt` says. Each time, what the factors make of the residual
     is one more correction, and that sum of all corrections is added which leaves least.
     """
-    zero, corrections, products = np.zeros_like(step), [], []
+    zero, corrections, products, errors = np.zeros_like(step), [], [], []
     left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        if not ACCURATE < inaccuracy(grid, gradient, step, left) < np.inf:
+        errors.append(inaccuracy(grid, gradient, step, left))
+        if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
+        if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
+            return False
         corrections.append(np.empty_like(step))
         solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
         products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1]))
@@ -1931,83 +1935,253 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     return True
 
 
-# Iterates where no unknown has a bound: points, and how they begin and follow each other by Newton's steps.
+# The logarithmic barrier of bounds on unknowns: distances to the bounds, their duals, and what Newton's method needs.
 #
-# Equation numbers are those of Waechter and Biegler (2006), On the implementation of an interior-point filter line-search
-# algorithm for large-scale nonlinear programming.
+# Every finite bound is one entry of flat arrays: in `indices` that of its unknown x, its `value` b, and its `side` s,
+# 1 for a lower and -1 for an upper bound. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
+# gradient - s z = 0 and z d = mu. Eliminating the change of z = mu / d - z - (z / d) s dx from Newton's equations leaves
+# z / d on the diagonal and gradient - mu s / d on the right; see equations (11) and (13) of Waechter and Biegler (2006).
+# Distances are moved along with the unknowns instead of being computed anew, because close to a bound rounding would
+# leave nothing of a difference. Bounds are relaxed, so that equations may force unknowns onto them: by little, which goes
+# to rounding level with the weight of the barrier.
+
+RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
+PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
+
+
+class Bounds(NamedTuple):
+    """Indices, values, sides and magnitudes, one or more, of all finite bounds."""
+
+    indices: np.ndarray
+    value: np.ndarray
+    side: np.ndarray
+    magnitude: np.ndarray
+
+
+def finite_bounds(lower, upper):
+    """The bounds that exist, lower ones first."""
+    (below,), (above,) = (lower > -np.inf).nonzero(), (upper < np.inf).nonzero()
+    side = np.ones(below.size + above.size)
+    side[below.size :] = -1.0
+    value = np.concatenate([lower[below], upper[above]])
+    return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
+
+
+def relaxation(mu, least):
+    """How much farther away bounds are taken to be while the barrier's weight is mu, relative to their magnitudes.
+
+    Where equations hold an unknown on its bound, its dual is mu / relaxation: it stays moderate for every mu.
+    """
+    return min(RELAXED, max(least, PER_WEIGHT * mu))
+
+
+@njit(cache=True, error_model="numpy")
+def push_inside(lower, upper, unknowns, push):
+    """Unknowns at least `push` max(1, |bound|) inside their bounds, or that fraction of the way between two (36)."""
+    inside = unknowns.copy()
+    for i in range(inside.size):
+        width = push * (upper[i] - lower[i])
+        if lower[i] > -np.inf:
+            least = lower[i] + min(push * max(1.0, abs(lower[i])), width)
+            if inside[i] < least:
+                inside[i] = least
+        if upper[i] < np.inf:
+            greatest = upper[i] - min(push * max(1.0, abs(upper[i])), width)
+            if inside[i] > greatest:
+                inside[i] = greatest
+    return inside
+
+
+@njit(cache=True, error_model="numpy")
+def move(unknowns, step, length, indices, side, distance, trial, moved):
+    """Fill `trial` with unknowns + length * step, and `moved` with its distances; return the sum of their logarithms.
+
+    Rounding must not make a distance vanish.
+    """
+    for i in range(unknowns.size):
+        trial[i] = unknowns[i] + length * step[i]
+    logarithms = 0.0
+    for j in range(indices.size):
+        d = distance[j] + side[j] * (length * step[indices[j]])
+        moved[j] = d if d > 1e-16 * distance[j] else 1e-16 * distance[j]
+        logarithms += np.log(moved[j])
+    return logarithms
+
+
+@njit(cache=True, error_model="numpy")
+def measure_optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals):
+    """Max-norm of the stationarity, sum of complementarities z d, least and largest z d, and sizes.
+
+    The sizes are the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
+    """
+    stationary = gradient.copy()
+    total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
+    for j in range(indices.size):
+        stationary[indices[j]] -= side[j] * duals[j]
+        product = duals[j] * distance[j]
+        lowest, highest = min(lowest, product), max(highest, product)
+        total += product
+        size += duals[j]
+    stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
+    for i in range(gradient.size):
+        if is_multiplier[i]:
+            multipliers += abs(unknowns[i])
+            count += 1
+        else:
+            stationarity = max(stationarity, abs(stationary[i]))
+            largest = max(largest, abs(unknowns[i]))
+    mean = (multipliers + size) / max(count + indices.size, 1)
+    return stationarity, total, lowest, highest, mean, size / max(indices.size, 1), largest
+
+
+@njit(cache=True, error_model="numpy")
+def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, delta_w, delta_c, right, diagonal):
+    """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
+    for i in range(gradient.size):
+        right[i] = gradient[i]
+        diagonal[i] = -delta_c if is_multiplier[i] else delta_w
+    for j in range(indices.size):
+        right[indices[j]] -= mu * side[j] / distance[j]
+        diagonal[indices[j]] += duals[j] / distance[j]
+
+
+@njit(cache=True, error_model="numpy")
+def measure_step(unknowns, gradient, step, is_multiplier, indices, side, distance, duals, mu, tau, dual_step):
+    """Fill `dual_step`; return the slope along the step, and its longest primal and dual lengths.
+
+    They keep 1 - tau of every distance and of every dual (15).
+    """
+    primal, dual = 1.0, 1.0
+    for j in range(indices.size):
+        change = side[j] * step[indices[j]]
+        dual_step[j] = (mu - duals[j] * change) / distance[j] - duals[j]
+        if -change * primal > tau * distance[j]:
+            primal = -tau * distance[j] / change
+        if -dual_step[j] * dual > tau * duals[j]:
+            dual = -tau * duals[j] / dual_step[j]
+    return slope_of(unknowns, gradient, step, is_multiplier), primal, dual
+
+
+@njit(cache=True, error_model="numpy")
+def move_duals(duals, dual_step, length, distance, mu, result):
+    """Fill `result` with duals + length * dual_step, kept within a factor of 1e10 of mu / d (16)."""
+    for j in range(duals.size):
+        centre = mu / distance[j]
+        result[j] = max(min(duals[j] + length * dual_step[j], 1e10 * centre), 1e-10 * centre)
+
+
+# Iterates where unknowns have bounds: how they begin, are measured, and follow each other by steps of the barrier.
+#
+# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
+# large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
 
 class Attempt(NamedTuple):
-    """How a search begins: with what part of the guess's violation, and bent by a part of the guess's size.
+    """How a search begins: first weight of the barrier, how far inside their bounds unknowns are, and how nearby.
 
-    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`.
+    `nearby` is the part of the guess's violation that may be left before the search begins. Steps below the shortest
+    make way for restoration; the violation may grow by the factor `funnel`. The guess is bent by a part of its size.
     """
 
+    weight: float
+    push: float
     nearby: float
     shortest: float
     funnel: float
     bulge: float = 0.0
 
 
-FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
-WARM = FROM_GUESS  # Newton's method needs no telling
+FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
+WARM = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)  # its duals begin on the central path; far from a solution ones are better
 CASCADE = (
-    Attempt(0.1, 1e-3, 2.0),
-    Attempt(1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
+    Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
+    Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
+    Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
 )
 
 
-SMALL_DELTA_W = 1e-2  # below it, the Hessian is first tried as it is
-
-
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, storage of the linear system, indices of multipliers."""
+    """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
+
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound. Bounds are relaxed
+    by `least` at least, in parts of their magnitudes.
+    """
 
     grid: NamedTuple
+    bounds: NamedTuple
     system: tuple[NamedTuple, int]
     equations: np.ndarray
+    box: tuple[np.ndarray, np.ndarray]
+    least: float = LEAST_RELAXED
+
+
+class Measured(NamedTuple):
+    """What is measured of an iterate with the duals of its bounds, as `measure_optimality` says."""
+
+    stationarity: float
+    gap: float
+    lowest: float
+    highest: float
+    mean: float
+    mean_dual: float
+    largest: float
 
 
 class Iterate(NamedTuple):
-    """A point of the search."""
+    """A point, the barrier's weight mu, and what belongs to the bounds.
+
+    These are the distances of unknowns to them (bounds,), the sum of their logarithms, and the duals (bounds,).
+    """
 
     point: NamedTuple
+    mu: float
+    distance: np.ndarray
+    logarithms: float
+    duals: np.ndarray
+    measured: Measured | None = None
 
 
 class InertiaCorrection(NamedTuple):
-    """delta_w, the Hessian's shift at an iterate, its last value above zero, and how often in turn it was lowered.
-
-    `singular` once the matrix has been singular or had too few negative eigenvalues, as dependent equations make it.
-    """
+    """delta_w, the Hessian's shift at an iterate, and the last one that was not zero."""
 
     delta_w: float = 0.0
     last: float = 0.0
-    lowered: int = 0
-    singular: bool = False
 
 
 class Step(NamedTuple):
-    """A Newton step: the gradient that it was solved for, slope, greatest length, and the Hessian's shift.
+    """A Newton step: its barrier gradient, slope, longest primal and dual lengths, and the Hessian's shift.
 
     `refined` says that the linear system was not solved accurately at once.
     """
 
     primal: np.ndarray
+    dual: np.ndarray
     gradient: np.ndarray
     slope: float
     longest: float
+    dual_length: float
     inertia: NamedTuple
     refined: bool
 
 
 def search_on(grid):
     """What stays the same during a solve on a grid."""
-    return Search(grid, allocate_system(grid), multiplier_unknowns(grid))
+    box = bounds_of(grid)
+    return Search(grid, finite_bounds(*box), allocate_system(grid), multiplier_unknowns(grid), box)
 
 
 def begin(search, unknowns, attempt):
-    """An iterate at primal unknowns."""
-    return Iterate(evaluate(search.grid, unknowns))
+    """An iterate at primal unknowns that are pushed inside their bounds, with duals of one, or on the central path."""
+    bounds, mu = search.bounds, attempt.weight
+    unknowns = push_inside(*search.box, unknowns, attempt.push)
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu, search.least) * bounds.magnitude
+    duals = central_duals(mu, distance) if attempt is WARM else np.ones(distance.size)
+    return Iterate(evaluate(search.grid, unknowns), mu, distance, np.log(distance).sum(), duals)
+
+
+def central_duals(mu, distance):
+    """Duals (bounds,) on the central path, or large ones where a bound is closer."""
+    return np.minimum(mu / distance, 1e3)
 
 
 def with_least_squares_multipliers(search, iterate):
@@ -2015,94 +2189,162 @@ def with_least_squares_multipliers(search, iterate):
 
     All multipliers of `iterate` are zero.
     """
-    grid, point, system, step = search.grid, iterate.point, search.system, np.empty_like(iterate.point.unknowns)
-    if point.stationarity == 0.0:
-        return iterate
+    grid, bounds, system, *_ = search
+    point, step = iterate.point, np.empty_like(iterate.point.unknowns)
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, regularisation(grid, 1.0, 1e-12), system, gradient)):
+    np.subtract.at(gradient, bounds.indices, bounds.side * iterate.duals)
+    diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient)):
         return iterate
     solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
-    return Iterate(evaluate(grid, point.unknowns + multipliers)) if np.abs(multipliers).max() <= 1e3 else iterate
+    if not np.abs(multipliers).max(initial=0.0) <= 1e3:
+        return iterate
+    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers))
+
+
+def measured_iterate(search, iterate):
+    """The iterate with the duals of bounds taking part in its stationarity, and with what is measured."""
+    point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
+    measured = measure_optimality(
+        point.gradient, point.unknowns, is_multiplier, bounds.indices, bounds.side, iterate.distance, iterate.duals
+    )
+    error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
+    # Building the tuples anew takes a third of the time of replacing fields.
+    point = Point(point.unknowns, point.gradient, point.cost, point.residual, point.violation, measured[0], error)
+    return Iterate(point, *iterate[1:5], Measured(*measured))
+
+
+def is_optimal(search, iterate, tolerance, acceptable_will_do):
+    """Whether a measured iterate obeys all optimality conditions."""
+    closed = iterate.measured.highest <= tolerance and is_solved(search.grid, iterate.point, tolerance)
+    return closed or (acceptable_will_do and is_acceptable(search.grid, iterate, tolerance))
+
+
+def is_acceptable(grid, iterate, tolerance):
+    """Whether an iterate is optimal to the tolerance, with complementarities one by one and scaled multipliers (5)."""
+    point, measured = iterate.point, iterate.measured
+    scaled = measured.stationarity / (max(100.0, measured.mean) / 100.0)
+    if measured.highest / (max(100.0, measured.mean_dual) / 100.0) > tolerance:
+        return False
+    return is_solved(grid, point._replace(stationarity=scaled, error=max(point.residual, scaled)), tolerance)
+
+
+def is_closed(search, iterate, tolerance):
+    """Whether the gap is at most one tolerance for every bound, which is as good as rounding allows."""
+    return iterate.measured.gap <= tolerance * search.bounds.indices.size
+
+
+def barrier_error(point, measured, mu):
+    """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
+    off_centre = max(measured.highest - mu, mu - measured.lowest)
+    scale, dual_scale = max(100.0, measured.mean) / 100.0, max(100.0, measured.mean_dual) / 100.0
+    return max(measured.stationarity / scale, point.residual, off_centre / dual_scale)
+
+
+def decreased_mu(iterate, least):
+    """The weight for the next step: lower where the barrier problem is solved well enough (7).
+
+    The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
+    hardly active, as on singular arcs.
+    """
+    mu = iterate.mu
+    while mu > least and barrier_error(iterate.point, iterate.measured, mu) <= 10.0 * mu:
+        mu = max(least, min(0.2 * mu, mu**1.5))
+    return mu
+
+
+def falling_relaxation(search, iterate, mu):
+    """By how much bounds are relaxed less once the iterate's weight is lowered to mu."""
+    return relaxation(iterate.mu, search.least) - relaxation(mu, search.least)
+
+
+def with_relaxed_bounds(search):
+    """The search with bounds that stay as relaxed as they are at first.
+
+    Where equations force unknowns onto their bounds, and all multipliers are huge, the relaxation is what gives the
+    feasible set an inside; IPOPT keeps it as well.
+    """
+    return search._replace(least=RELAXED)
+
+
+def with_barrier_parameter(search, iterate, mu):
+    """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
+    bounds, by = search.bounds, falling_relaxation(search, iterate, mu)
+    iterate = iterate._replace(mu=mu)
+    if by == 0.0:
+        return iterate
+    least = 0.1 * relaxation(mu, search.least) * bounds.magnitude
+    distance = iterate.distance - by * bounds.magnitude
+    outside = distance < least
+    if not outside.any():
+        return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
+    unknowns = iterate.point.unknowns.copy()
+    unknowns[bounds.indices[outside]] += bounds.side[outside] * (least - distance)[outside]
+    distance[outside] = least[outside]
+    return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
 
 
 def barrier_curvature(search, iterate):
-    """What a barrier adds to the Hessian's diagonal: nothing."""
-    return 0.0
+    """What the barrier adds to the Hessian's diagonal (unknowns,)."""
+    curvature = np.zeros(iterate.point.unknowns.size)
+    np.add.at(curvature, search.bounds.indices, iterate.duals / iterate.distance)
+    return curvature
 
 
 def newton_system(search, iterate, gradient, delta_w, delta_c):
-    """Right-hand side and diagonal (unknowns,) of Newton's equations, given the gradient of the Lagrangian."""
-    return gradient, regularisation(search.grid, delta_w, delta_c)
-
-
-def regularisation(grid, delta_w, delta_c):
-    """Diagonal with delta_w on the Hessian by primal unknowns, and -delta_c on the multipliers' block."""
-    if delta_c == 0.0:
-        return delta_w * primal_ones(grid.steps)
-    return np.where(grid.is_multiplier, -delta_c, delta_w)
-
-
-@lru_cache(maxsize=4)
-def primal_ones(steps):
-    """Ones for primal unknowns and zeros for multipliers, kept for the next solve."""
-    return np.where(layout(steps).is_multiplier, 0.0, 1.0)
+    """Right-hand side and diagonal (unknowns,) of Newton's equations (13), given the gradient of the Lagrangian."""
+    bounds, right, diagonal = search.bounds, np.empty(gradient.size), np.empty(gradient.size)
+    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    add_barrier(gradient, search.grid.is_multiplier, *barrier, delta_w, delta_c, right, diagonal)
+    return right, diagonal
 
 
 def first_delta_w(before):
-    """The shift that is tried first, and the least one after none; `before` is that of the iterate before.
-
-    Two changes to algorithm IC save factorisations. Where the iterate before needed a shift for its curvatures, a lower
-    one is tried at once, and none only when that has become small; and the more often in turn a lower shift was enough,
-    the lower the next one is.
-    """
-    least = max(1e-20, before.last / 3.0 ** min(1 + before.lowered, 40)) if before.last > 0.0 else 1e-4
-    at_once = before.delta_w > 0.0 and least > SMALL_DELTA_W and not before.singular
-    return least if at_once else 0.0, least
+    """The shift that is tried first, and the least one after none; `before` is that of the iterate before."""
+    return 0.0, max(1e-20, before.last / 3.0) if before.last > 0.0 else 1e-4
 
 
 def corrected_inertia(before, delta_w, least, singular):
-    """The shift that was enough; `least` was the least to try, `singular` says whether the matrix was without it."""
-    singular = singular or before.singular
-    lowered = before.lowered + 1 if delta_w == least and not singular else 0
-    return InertiaCorrection(delta_w, delta_w or before.last, lowered, singular)
+    """The shift that was enough."""
+    return InertiaCorrection(delta_w, delta_w or before.last)
 
 
 def step_along(search, iterate, gradient, primal, inertia, refined):
-    """The step with a primal part, the gradient that it was solved for and a shift, and with its slope."""
-    slope = slope_of(iterate.point.unknowns, gradient, primal, search.grid.is_multiplier)
-    return Step(primal, gradient, slope, 1.0, inertia, refined)
+    """The step with a primal part, a barrier gradient and a shift: its dual part, slope and longest lengths."""
+    bounds, dual = search.bounds, np.empty(iterate.duals.size)
+    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
+    measured = measure_step(
+        iterate.point.unknowns, gradient, primal, search.grid.is_multiplier, *barrier, max(0.99, 1.0 - iterate.mu), dual
+    )
+    return Step(primal, dual, gradient, *measured, inertia, refined)
 
 
 def barrier_objective(iterate):
-    """What a line search lowers: the cost."""
-    return iterate.point.cost
+    """The barrier function, which a line search lowers (3)."""
+    return iterate.point.cost - iterate.mu * iterate.logarithms
 
 
 def moved(search, iterate, primal, length):
-    """The iterate after a step of some length."""
-    return Iterate(evaluate(search.grid, iterate.point.unknowns + (primal if length == 1.0 else length * primal)))
+    """The iterate after a primal step of some length, with the duals where they were."""
+    unknowns, bounds = iterate.point.unknowns, search.bounds
+    trial, distance = np.empty(unknowns.size), np.empty(bounds.indices.size)
+    logarithms = move(unknowns, primal, length, bounds.indices, bounds.side, iterate.distance, trial, distance)
+    return Iterate(evaluate(search.grid, trial), iterate.mu, distance, logarithms, iterate.duals)
 
 
-# Newton's steps: inertia correction, which makes them lead downhill, line search, second-order correction, watchdog.
+def with_duals(trial, step):
+    """A trial iterate with duals after the step's dual part."""
+    duals = np.empty(trial.duals.size)
+    move_duals(trial.duals, step.dual, step.dual_length, trial.distance, trial.mu, duals)
+    return Iterate(*trial[:4], duals)
+
+
+# Newton's steps: inertia correction, which makes them lead downhill, and how accurately they are solved for.
 #
-# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
-# large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+# Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
 
-CORRECTIONS = 4  # second-order corrections that are tried at one iterate
-SHORT = 0.25  # part of a step that is left when it counts as much too long
-SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
-LEAST_DAMPING = 1e-5
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
-FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
-
-
-class Watchdog(NamedTuple):
-    """Where full steps began: the iterate, its Newton step, and how many may still follow."""
-
-    iterate: NamedTuple
-    step: NamedTuple
-    left: int = FULL_STEPS
 
 
 class AccuracyMonitor:
@@ -2151,6 +2393,7 @@ def regularised_step(search, iterate, before, damping, careful):
                 return step
         elif delta_c == 0.0 and (excess is None or excess < 0):
             delta_c, singular = 1e-8, True  # the equations may be dependent
+            delta_c *= iterate.mu**0.25
             continue
         if delta_w == 0.0:
             delta_w = least
@@ -2172,9 +2415,133 @@ def barely_reduces_residual(point, step, length, trial):
 
     Were they linear, 1 - `length` of each would be left.
     """
-    if step.inertia.delta_w > 0.0:
-        return False  # it is far from a solution, where curvature is the reason
     return trial.residual > (1.0 - length + UNSOLVED) * point.residual
+
+
+# How far Newton's steps are followed: filter line search, second-order correction, watchdog.
+#
+# Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
+
+CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+SHORT = 0.25  # part of a step that is left when it counts as much too long
+SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
+SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+LEAST_DAMPING = 1e-5
+FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
+
+
+class Globalisation:
+    """What decides how far Newton's steps are followed: the filter, and what earlier steps of a descent were like.
+
+    `watchdog` holds where full steps began: the iterate, its Newton step, and how many may still follow.
+    """
+
+    def __init__(self, attempt, violation):
+        first = max(1.0, violation)
+        self.shortest, self.small_violation = attempt.shortest, 1e-4 * first
+        self.filtered = Filter(attempt.funnel * first)
+        self.inertia, self.length, self.damping = InertiaCorrection(), 0.0, 0.0
+        self.shortened, self.watchdog, self.monitor = 0, None, AccuracyMonitor()
+
+    def forget(self):
+        """Forget what belongs to another barrier problem."""
+        self.filtered.empty()
+        self.shortened, self.watchdog = 0, None
+
+    def next_iterate(self, search, iterate):
+        """(step, next iterate) of Newton's method; None for a step where the system stays singular.
+
+        The next iterate is None where no part of the step is acceptable.
+        """
+        careful, before = self.monitor.is_due(), self.inertia
+        step = regularised_step(search, iterate, before, self.damping, careful)
+        if step is None:
+            return None, None
+        self.inertia = step.inertia
+        if careful:
+            self.monitor.record(step.refined)
+        if self.shortened == SHORTENED:
+            self.watchdog = iterate, step, FULL_STEPS
+        if self.watchdog is not None:
+            self.shortened = 0
+            return step, self.watchdog_step(search, iterate, step)
+        trial = self.line_search(search, iterate, step)
+        if trial is not None and not careful and barely_reduces_residual(iterate.point, step, self.length, trial.point):
+            self.monitor.add()
+            if self.monitor.is_due():
+                if is_inaccurate(search, iterate, step):
+                    step = regularised_step(search, iterate, before, self.damping, True) or step
+                    self.inertia = step.inertia
+                    trial = self.line_search(search, iterate, step)
+                self.monitor.record(step.refined)
+        self.shortened = self.shortened + 1 if trial is None or self.length < step.longest else 0
+        if self.shortened or self.damping > 0.0:
+            self.damping = damped(self.damping, step, self.length, self.shortened) if trial is not None else 0.0
+        return step, trial
+
+    def line_search(self, search, iterate, step):
+        """The next iterate after a step that is shortened until the filter accepts it, or None."""
+        length = step.longest
+        while length > self.shortest:
+            self.length = length
+            trial = moved(search, iterate, step.primal, length)
+            if self.is_better(trial, iterate, step, length):
+                trial = with_duals(trial, step)
+                return trial
+            if length == step.longest and trial.point.violation >= iterate.point.violation:
+                better = self.second_order_correction(search, iterate, step, trial.point)
+                if better is not None:
+                    return better
+            length *= 0.5
+        self.length = length
+        return None
+
+    def watchdog_step(self, search, iterate, step):
+        """The next iterate after a full step that is taken untested, in the hope that one soon is better.
+
+        The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may
+        be better after all. If none is, all goes on from where they began. Source: section 3.2.
+        """
+        began, first, left = self.watchdog
+        trial, self.length = moved(search, iterate, step.primal, step.longest), step.longest
+        better = self.is_better(trial, began, first, first.longest)
+        if not better and (left == 1 or not trial.point.error < np.inf):
+            self.length, self.watchdog = 0.0, None
+            return began
+        trial = with_duals(trial, step)
+        self.watchdog = None if better else (began, first, left - 1)
+        return trial
+
+    def is_better(self, trial, iterate, step, length):
+        """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
+        before = iterate.point.violation, barrier_objective(iterate)
+        after = trial.point.violation, barrier_objective(trial)
+        promised = step.slope, length, self.small_violation
+        return trial.point.error < np.inf and self.filtered.accept(*before, *after, *promised)
+
+    def second_order_correction(self, search, iterate, step, refused):
+        """The iterate after second-order corrections (27) of a full step that the equations' curvature spoils, or None.
+
+        `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
+        refused belong to other distances.
+        """
+        grid, right, length = search.grid, step.gradient.copy(), step.longest
+        residual = iterate.point.gradient[grid.is_multiplier]
+        for _ in range(CORRECTIONS):
+            residual = length * residual + refused.gradient[grid.is_multiplier]
+            right[grid.is_multiplier] = residual
+            correction = np.empty_like(step.primal)
+            solve_kkt(grid, search.system, right, correction)
+            better = step_along(search, iterate, right, correction, step.inertia, False)
+            length = better.longest
+            trial = moved(search, iterate, correction, length)
+            if self.is_better(trial, iterate, step, step.longest):
+                trial = with_duals(trial, better)
+                return trial
+            if not trial.point.violation < 0.99 * refused.violation:
+                return None
+            refused = trial.point
+        return None
 
 
 def damped(damping, step, length, shortened):
@@ -2187,72 +2554,6 @@ def damped(damping, step, length, shortened):
     if length < step.longest:
         return damping
     return damping / 2.0 if damping > LEAST_DAMPING else 0.0
-
-
-def line_search(search, iterate, step, shortest, small_violation, filtered):
-    """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-    length = step.longest
-    while length > shortest:
-        trial = moved(search, iterate, step.primal, length)
-        if is_better(trial, iterate, step, length, small_violation, filtered):
-            return trial, length
-        if length == step.longest and trial.point.violation >= iterate.point.violation:
-            better = second_order_correction(search, iterate, step, trial.point, small_violation, filtered)
-            if better is not None:
-                return better, length
-        length *= 0.5
-    return None, length
-
-
-def watchdog_step(search, iterate, step, watchdog, small_violation, filtered):
-    """(next iterate, length, watchdog) after a full step that is taken untested, in the hope that one soon is better.
-
-    The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
-    better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
-    """
-    trial = moved(search, iterate, step.primal, step.longest)
-    better = is_better(trial, watchdog.iterate, watchdog.step, watchdog.step.longest, small_violation, filtered)
-    if not better and (watchdog.left == 1 or not trial.point.error < np.inf):
-        return watchdog.iterate, 0.0, None
-    return trial, step.longest, None if better else watchdog._replace(left=watchdog.left - 1)
-
-
-def is_better(trial, iterate, step, length, small_violation, filtered):
-    """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
-    new, old = trial.point, iterate.point
-    return new.error < np.inf and filtered.accept(
-        old.violation,
-        barrier_objective(iterate),
-        new.violation,
-        barrier_objective(trial),
-        step.slope,
-        length,
-        small_violation,
-    )
-
-
-def second_order_correction(search, iterate, step, refused, small_violation, filtered):
-    """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
-
-    `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
-    refused belong to other distances.
-    """
-    grid, right, length = search.grid, step.gradient.copy(), step.longest
-    residual = iterate.point.gradient[grid.is_multiplier]
-    for _ in range(CORRECTIONS):
-        residual = length * residual + refused.gradient[grid.is_multiplier]
-        right[grid.is_multiplier] = residual
-        correction = np.empty_like(step.primal)
-        solve_kkt(grid, search.system, right, correction)
-        better = step_along(search, iterate, right, correction, step.inertia, False)
-        length = better.longest
-        trial = moved(search, iterate, correction, length)
-        if is_better(trial, iterate, step, step.longest, small_violation, filtered):
-            return trial
-        if not trial.point.violation < 0.99 * refused.violation:
-            return None
-        refused = trial.point
-    return None
 
 
 # Feasibility restoration: lower the violation of the equations when the line search finds no way on.
@@ -2283,12 +2584,14 @@ def restore(search, iterate, reduction, filtered, is_late):
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
             return "infeasible", current
+        current = current._replace(mu=lower_weight(current.mu, error))
         taken = damped_step(search, current, pull, damping)
         if taken is None:
             return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
         current, damping = taken
         if current.point.violation <= reduction * first:
             accepted = current
+            accepted = current._replace(mu=iterate.mu)
             if filtered.lets_pass(accepted.point.violation, barrier_objective(accepted)):
                 return "restored", accepted
     return "stalled", current
@@ -2298,6 +2601,8 @@ def restoration_start(search, iterate):
     """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
     grid = search.grid
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
+    nu = max(1e-12, 1e-2 * iterate.point.residual**2)
+    start = start._replace(mu=nu, duals=central_duals(nu, start.distance))
     return start
 
 
@@ -2320,7 +2625,16 @@ def first_damping(grid, point, pull):
 
 def restoration_error(search, current, pull):
     """Error of the optimality conditions of the least violation."""
-    return np.abs(pull).max()
+    stationary, bounds = pull.copy(), search.bounds
+    np.subtract.at(stationary, bounds.indices, bounds.side * current.duals)
+    return max(np.abs(stationary).max(), np.max(current.duals * current.distance, initial=0.0))
+
+
+def lower_weight(nu, error):
+    """The weight of the restoration's barrier for the next step."""
+    while nu > 1e-14 and max(error, 0.0) <= 10.0 * nu:
+        nu = max(1e-14, min(0.2 * nu, nu**1.5))
+    return nu
 
 
 def damped_step(search, current, pull, damping):
@@ -2338,6 +2652,7 @@ def damped_step(search, current, pull, damping):
             trial = moved(search, current, step, taken.longest)
             expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
             if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
+                trial = with_duals(trial, taken)
                 return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None
@@ -2346,6 +2661,7 @@ def damped_step(search, current, pull, damping):
 def restoration_objective(grid, current):
     """Half the sum of squared residuals, with the restoration's barrier where there are bounds."""
     value = sum_of_squares(grid, current.point)
+    value -= current.mu * current.logarithms
     return value
 
 
@@ -2353,6 +2669,61 @@ def sum_of_squares(grid, point):
     """Half the sum of the squares of all residuals."""
     residual = point.gradient[grid.is_multiplier]
     return 0.5 * (residual @ residual)
+
+
+# The end of an interior point method: bounds, which were relaxed on the way, hold exactly.
+#
+# What lies beyond a bound, by its relaxation, is moved onto it. Where equations are steep or multipliers large, even a
+# move of 1e-12 costs digits of the optimality conditions: Newton's steps of the barrier problem whose bounds are not
+# relaxed then lead back to its optimum.
+
+LAST_STEPS = 3
+WORSE = 2.0  # by which errors may grow where that is beyond the tolerance
+
+
+def within_bounds(search, iterate, tolerance):
+    """The point of an iterate inside its bounds, with errors measured there, or as it is where that costs accuracy."""
+    point = iterate.point
+    if not point.error < np.inf:
+        return point
+    clipped = inside = on_bounds(search, iterate)
+    for _ in range(LAST_STEPS):
+        if inside.error <= max(tolerance, WORSE * point.error):
+            return inside
+        iterate = last_step(search, iterate)
+        if iterate is None:
+            break
+        inside = on_bounds(search, iterate)
+    best = min(inside, clipped, key=lambda found: found.error)
+    return best if best.residual <= max(tolerance, WORSE * point.residual) else point
+
+
+def on_bounds(search, iterate):
+    """The point with what lies beyond a bound on it, its stationarity measured with the duals of bounds."""
+    grid, bounds, (lower, upper) = search.grid, search.bounds, search.box
+    unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
+    moves = (unknowns != iterate.point.unknowns).any()
+    point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
+    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.indices, bounds.side, *barrier)
+    return point._replace(stationarity=measured[0], error=max(point.residual, measured[0]))
+
+
+def last_step(search, iterate):
+    """The iterate after a Newton step of the barrier problem whose bounds are not relaxed; None where there is none.
+
+    An unknown that is no farther from its bound than by the relaxation keeps its distance, and is moved instead, so
+    that complementarities stay as they are.
+    """
+    grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns.copy()
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
+    relaxed = iterate.distance - distance
+    close = np.flatnonzero(distance < relaxed)
+    unknowns[bounds.indices[close]] += (bounds.side * relaxed)[close]
+    distance[close] = iterate.distance[close]
+    mu = iterate.duals @ distance / max(1, distance.size)
+    iterate = iterate._replace(point=evaluate(grid, unknowns), mu=mu, distance=distance)
+    step = regularised_step(search, iterate, InertiaCorrection(), 0.0, True)
+    return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), step)
 
 
 # Newton's method with a filter line search; where unknowns have bounds, a primal-dual interior point method.
@@ -2364,9 +2735,119 @@ def sum_of_squares(grid, point):
 
 UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
-SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
-GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
-NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
+LARGEST = 1e20  # unknowns beyond it are taken for infinite
+LEAST_PART = 0.025  # of the tolerance is the last weight: at a tenth the cost of the crane is off by 2e-9 of it
+PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
+
+
+def descend(search, iterate, attempt, tolerance, max_iterations, log):
+    """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
+
+    With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
+    tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
+    corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
+    """
+    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
+    course, first_cost = Globalisation(attempt, iterate.point.violation), abs(iterate.point.cost)
+    late = 0  # iterations with the last weight
+    loose = None  # the iterate before bounds were relaxed less
+    for iteration in range(max_iterations + 1):
+        iterate = measured_iterate(search, iterate)
+        log.append(grid, iterate.point, course.inertia.delta_w, course.length, iterate.mu)
+        converged = is_optimal(search, iterate, tolerance, late > PATIENCE)
+        # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+        doubtful = converged and (iteration == 0 or course.inertia.delta_w > 0.0)
+        status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
+        if not status and log.is_late():
+            status = "time limit"
+        if status or iteration == max_iterations:
+            return status or "iteration limit", iterate, iteration
+        mu = decreased_mu(iterate, LEAST_PART * tolerance)
+        if mu < iterate.mu:
+            course.forget()
+            if loose is None and falling_relaxation(search, iterate, mu) > 0.0:
+                loose = iterate
+            iterate = with_barrier_parameter(search, iterate, mu)
+        late += mu <= LEAST_PART * tolerance
+        step, trial = course.next_iterate(search, iterate)
+        if trial is None:
+            status = status_without_step(search, iterate, step, tolerance, late > 0)
+            if status:
+                return status, iterate, iteration
+            course.filtered.add(iterate.point.violation, barrier_objective(iterate))
+            status, trial = restored(search, iterate, 0.9, course.filtered, log)
+            if loose is not None and status in UNLUCKY:
+                search, iterate, loose = with_relaxed_bounds(search), loose, None
+                course.forget()
+                continue
+            if status != "restored":
+                return status, trial if status == "infeasible" else iterate, iteration
+            trial = with_least_squares_multipliers(search, trial)
+        iterate = trial
+    return "iteration limit", iterate, max_iterations
+
+
+def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
+    """The status with which a search ends at an iterate, or nothing where it goes on.
+
+    Where it is `doubtful` that a point which has converged is a minimum, the curvature there decides.
+    """
+    if not iterate.point.error < np.inf:
+        return "non-finite"
+    if converged:
+        return "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
+    return "unbounded" if is_unbounded_below(iterate, first_cost) else ""
+
+
+def status_without_step(search, iterate, step, tolerance, is_last_weight):
+    """The status with which a search ends at an iterate that no step improves, or nothing where restoration may help.
+
+    `step` is None where the Newton system stays singular.
+    """
+    point = iterate.point
+    convex = step is None or step.inertia.delta_w == 0.0 or is_minimum(search, iterate, tolerance)
+    if is_last_weight and convex and is_acceptable(search.grid, iterate, tolerance):
+        return "solved"
+    if step is None:
+        return "rank-deficient"
+    if not convex and is_nearly_stationary(point):
+        return "saddle point"
+    if not is_at_rounding_level(search.grid, point):
+        return ""
+    if not is_closed(search, iterate, tolerance):
+        return "stalled"
+    return "solved" if convex else "saddle point"  # rounding has the last word
+
+
+def is_minimum(search, iterate, tolerance):
+    """Whether a stationary point is a minimum to second order, with the barrier to stand for bounds.
+
+    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
+    """
+    unknowns, delta_w = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
+    iterate = iterate._replace(mu=0.0)
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
+    return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
+
+
+def is_unbounded_below(iterate, first_cost):
+    """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
+    if iterate.measured.largest > LARGEST:
+        return True
+    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
+
+
+def restored(search, iterate, reduction, filtered, log):
+    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough.
+
+    The iterate has no multipliers.
+    """
+    status, found = restore(search, iterate, reduction, filtered, log.is_late)
+    found = found._replace(mu=iterate.mu, duals=central_duals(iterate.mu, found.distance))
+    return status, found
+
+
+# The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed.
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
@@ -2381,10 +2862,6 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     search, first, total = search_on(grid), None, 0
     primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
     guess = begin(search, primal, cascade[0])
-    if guess.point.error < np.inf and is_gross(grid, guess.point):
-        status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
-        if status in ("solved", "time limit"):
-            return status, iterate.point, total
     for attempt in cascade:
         iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt) if first else guess
         status = "restored"
@@ -2400,24 +2877,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
     status, iterate = (status, iterate) if status == "solved" else first
-    return status, iterate.point, total
-
-
-def is_gross(grid, point):
-    """Whether the residual is more than a small part of the equations' largest terms."""
-    terms, _ = sizes_of_terms(grid, point.unknowns)
-    return point.residual > GROSS * terms
-
-def from_nearby(search, guess, tolerance, max_iterations, log):
-    """(status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
-
-    A full Newton step, which knows of no distance, would leave for another optimum.
-    """
-    status, iterate = restored(search, guess, NEARBY.nearby, Filter(np.inf), log)
-    if status != "restored":
-        return status, iterate, 0
-    limit = min(max_iterations // 2, NEARBY_ITERATIONS)
-    return leave_saddles(search, iterate, NEARBY, tolerance, limit, log)
+    return status, within_bounds(search, iterate, tolerance), total
 
 
 def bulged_guess(grid, unknowns, part):
@@ -2459,97 +2919,6 @@ def escaping_iterates(search, saddle, attempt, escapes):
     curvature = barrier_curvature(search, saddle)
     for step in escape_steps(grid, unknowns, curvature, escapes):
         yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
-
-
-def descend(search, iterate, attempt, tolerance, max_iterations, log):
-    """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
-
-    With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
-    tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
-    corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
-    """
-    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
-    first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
-    small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
-    inertia, length, damping, shortened, watchdog, monitor = InertiaCorrection(), 0.0, 0.0, 0, None, AccuracyMonitor()
-    for iteration in range(max_iterations + 1):
-        log.append(grid, iterate.point, inertia.delta_w, length)
-        converged = is_solved(grid, iterate.point, tolerance)
-        point, status = iterate.point, ""
-        if not point.error < np.inf:
-            status = "non-finite"
-        elif converged:
-            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or inertia.delta_w > 0.0
-            status = "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
-        elif is_unbounded_below(iterate, first_cost):
-            status = "unbounded"
-        elif log.is_late():
-            status = "time limit"
-        if status or iteration == max_iterations:
-            return status or "iteration limit", iterate, iteration
-        careful, before = monitor.is_due(), inertia
-        trial, step = None, regularised_step(search, iterate, inertia, damping, careful)
-        if step is not None:
-            inertia = step.inertia
-            if careful:
-                monitor.record(step.refined)
-            watchdog = Watchdog(iterate, step) if shortened == SHORTENED else watchdog
-            if watchdog is not None:
-                iterate, length, watchdog = watchdog_step(search, iterate, step, watchdog, small_violation, filtered)
-                shortened = 0
-                continue
-            trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and not careful and barely_reduces_residual(point, step, length, trial.point):
-                monitor.add()
-                if monitor.is_due() and is_inaccurate(search, iterate, step):
-                    step = regularised_step(search, iterate, before, damping, True) or step
-                    inertia = step.inertia
-                    trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-                if monitor.is_due():
-                    monitor.record(step.refined)
-            shortened = shortened + 1 if trial is None or length < step.longest else 0
-            if shortened or damping > 0.0:
-                damping = damped(damping, step, length, shortened) if trial is not None else 0.0
-        if trial is None:
-            convex = step is None or inertia.delta_w == 0.0 or is_minimum(search, iterate, tolerance)
-            if step is None:
-                return "rank-deficient", iterate, iteration
-            if not convex and is_nearly_stationary(point):
-                return "saddle point", iterate, iteration
-            if is_at_rounding_level(grid, point):
-                return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
-            filtered.add(point.violation, barrier_objective(iterate))
-            status, trial = restored(search, iterate, 0.9, filtered, log)
-            if status != "restored":
-                return status, trial if status == "infeasible" else iterate, iteration
-            trial = with_least_squares_multipliers(search, trial)
-        iterate = trial
-    return "iteration limit", iterate, max_iterations
-
-
-def is_minimum(search, iterate, tolerance):
-    """Whether a stationary point is a minimum to second order, with the barrier to stand for bounds.
-
-    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
-    """
-    unknowns, delta_w = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
-    _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
-    return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
-
-
-def is_unbounded_below(iterate, first_cost):
-    """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
-
-
-def restored(search, iterate, reduction, filtered, log):
-    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough.
-
-    The iterate has no multipliers.
-    """
-    status, found = restore(search, iterate, reduction, filtered, log.is_late)
-    return status, found
 
 
 # Momenta of a discrete motion by the forced discrete Legendre transforms.
@@ -2856,6 +3225,74 @@ def interval_hessians(unknowns, steps, h, nodes, parameters, values):
             interval_hessian(here, t, length, parameters[body], values[body * steps + k])
 
 
+# Which unknowns lie on their bounds, and which prescribed values beyond them.
+
+LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
+END_NAMES = "start", "end"
+
+
+def bounds_of(grid):
+    """Least and greatest values of all unknowns, in parts of sizes where the grid has them."""
+    return grid.bounds or variable_bounds(grid)
+
+
+def units_of(grid):
+    """The sizes of all unknowns, ones where the grid has none."""
+    return grid.sizes if grid.sizes.size else np.ones(grid.is_multiplier.size)
+
+
+def at_bounds(grid, unknowns):
+    """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
+    lower, upper = bounds_of(grid)
+    scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
+    return (unknowns - lower <= scale) | (upper - unknowns <= scale)
+
+
+def prescribed_beyond(grid, unknowns):
+    """Which prescribed value or path condition at an end violates what holds farther inside, or nothing.
+
+    Unknowns are in the problem's own units; what is negligible is so in parts of sizes where the grid has them.
+    Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
+    within the first interval.
+    """
+    if grid.steps == 1:
+        return ""
+    units, (lower, upper) = units_of(grid), bounds_of(grid)
+    index, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
+    if index < 0:
+        return ""
+    local = index % (grid.steps * STRIDE + NODE)
+    end, i = END_NAMES[local >= STRIDE], local % STRIDE
+    if i < NODE:
+        limits = f"{units[index] * lower[inner]:g} to {units[index] * upper[inner]:g}"
+        return f"{metadata['node'][i]} is prescribed as {unknowns[index]:g} at the {end}, beyond its bounds {limits}"
+    name = metadata["interval"][i - NODE]
+    condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+    return f"what is prescribed at the {end} violates {condition}"
+
+
+@njit(cache=True, error_model="numpy")
+def first_beyond(unknowns, units, lower, upper, steps):
+    """Indices of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
+
+    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both indices are -1
+    where there is no such unknown.
+    """
+    for body in range(BODIES):
+        for i in range(STRIDE):
+            start = body * (steps * STRIDE + NODE) + i
+            end = start + (steps if i < NODE else steps - 1) * STRIDE
+            for index, inner in ((start, start + STRIDE), (end, end - STRIDE)):
+                value, least, greatest = unknowns[index] / units[index], lower[inner], upper[inner]
+                margin = 1e-9 * max(1.0, abs(value)) if i < NODE else LEAST_SLACK
+                is_below = lower[index] < least and value < least - margin
+                is_above = upper[index] > greatest and value > greatest + margin
+                is_given = lower[index] == -np.inf and upper[index] == np.inf
+                if (i < NODE and is_given and (is_below or is_above)) or (i >= NODE and is_below):
+                    return index, inner
+    return -1, -1
+
+
 # The direction of most negative curvature of the Lagrangian while the equations hold to first order.
 
 FLAT = 1e-8  # a delta_w that makes up for rounding: curvatures above minus this count as none
@@ -2990,6 +3427,7 @@ def diverging_unknowns(grid, guess, point, is_stationary):
     grown[seen] = ~grid.is_multiplier[seen] & large
     if not grown.any():
         return grown
+    grown &= ~at_bounds(grid, unknowns)
     if is_stationary:
         return grown & (np.abs(newton_step(grid, point)) > 0.01 * np.abs(unknowns))
     falls = point.gradient * unknowns < -0.1 * abs(point.cost)
@@ -3002,6 +3440,7 @@ def diverging_unknowns(grid, guess, point, is_stationary):
 def newton_step(grid, point):
     """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
     system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
+    shift[at_bounds(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
     if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient) != 0:
         return np.full(step.size, np.inf)
     solve_kkt(grid, system, point.gradient, step, carried=True)
@@ -3027,6 +3466,9 @@ NAMED = 3  # how many equations a message names
 
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
+    beyond = prescribed_beyond(grid, point.unknowns)
+    if beyond:
+        return "infeasible", f"infeasible: {beyond}; change the value or the bound"
     if status == "solved":
         return status, f"all equations hold to {point.error:.1e}"
     if grid.sizes.size:
@@ -3070,6 +3512,13 @@ def violated(grid, point):
     """The equations that are off most, each where it is worst, and the bounds that stand against them."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, index) for index in largest_by_name(grid, point.gradient, rows))
+    names = {}
+    for index in columns[at_bounds(grid, point.unknowns)[columns]]:
+        name = local_name(grid, index)
+        meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
+        names[shortened(meaning.removesuffix(" of an interval"))] = None
+    if names:
+        text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
         text += f"; there are {rows.size} equations for {columns.size} unknowns"
     return text
@@ -3582,12 +4031,14 @@ def refined(grid, start, point, tolerance, max_iterations, log):
             break
         begin = scaled_unknowns(finer, unknowns)
         same = evaluate(finer, begin)
-        if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
+        if is_solved(finer, same, tolerance) or error_of(finer, same) <= tolerance:
             return "solved", finer, begin, same, total
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            found = ("solved", grid, start, point) if nearly_holds(finer, same) else (status, finer, begin, better)
+            found = (
+                ("solved", grid, start, point) if error_of(finer, same) <= VIOLATED else (status, finer, begin, better)
+            )
             return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
@@ -3595,11 +4046,13 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
-def nearly_holds(grid, point):
-    """Whether equations hold but for VIOLATED, and stationarity too: slopes that no bound holds, beside multipliers."""
+def error_of(grid, point):
+    """The largest residual, or slope that no bound holds beside multipliers: of bounds the duals are missing."""
     slope = np.where(grid.is_multiplier, 0.0, point.gradient)
+    lower, upper = bounds_of(grid)
+    slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
     mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
-    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
+    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY))
 
 
 def has_larger_derivatives(finer, grid):
@@ -3616,6 +4069,7 @@ def scaled_unknowns(grid, unknowns):
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
+    bounds = variable_bounds(grid)
     primal = np.where(grid.is_multiplier, 0.0, unknowns)
     slopes = evaluate(grid, primal).gradient
     weight, is_scaled = fill_sizes(
@@ -3623,6 +4077,8 @@ def scaled_grid(grid, unknowns):
     )
     if not is_scaled:
         return grid._replace(bounds=bounds)
+    units = np.where(IS_SLACK[kinds], 1.0, sizes)
+    bounds = bounds[0] / units, bounds[1] / units
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
 
 
@@ -3633,9 +4089,25 @@ def corrected_cost(grid, point):
     unknowns onto their bounds, and says nothing: the cost stays as it is.
     """
     corrected = lagrangian(grid, point)
+    corrected -= remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
     if abs(corrected - point.cost) > LARGE_CORRECTION * abs(point.cost):
         corrected = point.cost
     return float(corrected) / grid.weight
+
+
+@njit(cache=True, error_model="numpy")
+def remaining_gap(unknowns, gradient, lower, upper):
+    """The sum of duals times distances of active bounds; the dual of a bound is what the Lagrangian falls to it."""
+    total = 0.0
+    for i in range(unknowns.size):
+        if gradient[i] > 0.0 and lower[i] > -np.inf:
+            dual, distance = gradient[i], unknowns[i] - lower[i]
+        elif gradient[i] < 0.0 and upper[i] < np.inf:
+            dual, distance = -gradient[i], upper[i] - unknowns[i]
+        else:
+            continue
+        total += dual * distance * (dual / (dual + abs(distance) + 1e-300))
+    return total
 
 
 @lru_cache(maxsize=4)
@@ -3835,6 +4307,22 @@ def pin_values(grid, unknowns, nodes):
     nodes[:, -1, 1] = end_y
 
 
+def variable_bounds(grid):
+    """Least and greatest values (n,) of all unknowns, infinite where there are none or where a value is given."""
+    lower = np.full(grid.is_multiplier.size, -np.inf)
+    upper = np.full(grid.is_multiplier.size, np.inf)
+    lower_nodes, lower_intervals = views(grid, lower)
+    upper_nodes, upper_intervals = views(grid, upper)
+    steps = grid.steps // PHASES
+    lower_own, lower_common = shared_views(lower)
+    upper_own, upper_common = shared_views(upper)
+    lower_common[1] = 0  # T_1
+    lower_common[2] = 0  # T_2
+    given = ~free_unknowns(grid)
+    lower[given], upper[given] = -np.inf, np.inf
+    return lower, upper
+
+
 def unpack(grid, unknowns):
     """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
@@ -3961,7 +4449,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_d0485d99592c6019"
+_IDENTITY = "codegen_bouncing_ball_68628e359d9db03a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

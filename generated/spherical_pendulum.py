@@ -1475,6 +1475,7 @@ def envelope(violation, cost):
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
 LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
 SOLVED_AGAIN = 10  # times at most, as in IPOPT
+NEARLY_ACCURATE = 1e-6  # residuals up to it may be rounding of large solutions, where two corrections do not halve them
 
 
 @njit(cache=True, error_model="numpy")
@@ -1524,16 +1525,19 @@ def relative(left, right, step, most):
 
 
 def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine `step` (n,) in place until it is accurate; return whether that was necessary.
+    """Refine `step` (n,) in place until it is accurate, or only rounding is left; return whether that lowered it.
 
     The system is still factored, and the matrix as `factor_kkt` says. Each time, what the factors make of the residual
     is one more correction, and that sum of all corrections is added which leaves least.
     """
-    zero, corrections, products = np.zeros_like(step), [], []
+    zero, corrections, products, errors = np.zeros_like(step), [], [], []
     left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        if not ACCURATE < inaccuracy(grid, gradient, step, left) < np.inf:
+        errors.append(inaccuracy(grid, gradient, step, left))
+        if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
+        if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
+            return False
         corrections.append(np.empty_like(step))
         solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
         products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1]))
@@ -1698,25 +1702,11 @@ def moved(search, iterate, primal, length):
     return Iterate(evaluate(search.grid, iterate.point.unknowns + (primal if length == 1.0 else length * primal)))
 
 
-# Newton's steps: inertia correction, which makes them lead downhill, line search, second-order correction, watchdog.
+# Newton's steps: inertia correction, which makes them lead downhill, and how accurately they are solved for.
 #
-# Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
-# large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+# Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
 
-CORRECTIONS = 4  # second-order corrections that are tried at one iterate
-SHORT = 0.25  # part of a step that is left when it counts as much too long
-SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
-LEAST_DAMPING = 1e-5
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
-FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
-
-
-class Watchdog(NamedTuple):
-    """Where full steps began: the iterate, its Newton step, and how many may still follow."""
-
-    iterate: NamedTuple
-    step: NamedTuple
-    left: int = FULL_STEPS
 
 
 class AccuracyMonitor:
@@ -1791,6 +1781,125 @@ def barely_reduces_residual(point, step, length, trial):
     return trial.residual > (1.0 - length + UNSOLVED) * point.residual
 
 
+# How far Newton's steps are followed: filter line search, second-order correction, watchdog.
+#
+# Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
+
+CORRECTIONS = 4  # second-order corrections that are tried at one iterate
+SHORT = 0.25  # part of a step that is left when it counts as much too long
+SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
+SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+LEAST_DAMPING = 1e-5
+FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
+
+
+class Globalisation:
+    """What decides how far Newton's steps are followed: the filter, and what earlier steps of a descent were like.
+
+    `watchdog` holds where full steps began: the iterate, its Newton step, and how many may still follow.
+    """
+
+    def __init__(self, attempt, violation):
+        first = max(1.0, violation)
+        self.shortest, self.small_violation = attempt.shortest, 1e-4 * first
+        self.filtered = Filter(attempt.funnel * first)
+        self.inertia, self.length, self.damping = InertiaCorrection(), 0.0, 0.0
+        self.shortened, self.watchdog, self.monitor = 0, None, AccuracyMonitor()
+
+
+    def next_iterate(self, search, iterate):
+        """(step, next iterate) of Newton's method; None for a step where the system stays singular.
+
+        The next iterate is None where no part of the step is acceptable.
+        """
+        careful, before = self.monitor.is_due(), self.inertia
+        step = regularised_step(search, iterate, before, self.damping, careful)
+        if step is None:
+            return None, None
+        self.inertia = step.inertia
+        if careful:
+            self.monitor.record(step.refined)
+        if self.shortened == SHORTENED:
+            self.watchdog = iterate, step, FULL_STEPS
+        if self.watchdog is not None:
+            self.shortened = 0
+            return step, self.watchdog_step(search, iterate, step)
+        trial = self.line_search(search, iterate, step)
+        if trial is not None and not careful and barely_reduces_residual(iterate.point, step, self.length, trial.point):
+            self.monitor.add()
+            if self.monitor.is_due():
+                if is_inaccurate(search, iterate, step):
+                    step = regularised_step(search, iterate, before, self.damping, True) or step
+                    self.inertia = step.inertia
+                    trial = self.line_search(search, iterate, step)
+                self.monitor.record(step.refined)
+        self.shortened = self.shortened + 1 if trial is None or self.length < step.longest else 0
+        if self.shortened or self.damping > 0.0:
+            self.damping = damped(self.damping, step, self.length, self.shortened) if trial is not None else 0.0
+        return step, trial
+
+    def line_search(self, search, iterate, step):
+        """The next iterate after a step that is shortened until the filter accepts it, or None."""
+        length = step.longest
+        while length > self.shortest:
+            self.length = length
+            trial = moved(search, iterate, step.primal, length)
+            if self.is_better(trial, iterate, step, length):
+                return trial
+            if length == step.longest and trial.point.violation >= iterate.point.violation:
+                better = self.second_order_correction(search, iterate, step, trial.point)
+                if better is not None:
+                    return better
+            length *= 0.5
+        self.length = length
+        return None
+
+    def watchdog_step(self, search, iterate, step):
+        """The next iterate after a full step that is taken untested, in the hope that one soon is better.
+
+        The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may
+        be better after all. If none is, all goes on from where they began. Source: section 3.2.
+        """
+        began, first, left = self.watchdog
+        trial, self.length = moved(search, iterate, step.primal, step.longest), step.longest
+        better = self.is_better(trial, began, first, first.longest)
+        if not better and (left == 1 or not trial.point.error < np.inf):
+            self.length, self.watchdog = 0.0, None
+            return began
+        self.watchdog = None if better else (began, first, left - 1)
+        return trial
+
+    def is_better(self, trial, iterate, step, length):
+        """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
+        before = iterate.point.violation, barrier_objective(iterate)
+        after = trial.point.violation, barrier_objective(trial)
+        promised = step.slope, length, self.small_violation
+        return trial.point.error < np.inf and self.filtered.accept(*before, *after, *promised)
+
+    def second_order_correction(self, search, iterate, step, refused):
+        """The iterate after second-order corrections (27) of a full step that the equations' curvature spoils, or None.
+
+        `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
+        refused belong to other distances.
+        """
+        grid, right, length = search.grid, step.gradient.copy(), step.longest
+        residual = iterate.point.gradient[grid.is_multiplier]
+        for _ in range(CORRECTIONS):
+            residual = length * residual + refused.gradient[grid.is_multiplier]
+            right[grid.is_multiplier] = residual
+            correction = np.empty_like(step.primal)
+            solve_kkt(grid, search.system, right, correction)
+            better = step_along(search, iterate, right, correction, step.inertia, False)
+            length = better.longest
+            trial = moved(search, iterate, correction, length)
+            if self.is_better(trial, iterate, step, step.longest):
+                return trial
+            if not trial.point.violation < 0.99 * refused.violation:
+                return None
+            refused = trial.point
+        return None
+
+
 def damped(damping, step, length, shortened):
     """The least shift of the Hessian for the next step: more where steps in turn had to be shortened much, else less.
 
@@ -1801,72 +1910,6 @@ def damped(damping, step, length, shortened):
     if length < step.longest:
         return damping
     return damping / 2.0 if damping > LEAST_DAMPING else 0.0
-
-
-def line_search(search, iterate, step, shortest, small_violation, filtered):
-    """Shorten the step until the filter accepts it; return the next iterate, or None, and the length."""
-    length = step.longest
-    while length > shortest:
-        trial = moved(search, iterate, step.primal, length)
-        if is_better(trial, iterate, step, length, small_violation, filtered):
-            return trial, length
-        if length == step.longest and trial.point.violation >= iterate.point.violation:
-            better = second_order_correction(search, iterate, step, trial.point, small_violation, filtered)
-            if better is not None:
-                return better, length
-        length *= 0.5
-    return None, length
-
-
-def watchdog_step(search, iterate, step, watchdog, small_violation, filtered):
-    """(next iterate, length, watchdog) after a full step that is taken untested, in the hope that one soon is better.
-
-    The watchdog technique: where the equations' curvature makes the filter shorten step after step, full ones may be
-    better after all. If none is, all goes on from where they began. Source: Waechter and Biegler (2006), section 3.2.
-    """
-    trial = moved(search, iterate, step.primal, step.longest)
-    better = is_better(trial, watchdog.iterate, watchdog.step, watchdog.step.longest, small_violation, filtered)
-    if not better and (watchdog.left == 1 or not trial.point.error < np.inf):
-        return watchdog.iterate, 0.0, None
-    return trial, step.longest, None if better else watchdog._replace(left=watchdog.left - 1)
-
-
-def is_better(trial, iterate, step, length, small_violation, filtered):
-    """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
-    new, old = trial.point, iterate.point
-    return new.error < np.inf and filtered.accept(
-        old.violation,
-        barrier_objective(iterate),
-        new.violation,
-        barrier_objective(trial),
-        step.slope,
-        length,
-        small_violation,
-    )
-
-
-def second_order_correction(search, iterate, step, refused, small_violation, filtered):
-    """The iterate after second-order corrections (27) of the full step, or None: the equations' curvature may be wrong.
-
-    `refused` is the point to which the full step led. Duals follow the corrected step: those of the step that was
-    refused belong to other distances.
-    """
-    grid, right, length = search.grid, step.gradient.copy(), step.longest
-    residual = iterate.point.gradient[grid.is_multiplier]
-    for _ in range(CORRECTIONS):
-        residual = length * residual + refused.gradient[grid.is_multiplier]
-        right[grid.is_multiplier] = residual
-        correction = np.empty_like(step.primal)
-        solve_kkt(grid, search.system, right, correction)
-        better = step_along(search, iterate, right, correction, step.inertia, False)
-        length = better.longest
-        trial = moved(search, iterate, correction, length)
-        if is_better(trial, iterate, step, step.longest, small_violation, filtered):
-            return trial
-        if not trial.point.violation < 0.99 * refused.violation:
-            return None
-        refused = trial.point
-    return None
 
 
 # Feasibility restoration: lower the violation of the equations when the line search finds no way on.
@@ -1978,7 +2021,96 @@ def sum_of_squares(grid, point):
 
 UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
-SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
+
+
+def descend(search, iterate, attempt, tolerance, max_iterations, log):
+    """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
+
+    With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
+    tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
+    corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
+    """
+    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
+    course, first_cost = Globalisation(attempt, iterate.point.violation), abs(iterate.point.cost)
+    late = 0  # iterations with the last weight
+    for iteration in range(max_iterations + 1):
+        log.append(grid, iterate.point, course.inertia.delta_w, course.length)
+        converged = is_solved(grid, iterate.point, tolerance)
+        # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+        doubtful = converged and (iteration == 0 or course.inertia.delta_w > 0.0)
+        status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
+        if not status and log.is_late():
+            status = "time limit"
+        if status or iteration == max_iterations:
+            return status or "iteration limit", iterate, iteration
+        step, trial = course.next_iterate(search, iterate)
+        if trial is None:
+            status = status_without_step(search, iterate, step, tolerance, late > 0)
+            if status:
+                return status, iterate, iteration
+            course.filtered.add(iterate.point.violation, barrier_objective(iterate))
+            status, trial = restored(search, iterate, 0.9, course.filtered, log)
+            if status != "restored":
+                return status, trial if status == "infeasible" else iterate, iteration
+            trial = with_least_squares_multipliers(search, trial)
+        iterate = trial
+    return "iteration limit", iterate, max_iterations
+
+
+def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
+    """The status with which a search ends at an iterate, or nothing where it goes on.
+
+    Where it is `doubtful` that a point which has converged is a minimum, the curvature there decides.
+    """
+    if not iterate.point.error < np.inf:
+        return "non-finite"
+    if converged:
+        return "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
+    return "unbounded" if is_unbounded_below(iterate, first_cost) else ""
+
+
+def status_without_step(search, iterate, step, tolerance, is_last_weight):
+    """The status with which a search ends at an iterate that no step improves, or nothing where restoration may help.
+
+    `step` is None where the Newton system stays singular.
+    """
+    point = iterate.point
+    convex = step is None or step.inertia.delta_w == 0.0 or is_minimum(search, iterate, tolerance)
+    if step is None:
+        return "rank-deficient"
+    if not convex and is_nearly_stationary(point):
+        return "saddle point"
+    if not is_at_rounding_level(search.grid, point):
+        return ""
+    return "solved" if convex else "saddle point"  # rounding has the last word
+
+
+def is_minimum(search, iterate, tolerance):
+    """Whether a stationary point is a minimum to second order, with the barrier to stand for bounds.
+
+    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
+    """
+    unknowns, delta_w = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
+    return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
+
+
+def is_unbounded_below(iterate, first_cost):
+    """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
+    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
+
+
+def restored(search, iterate, reduction, filtered, log):
+    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough.
+
+    The iterate has no multipliers.
+    """
+    status, found = restore(search, iterate, reduction, filtered, log.is_late)
+    return status, found
+
+
+# The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed.
+
 GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
 NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
 
@@ -2073,97 +2205,6 @@ def escaping_iterates(search, saddle, attempt, escapes):
     curvature = barrier_curvature(search, saddle)
     for step in escape_steps(grid, unknowns, curvature, escapes):
         yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
-
-
-def descend(search, iterate, attempt, tolerance, max_iterations, log):
-    """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
-
-    With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
-    tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
-    corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
-    """
-    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
-    first, first_cost = max(1.0, iterate.point.violation), abs(iterate.point.cost)
-    small_violation, filtered = 1e-4 * first, Filter(attempt.funnel * first)
-    inertia, length, damping, shortened, watchdog, monitor = InertiaCorrection(), 0.0, 0.0, 0, None, AccuracyMonitor()
-    for iteration in range(max_iterations + 1):
-        log.append(grid, iterate.point, inertia.delta_w, length)
-        converged = is_solved(grid, iterate.point, tolerance)
-        point, status = iterate.point, ""
-        if not point.error < np.inf:
-            status = "non-finite"
-        elif converged:
-            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
-            doubtful = iteration == 0 or inertia.delta_w > 0.0
-            status = "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
-        elif is_unbounded_below(iterate, first_cost):
-            status = "unbounded"
-        elif log.is_late():
-            status = "time limit"
-        if status or iteration == max_iterations:
-            return status or "iteration limit", iterate, iteration
-        careful, before = monitor.is_due(), inertia
-        trial, step = None, regularised_step(search, iterate, inertia, damping, careful)
-        if step is not None:
-            inertia = step.inertia
-            if careful:
-                monitor.record(step.refined)
-            watchdog = Watchdog(iterate, step) if shortened == SHORTENED else watchdog
-            if watchdog is not None:
-                iterate, length, watchdog = watchdog_step(search, iterate, step, watchdog, small_violation, filtered)
-                shortened = 0
-                continue
-            trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-            if trial is not None and not careful and barely_reduces_residual(point, step, length, trial.point):
-                monitor.add()
-                if monitor.is_due() and is_inaccurate(search, iterate, step):
-                    step = regularised_step(search, iterate, before, damping, True) or step
-                    inertia = step.inertia
-                    trial, length = line_search(search, iterate, step, attempt.shortest, small_violation, filtered)
-                if monitor.is_due():
-                    monitor.record(step.refined)
-            shortened = shortened + 1 if trial is None or length < step.longest else 0
-            if shortened or damping > 0.0:
-                damping = damped(damping, step, length, shortened) if trial is not None else 0.0
-        if trial is None:
-            convex = step is None or inertia.delta_w == 0.0 or is_minimum(search, iterate, tolerance)
-            if step is None:
-                return "rank-deficient", iterate, iteration
-            if not convex and is_nearly_stationary(point):
-                return "saddle point", iterate, iteration
-            if is_at_rounding_level(grid, point):
-                return "solved" if convex else "saddle point", iterate, iteration  # rounding has the last word
-            filtered.add(point.violation, barrier_objective(iterate))
-            status, trial = restored(search, iterate, 0.9, filtered, log)
-            if status != "restored":
-                return status, trial if status == "infeasible" else iterate, iteration
-            trial = with_least_squares_multipliers(search, trial)
-        iterate = trial
-    return "iteration limit", iterate, max_iterations
-
-
-def is_minimum(search, iterate, tolerance):
-    """Whether a stationary point is a minimum to second order, with the barrier to stand for bounds.
-
-    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
-    """
-    unknowns, delta_w = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
-    _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
-    return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
-
-
-def is_unbounded_below(iterate, first_cost):
-    """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
-
-
-def restored(search, iterate, reduction, filtered, log):
-    """(status, iterate) after the violation has been lowered; the status is "restored" when that was enough.
-
-    The iterate has no multipliers.
-    """
-    status, found = restore(search, iterate, reduction, filtered, log.is_late)
-    return status, found
 
 
 # Momenta of a discrete motion by the forced discrete Legendre transforms.
@@ -3138,12 +3179,14 @@ def refined(grid, start, point, tolerance, max_iterations, log):
             break
         begin = scaled_unknowns(finer, unknowns)
         same = evaluate(finer, begin)
-        if is_solved(finer, same, tolerance):  # where bounds are active, their duals are missing
+        if is_solved(finer, same, tolerance) or error_of(finer, same) <= tolerance:
             return "solved", finer, begin, same, total
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            found = ("solved", grid, start, point) if nearly_holds(finer, same) else (status, finer, begin, better)
+            found = (
+                ("solved", grid, start, point) if error_of(finer, same) <= VIOLATED else (status, finer, begin, better)
+            )
             return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
@@ -3151,11 +3194,11 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
-def nearly_holds(grid, point):
-    """Whether equations hold but for VIOLATED, and stationarity too: slopes that no bound holds, beside multipliers."""
+def error_of(grid, point):
+    """The largest residual, or slope that no bound holds beside multipliers: of bounds the duals are missing."""
     slope = np.where(grid.is_multiplier, 0.0, point.gradient)
     mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
-    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY)) <= VIOLATED
+    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY))
 
 
 def has_larger_derivatives(finer, grid):
@@ -3485,7 +3528,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_22ccf6d30f235cbc"
+_IDENTITY = "codegen_spherical_pendulum_ebf8eb5467f9d948"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -201,7 +201,7 @@ UNBOUNDED = [
     ),
     Failing(
         "no-least-duration",
-        mass('T = free_parameter("T", 1)', cost="", terminal_cost="T", duration="T"),
+        mass('T = free_parameter("T", 1, lower=-10)', cost="", terminal_cost="T", duration="T"),
         "unbounded",
         ("a duration has become -", "needs a lower bound"),
     ),

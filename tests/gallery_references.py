@@ -81,6 +81,13 @@ REFERENCES = (
         limit=9.31395,
     ),
     Reference(
+        "drone_gates",
+        {20: 7.50620955534, 60: 7.47410343944, 120: 7.47105705162, 240: 7.47029778311},
+        value=7.470048,
+        error=3e-4,
+        source="CasADi and IPOPT on 240 and 480 intervals, extrapolated by order 2 (benchmarks/waypoints.py)",
+    ),
+    Reference(
         "acrobot",
         {20: 42.0002949243, 60: 35.0413684659, 100: 34.9830916762},
         value=34.9189,

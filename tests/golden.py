@@ -24,19 +24,21 @@ FOLDER = ROOT / "generated"
 DIGESTS = FOLDER / "digests.txt"
 
 KEPT = (
-    "bouncing_ball cart_pole hovercraft image_registration lennard_jones_stormer_verlet linear_pendulum"
+    "bouncing_ball hovercraft image_registration lennard_jones_stormer_verlet linear_pendulum"
     " orbital_transfer pendulum spherical_pendulum"
 ).split()
 """Modules that are committed.
 
-Their features: phases; a free duration; several bodies; first-order dynamics; particles that are connected, and that
-are simulated; a linear-quadratic problem; steps that are explicit or implicit; holonomic constraints.
+Their features: phases; a free duration, and with it bounds; several bodies; first-order dynamics; particles that are
+connected, and that are simulated; a linear-quadratic problem; steps that are explicit or implicit; holonomic
+constraints.
 """
 
 CONTROL = (
     "acrobot betts_10_7 bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole convoy crane "
-    "double_integrator double_integrator_effort four_bar goddard_rocket hovercraft hypersensitive low_thrust "
-    "n_link_pendulum pendulum_swing_up quadrotor robot_arm spherical_pendulum two_link_arm two_stage_rocket van_der_pol"
+    "delayed_oscillator double_integrator double_integrator_effort drone_gates four_bar goddard_rocket hovercraft "
+    "hypersensitive low_thrust n_link_pendulum pendulum_swing_up quadrotor robot_arm spherical_pendulum two_link_arm "
+    "two_stage_rocket van_der_pol"
 ).split()
 
 GALLERY = (

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from malformed_conditions import MALFORMED_CONDITIONS
+from malformed_delays import MALFORMED_DELAYS
+from malformed_inner_times import MALFORMED_INNER_TIMES
+from malformed_measurements import MALFORMED_MEASUREMENTS
 from malformed_phases import MALFORMED_PHASES
 from malformed_tables import MALFORMED_TABLES
 from malformed_templates import Malformed, declaring, file_text, optimal, simulation
@@ -207,7 +210,10 @@ MALFORMED: tuple[Malformed, ...] = (
     *_EXPRESSIONS,
     *_STRUCTURE,
     *MALFORMED_CONDITIONS,
+    *MALFORMED_INNER_TIMES,
     *MALFORMED_PHASES,
     *MALFORMED_TABLES,
+    *MALFORMED_MEASUREMENTS,
+    *MALFORMED_DELAYS,
 )
 """All of them; a file is to be written as `broken.py`, which some fragments name."""

@@ -131,7 +131,7 @@ PUBLISHED = (
     Published("mountain_car", 102.479, "C", 5e-3, "dymos mountain_car"),
     Published("gas_oil", 5.23659e-3, "A", 1e-5, "COPS 3.0, n = 100 to 400; PSOPT 5.22897e-3 by coarse interpolation"),
     Published("methanol", 9.02229e-3, "A", 1e-5, "COPS 3.0, n = 100 to 400"),
-    Published("predator_prey", 0.02753366, "B", 1e-4, "PSOPT predator"),
+    Published("predator_prey", 0.0275363791, "A", 1e-5, "scipy to 1e-11, least_squares; PSOPT predator 0.02753366"),
     Published("isoperimetric", -0.375506, "B", 1e-4, "PSOPT isoperimetric"),
     Published(
         "lotka_volterra_fishing", 1.34408, "B", 1e-4, "mintoc.de's lower bound, in PSOPT lotka, which has 1.344093"

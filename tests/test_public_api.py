@@ -49,6 +49,11 @@ def test_every_public_name_is_what_it_was_after_all_submodules_are_imported():
     assert {name: getattr(codegen, name) for name in codegen.__all__} == before
 
 
+def test_what_a_person_can_cause_is_caught_under_one_public_name():
+    with pytest.raises(codegen.CodegenError, match="no such file"):
+        codegen.build("nowhere.py")
+
+
 def test_build_load_and_solve_twice_and_in_a_loop(explicit_pendulum):
     for _ in range(2):
         made = codegen.build(PROBLEMS / "pendulum.py", scheme="stormer-verlet")

@@ -46,6 +46,7 @@ def beyond_maximum_principle(model: Model) -> str:
     """What a problem has that the necessary conditions below do not provide for, in words; nothing if they hold."""
     features = {
         "several phases": bool(model.phases),
+        "values of the past": bool(model.joined),
         "a first-order system": model.form == "first-order",
         "bounds": bool(model.bounds),
         **dict.fromkeys((kind.words for kind in CONDITIONS if kind.of_model(model)), True),

@@ -8,7 +8,7 @@ from typing import Any
 
 import sympy
 
-from codegen.author.problem import Control, Expression, Relations, form_of
+from codegen.author.problem import Control, Expression, Relations, Waypoint, form_of
 from codegen.author.symbols import Coordinate, EndValue, Momentum, Quantity, Velocity
 from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
@@ -24,6 +24,8 @@ def together(
     terminal_maximise: Expression = 0,
     path: Relations = (),
     integral: Relations = (),
+    at: Mapping[Expression, Relations] | None = None,
+    waypoints: Sequence[Relations | Waypoint] = (),
     start_conditions: Relations = (),
     end_conditions: Relations = (),
     constraint: Sequence[Expression] = (),
@@ -34,7 +36,8 @@ def together(
     The bodies move at the same time, each by its own equations: Lagrangians or Hamiltonians, costs and terminal costs
     add up, and every condition of every body holds. What ties them together comes beside: `interaction`, which is
     added to the Lagrangian (minus a potential energy) or to the Hamiltonian, further costs, and relations between the
-    quantities of several bodies, at every time (`path`, `constraint`), over it (`integral`) or at an end.
+    quantities of several bodies, at every time (`path`, `constraint`), over it (`integral`), at inner times (`at`,
+    `waypoints`) or at an end.
 
     Raises a kind of CodegenError when the bodies are not given in the same way, or differ in duration or steps, when
     two of them have a coordinate in common, or when there is only one. Many identical bodies that meet at their ends
@@ -44,6 +47,9 @@ def together(
     _require_same("duration", [body.duration for body in bodies])
     _require_same("steps", [body.steps for body in bodies])
     _require_single(bodies)
+    for index, body in enumerate(bodies):
+        if body.waypoints:
+            raise ExpressionError(f"body {index} has waypoints", "give those of all bodies, in order, to together(...)")
     _require_own_coordinates(bodies, form)
     if form == "dynamics":
         if interaction != 0:
@@ -56,7 +62,7 @@ def together(
         given = [*(getattr(body, what) for body in bodies), further]
         return [*chain.from_iterable(each.items() if isinstance(each, Mapping) else each for each in given)]
 
-    mappings = ("force", "start", "end", "bounds", "guess", "scale")
+    mappings = ("force", "start", "end", "bounds", "history", "guess", "scale")
     merged: Any = {what: _merged(what, [getattr(body, what) for body in bodies]) for what in mappings}
     return Control(
         **{form: motion},
@@ -70,6 +76,8 @@ def together(
         periodic=_merged("periodic", [_shifts(body.periodic) for body in bodies]),
         path=listed("path", path),
         integral=listed("integral", integral),
+        at=_by_time([*(body.at for body in bodies), at or {}]),
+        waypoints=waypoints,
         start_conditions=listed("start_conditions", start_conditions),
         end_conditions=listed("end_conditions", end_conditions),
         constraint=listed("constraint", constraint),
@@ -102,11 +110,17 @@ def _require_same(what: str, values: Sequence[Any]) -> None:
 
 
 def _require_single(bodies: Sequence[Control]) -> None:
+    """Refuse a body that stands for several, or that was measured."""
     for index, body in enumerate(bodies):
         if body.bodies != 1:
             raise ExpressionError(
                 f"body {index} stands for {body.bodies!r} bodies",
                 "give each of them a Control of its own, or use bodies alone",
+            )
+        if body.observations:
+            raise ExpressionError(
+                f"body {index} has observations beside other bodies",
+                "write the states of all bodies into one Control, or use bodies alone, with conditions at the end",
             )
 
 
@@ -143,6 +157,19 @@ def _merged(what: str, mappings: Sequence[Any]) -> dict[Any, Any]:
             if key in found and found[key] != value:
                 raise ExpressionError(f"{what} of {key} is given twice: {found[key]} and {value}", "give it once")
             found[key] = value
+    return found
+
+
+def _by_time(mappings: Sequence[Any]) -> dict[Any, list[Any]]:
+    """The conditions of all bodies at inner times, with those of equal times in one list."""
+    found: dict[Any, list[Any]] = {}
+    for index, mapping in enumerate(mappings):
+        if not isinstance(mapping, Mapping):
+            raise ExpressionError(
+                f"at of body {index} is a {type(mapping).__name__}", "write at as {time: [relation, ...], ...}"
+            )
+        for time, relations in mapping.items():
+            found.setdefault(time, []).extend(relations.items() if isinstance(relations, Mapping) else relations)
     return found
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import sympy
 
 from codegen.author.bodies import require_body, require_single_bodies, together
-from codegen.author.problem import Control
+from codegen.author.problem import Control, Problem
 from codegen.author.symbols import (
     BodyNumber,
     ControlInput,
@@ -48,7 +48,7 @@ def written_out(problem: Control, declared: Sequence[Quantity]) -> tuple[Control
     Raises BoundaryError for a body that there is not, ExpressionError for a condition between bodies that has
     quantities of every body in it.
     """
-    used = {symbol for symbol in _symbols(problem) if isinstance(symbol, Quantity)}
+    used = {symbol for symbol in symbols_of(problem) if isinstance(symbol, Quantity)}
     own = sorted((s for s in used if not isinstance(s, EndValue)), key=lambda symbol: symbol.declared)
     own = [s for s in own if isinstance(s, (Coordinate, State, Velocity, Momentum, ControlInput))]
     copies = [_copies(own, number) for number in range(problem.bodies)]
@@ -56,7 +56,8 @@ def written_out(problem: Control, declared: Sequence[Quantity]) -> tuple[Control
     for value in (symbol for symbol in used if isinstance(symbol, EndValue)):
         require_body(value, problem.bodies)
         values[value] = copies[value.body][value.partner]
-    conditions, parts = {}, {part.name: getattr(problem, part.name) for part in fields(problem)}
+    conditions: dict[str, Any] = {}
+    parts = {part.name: getattr(problem, part.name) for part in fields(problem)}
     for what in ("path", "start_conditions", "end_conditions"):
         entries = _items(parts[what])
         between = [entry for entry in entries if _of_bodies(entry)]
@@ -110,17 +111,17 @@ def _put(value: Any, substitution: Mapping[Any, Any]) -> Any:
     return type(value)(_put(entry, substitution) for entry in value) if type(value) in (list, tuple) else value
 
 
-def _symbols(value: Any) -> Iterator[Any]:
+def symbols_of(value: Any) -> Iterator[Any]:
     """All symbols in the arguments of a problem."""
-    if isinstance(value, Control):
+    if isinstance(value, Problem):
         for part in fields(value):
-            yield from _symbols(getattr(value, part.name))
+            yield from symbols_of(getattr(value, part.name))
     elif isinstance(value, sympy.Basic):
         yield from value.free_symbols
     elif isinstance(value, Mapping):
-        yield from _symbols([*value, *value.values()])
+        yield from symbols_of([*value, *value.values()])
     elif isinstance(value, Item):
-        yield from _symbols([part for _, part in value.expressions()])
+        yield from symbols_of([part for _, part in value.expressions()])
     elif isinstance(value, (list, tuple)):
         for entry in value:
-            yield from _symbols(entry)
+            yield from symbols_of(entry)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar
 
+from codegen.author.measurements import Measurements
 from codegen.author.tables import Trajectory
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
@@ -31,6 +32,18 @@ Relation = Any
 
 Relations = Sequence[Relation] | Mapping[str, Relation]
 """Relations, each with a name for messages where they are a mapping."""
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """Relations that hold at a time which the solver finds, not before the first and not after the second of `window`.
+
+    Either may be None.
+    """
+
+    conditions: Relations
+    _: KW_ONLY
+    window: tuple[Expression | None, Expression | None] = (None, None)
 
 
 @dataclass(frozen=True)
@@ -77,13 +90,24 @@ class Control(Problem):
     controls in them. Relations are a list, or map names, which messages use, to relations, as in
     `path={"heating rate": q <= 70}`. `integral` relations compare the integral of one side over [0, T] (in a problem of
     phases over the phase) with the other side, a value that does not move, as in `integral=[Eq(sqrt(1 + u**2), 4)]`.
+    `at` maps times between start and end, which become nodes, to relations between coordinates and velocities (or
+    momenta, or states) that hold there, as in `at={0.75: [Eq(x, 0.9)], 2: [y >= 1]}`. `waypoints` lists such relations
+    for times that the solver finds, in the order of the list, as in `waypoints=[[Eq(x, 1), Eq(y, 2)], [y >= 3]]`; an
+    entry may be a Waypoint, which limits its time.
     `bounds` maps coordinates, velocities, momenta, states, controls and free
     parameters to pairs (lower, upper), None where there is none. A `constraint` c(q) = 0 is holonomic: a Lagrangian
     system moves on the manifold where it vanishes. `periodic` lists what has the same value at T as at 0, or maps it to
     the difference.
 
+    `x.delayed(tau)`, for a state, coordinate, velocity, momentum or control x, is its value at the time t - tau.
+    `history` maps x to what it was before t = 0, an expression of t; x starts where its history ends, unless `start` or
+    `start_conditions` say otherwise.
+
     With `bodies=H` there are H of these systems, which start and end each for itself where a value depends on
     `body_number()`, and which end conditions in `q.of(0)`, `q.of(1)`, ... tie together.
+
+    `observations`, a file of measurements or with several bodies one for each, add to the cost how far the motion is
+    from them.
 
     `guess` maps coordinates, states and controls to expressions of parameters and time, or to tables of one input,
     which is time then; or it is a Trajectory, which reads them from a file. From there the solver starts;
@@ -105,9 +129,13 @@ class Control(Problem):
     bounds: Mapping[Any, tuple[Expression | None, Expression | None]] = field(default_factory=dict)
     path: Relations = ()
     integral: Relations = ()
+    at: Mapping[Expression, Relations] = field(default_factory=dict)
+    waypoints: Sequence[Relations | Waypoint] = ()
     constraint: Sequence[Expression] = ()
     periodic: Mapping[Any, Expression] | Sequence[Any] = ()
+    history: Mapping[Any, Expression] = field(default_factory=dict)
     bodies: int = 1
+    observations: Measurements | Sequence[Measurements] = ()
     guess: Mapping[Any, Expression] | Trajectory = field(default_factory=dict)
     scale: Mapping[Any, float] = field(default_factory=dict)
 

@@ -7,50 +7,48 @@ how a name that is used twice is found out.
 
 from __future__ import annotations
 
-import itertools
-import unicodedata
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from typing import Any
 
 import numpy as np
 import sympy
 
+from codegen.author.quantities import Delayed, Moving, Parameter, Quantity, recorded_declarations
 from codegen.errors import SymbolError
-from codegen.mangling import MARK
+from codegen.expressions.body_values import EachBodyBase
 
-_serial_numbers = itertools.count()
-_recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities", default=None)
+__all__ = [
+    "BodyNumber",
+    "ControlInput",
+    "Coordinate",
+    "Delayed",
+    "EndValue",
+    "FreeParameter",
+    "Momentum",
+    "Parameter",
+    "Quantity",
+    "State",
+    "Time",
+    "Velocity",
+    "body_number",
+    "canonical_pair",
+    "canonical_pairs",
+    "control",
+    "controls",
+    "coordinate",
+    "coordinates",
+    "each_body",
+    "finite_number",
+    "free_parameter",
+    "parameter",
+    "parameters",
+    "recorded_declarations",
+    "state",
+    "states",
+    "time",
+]
 
 
-class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
-    """A declared real symbol; `declared` orders symbols as their author wrote them."""
-
-    __slots__ = ("declared",)
-    declared: int
-
-    def __new__(cls, name: str) -> Quantity:
-        """Make a new symbol, different from all others; SymbolError when its name cannot be used."""
-        if not isinstance(name, str) or not name.isidentifier() or MARK in name:
-            raise SymbolError(f"{name!r} is not an identifier", "use letters, digits and underscores")
-        # As Python reads identifiers, where several characters stand for one letter.
-        symbol: Quantity = sympy.Symbol.__xnew__(cls, unicodedata.normalize("NFKC", name), real=True)
-        symbol.declared = next(_serial_numbers)
-        recorded = _recorder.get()
-        # An end value follows from its coordinate, so that nobody has to use it.
-        if recorded is not None and not issubclass(cls, EndValue):
-            recorded.append(symbol)
-        return symbol
-
-    def __getnewargs_ex__(self) -> tuple[tuple[str], dict[str, Any]]:
-        return (self.name,), {}
-
-    def _hashable_content(self) -> tuple[Any, ...]:
-        return (*super()._hashable_content(), self.declared)
-
-
-class _Variable(Quantity):
+class _Variable(Moving):
     """A coordinate or a state, which each of several bodies has; `of` tells them apart."""
 
     __slots__ = ("end_values",)
@@ -58,6 +56,7 @@ class _Variable(Quantity):
 
     def __new__(cls, name: str) -> _Variable:
         symbol = super().__new__(cls, name)
+        assert isinstance(symbol, _Variable), "it is of this class"
         symbol.end_values = {}
         return symbol
 
@@ -82,6 +81,7 @@ class EndValue(Quantity):
     __slots__ = ("body", "partner")
     partner: Coordinate | State
     body: int
+    own = False
 
 
 class Coordinate(_Variable):
@@ -97,31 +97,24 @@ class State(_Variable):
     __slots__ = ()
 
 
-class Velocity(Quantity):
+class Velocity(Moving):
     """The time derivative of its `partner`, a coordinate."""
 
     __slots__ = ("partner",)
     partner: Coordinate
 
 
-class Momentum(Quantity):
+class Momentum(Moving):
     """The momentum conjugate to its `partner`, a coordinate."""
 
     __slots__ = ("partner",)
     partner: Coordinate
 
 
-class ControlInput(Quantity):
+class ControlInput(Moving):
     """A control, free to be chosen by the optimiser at every time."""
 
     __slots__ = ()
-
-
-class Parameter(Quantity):
-    """A number that stays an argument of the generated module; `value` is its default."""
-
-    __slots__ = ("value",)
-    value: float
 
 
 class FreeParameter(Quantity):
@@ -244,20 +237,20 @@ def body_number() -> BodyNumber:
     return BodyNumber("body")
 
 
+def each_body(*values: float) -> sympy.Expr:
+    """A boundary value, guess or bound that is `values[0]` for body 0, `values[1]` for body 1, and so on.
+
+    As many as there are bodies. Raises SymbolError when a value is not a finite real number.
+    """
+    numbers = [finite_number(value, f"value {index} of each_body") for index, value in enumerate(values)]
+    if not numbers:
+        raise SymbolError("each_body() has no values", "give one for each body")
+    return EachBodyBase(body_number(), *map(sympy.Float, numbers))
+
+
 def time(name: str = "t") -> Time:
     """Declare the time, for Lagrangians, forces, costs and guesses that depend on it explicitly."""
     return Time(name)
-
-
-@contextmanager
-def recorded_declarations() -> Iterator[list[Quantity]]:
-    """Record every quantity that is declared inside the block, so that unused ones can be named."""
-    declared: list[Quantity] = []
-    token = _recorder.set(declared)
-    try:
-        yield declared
-    finally:
-        _recorder.reset(token)
 
 
 def finite_number(value: Any, what: str) -> float:

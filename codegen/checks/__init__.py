@@ -27,13 +27,23 @@ from codegen.checks.derivation import (
     symplecticity,
 )
 from codegen.checks.derivation.phases import phase_contexts
-from codegen.checks.module import assembly, derivatives, given_values, layout, provenance, sparsity, tables
+from codegen.checks.module import (
+    assembly,
+    derivatives,
+    given_values,
+    layout,
+    measurements,
+    provenance,
+    sparsity,
+    tables,
+)
 from codegen.checks.particles import pairwise
-from codegen.checks.solution import holonomic_drift, optimum, second_order
+from codegen.checks.solution import delays, holonomic_drift, inner_times, optimum, second_order
 from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.loading import is_of_particles, load
 from codegen.model import Model
 from codegen.model.from_file import load_problem
+from codegen.model.segments import in_names_of_the_whole
 from codegen.naming import Choices
 
 __all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]
@@ -45,6 +55,7 @@ _ROWS = (
     Check("given values", given_values.check),
     Check("assembly", assembly.check),
     Check("tables", tables.check),
+    Check("measurements", measurements.check),
     Check("discrete equations", discrete_equations.check, runs_the_module=False, of_each_phase=True),
     Check("integrals", integrals.check, runs_the_module=False, of_each_phase=True),
     Check("momentum matching", momentum_matching.check),
@@ -57,7 +68,9 @@ _ROWS = (
     Check("null controls", null_controls.check, of_each_phase=True),
     Check("path between nodes", path_modes.check),
     Check("holonomic drift", holonomic_drift.check),
+    Check("inner times", inner_times.check),
     Check("switches", switches.check),
+    Check("delays", delays.check),
     Check("second-order condition", second_order.check),
     Check("optimum", optimum.check),
 )
@@ -67,8 +80,11 @@ _NOTHING_TO_SAY = {
         "sparsity": "a step of a simulation has a dense Jacobian",
         "given values": "a simulation gives no values but those of its start",
         "assembly": "a simulation solves step after step",
+        "measurements": "a simulation fits nothing",
         "boundary rank": "a simulation has no boundary value problem",
         "null controls": "a simulation has no controls to be found",
+        "delays": "a simulation has no values of the past",
+        "inner times": "a simulation has no conditions on the way",
         "path between nodes": "a simulation has no path conditions",
         "second-order condition": "a simulation minimises nothing",
         "optimum": "a simulation minimises nothing",
@@ -115,7 +131,7 @@ def run(
     findings = list(provenance.compare(module, context.module, inputs, text))
     for name in CHECKS:
         findings += apply(name, context, (end - time.process_time()) / 4)
-    return findings
+    return [replace(finding, subject=in_names_of_the_whole(context.model, finding.subject)) for finding in findings]
 
 
 def context_of(path: Path, arguments: Mapping[str, str], choices: Choices, module: Path) -> Context:

@@ -58,7 +58,7 @@ class Context:
     @cached_property
     def solution(self) -> Any:
         """What the module's solver finds on the default number of intervals, but on eight at least."""
-        return self.module.solve(max(_LEAST_STEPS, self.model.steps))
+        return self.module.solve(max(_LEAST_STEPS, len(self.model.inner_times) + 1, self.model.steps))
 
     @cached_property
     def guessed(self) -> GuessedPoints | None:

@@ -30,10 +30,16 @@ _SEED = 20240229
 _ATTEMPTS = 200
 
 
-def function_of(symbols: Sequence[Symbol], values: Sequence[Expr]) -> Function:
-    """A function of numbers of any precision, in the order of the symbols, that returns the values as a list."""
+def function_of(
+    symbols: Sequence[Symbol], values: Sequence[Expr], assignments: Sequence[tuple[Symbol, Expr]] = ()
+) -> Function:
+    """A function of numbers of any precision, in the order of the symbols, that returns the values as a list.
+
+    Values may read the symbols of assignments, which are made in order; written out, they could be far too long.
+    """
     extra = {"Heaviside": lambda x: (1 + mpmath.sign(x)) / 2, "DiracDelta": lambda *_: mpmath.mpf(0)}
-    function = sympy.lambdify(list(symbols), list(values), modules=[extra, "mpmath"], cse=True)
+    parts = (lambda expressions: (list(assignments), expressions)) if assignments else True
+    function = sympy.lambdify(list(symbols), list(values), modules=[extra, "mpmath"], cse=parts)
     return function  # type: ignore[no-any-return]
 
 
@@ -50,14 +56,15 @@ def random_points(
     count: int = 3,
     seed: int = _SEED,
     likely: Iterable[Point] = (),
+    assignments: Sequence[tuple[Symbol, Expr]] = (),
 ) -> list[dict[Symbol, float]]:
     """Seeded random points at which all values are real and finite; parameters are drawn about their defaults.
 
-    Of the points that are `likely` those come first that have values, but one point at least is random. Raises
-    NumericsError when hardly any point is in the domain of the expressions.
+    Values may read `assignments`. Of the points that are `likely` those come first that have values, but one point at
+    least is random. Raises NumericsError when hardly any point is in the domain of the expressions.
     """
     generator = np.random.default_rng(seed)
-    function = function_of(symbols, values)
+    function = function_of(symbols, values, assignments)
     points: list[dict[Symbol, float]] = []
     for point in likely:
         if len(points) < count - 1 and _has_value(function, [point[symbol] for symbol in symbols]):

@@ -46,14 +46,14 @@ class Pictures:
         from codegen.cli.scene import fine_times, scene
         from codegen.loading import is_control
         from codegen.model import Model
-        from codegen.plots.quantities import first_guess
+        from codegen.plots.segments import first_guess
 
         drawings: Any = None
         if isinstance(self.model, Model) and self.model.drawing:
-            drawings = scene(self.model, result, fine_times(result.t))
+            drawings = scene(self.model.authored, result, fine_times(result.t))
             if is_control(module):
                 guess = first_guess(module, result)
-                drawings = plots.Drawings(drawings, scene(self.model, guess, fine_times(guess.t)))
+                drawings = plots.Drawings(drawings, scene(self.model.authored, guess, fine_times(guess.t)))
         with replacing(path) as temporary:
             plots.save(module, result, temporary, drawings, self.unit)
 
@@ -65,7 +65,7 @@ class Pictures:
         assert isinstance(self.model, Model), "particles have no drawing"
         title = result.title if result.solved else f"{result.title.rstrip('.')} (NOT SOLVED: {result.status})"
         with replacing(path) as temporary:
-            film = scene(self.model, result, animate.scene_times(result.t))
+            film = scene(self.model.authored, result, animate.scene_times(result.t))
             animate.save(film, title, temporary, _with_progress)
 
 

@@ -70,6 +70,9 @@ def solve(
     table: Annotated[
         list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
     ] = [],  # noqa: B006
+    observations: Annotated[
+        list[Path], typer.Option(metavar="FILE.csv", help="Other measurements; of several bodies one file for each.")
+    ] = [],  # noqa: B006
     guesses: Annotated[
         int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
     ] = 1,
@@ -89,7 +92,7 @@ def solve(
         problem, driver, arguments=parse_arguments(set_, problem), scheme=scheme, method=method,
         controls=controls.value, out=out, steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings,
         accuracy=accuracy, guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit,
-        scaling=scaling, log=log, tables=files_of(table),
+        scaling=scaling, log=log, tables=files_of(table), observations=observations or None,
     )  # fmt: skip
     if save is not None:
         output.require_writable(save, output.ARCHIVES, "--save")
@@ -130,13 +133,16 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
-    for note in notes.notes(outcome.module.metadata):
+    told = result.estimates.notes if result.estimates else []
+    for note in (*notes.notes(outcome.module.metadata), *told):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))
         return
     console().print(result.title, style="bold", markup=False)
     console().print(output.as_table(record, result.intervals))
+    if result.estimates:
+        console().print(*output.estimates_tables(record["estimates"]))
 
 
 def with_options(outcome: Outcome) -> Outcome:

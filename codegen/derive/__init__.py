@@ -56,7 +56,8 @@ class ControlDerivatives:
     barrier terms are positive, and controls when their block of the Hessian is constant and regular;
     `linear_quadratic` says that no Hessian entry depends on an unknown and one Newton step suffices (not so with nodal
     controls, which can make the system singular). `elements` are the shares of all kinds of intervals, of which there
-    are several where there are phases; their Hessians have one pattern.
+    are several where there are phases; their Hessians have one pattern. That of a `sample` of measurements is a part of
+    it.
     """
 
     elements: tuple[ElementDerivatives, ...]
@@ -64,6 +65,7 @@ class ControlDerivatives:
     end: ElementDerivatives
     condensed: int
     linear_quadratic: bool
+    sample: ElementDerivatives | None = None
 
     @property
     def element(self) -> ElementDerivatives:
@@ -88,21 +90,24 @@ class StepDerivatives:
 def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     """Differentiate the interval's scalar and both end elements twice."""
     unknowns = program.element_symbols
-    elements = _with_one_pattern([_element(e.element, unknowns, e.cost) for e in program.interval_elements])
+    samples = [_element(s.element, unknowns, s.element) for s in (program.sample,) if s is not None]
+    own = [_element(e.element, unknowns, e.cost) for e in program.interval_elements]
+    elements = _with_one_pattern([*own, *samples])[: len(own)]
     start = _end_element(program.start, (*program.left_symbols, *program.shared_symbols))
     end = _end_element(program.end, (*program.right_symbols, *program.shared_symbols))
-    shares = (*elements, start, end)
+    shares = (*elements, *samples, start, end)
     variables = set[Symbol]().union(*(share.varying for share in shares))
     entries = [entry for share in shares for entry in share.hessian]
     return ControlDerivatives(
         elements=elements,
         start=start,
         end=end,
-        condensed=_condensed(program, elements),
+        condensed=_condensed(program, elements, samples),
         linear_quadratic=not program.nodal_controls
         and not program.has_inequalities
         and not program.couplings
         and not any(value.free_symbols & variables for _, _, value in entries),
+        sample=next(iter(samples), None),
     )
 
 
@@ -178,11 +183,22 @@ def _end_element(end: EndElement, unknowns: tuple[Symbol, ...]) -> ElementDeriva
     return _element(end.element, unknowns, end.cost, {i for i, _ in end.pins})
 
 
-def _condensed(program: ControlProgram, elements: Sequence[ElementDerivatives]) -> int:
+def _condensed(
+    program: ControlProgram, elements: Sequence[ElementDerivatives], samples: Sequence[ElementDerivatives]
+) -> int:
     slacks = len(program.slacks)
+    if any(_curves_controls(program, sample) for sample in samples):
+        return slacks
     if all(_constant_and_regular(program, element, element.varying) for element in elements):
         return slacks + len(program.control_symbols)
     return slacks
+
+
+def _curves_controls(program: ControlProgram, sample: ElementDerivatives) -> bool:
+    """Whether a share has second derivatives by controls alone, which not all intervals have then."""
+    first = len(program.left_symbols) + len(program.interval_symbols)
+    controls = range(first, first + len(program.control_symbols))
+    return any(row in controls and column in controls for row, column, _ in sample.hessian)
 
 
 def _constant_and_regular(program: ControlProgram, element: ElementDerivatives, unknowns: set[Symbol]) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
+from codegen.discretise.dense_output import continued, observed_at
 from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, sites, substitute
 from codegen.expressions.tangents import gradient
 from codegen.model import Model
@@ -20,7 +21,7 @@ class OneStepInterval:
 
     The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
     system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the
-    cost.
+    cost. `observed` is what the model's measurements are of, at FRACTION of the interval.
     """
 
     q: Sites
@@ -30,6 +31,7 @@ class OneStepInterval:
     cost: Expr
     path: tuple[PathValue, ...] = ()
     integrals: tuple[Expr, ...] = ()
+    observed: tuple[Expr, ...] = ()
 
 
 def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") -> OneStepInterval:
@@ -44,8 +46,8 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
     inner = (at_nodes(states, f"_stage{n}") for n in range(1, len(step.abscissae)))
     values = [(*q_sites.left, *p_sites.left), *inner, (*q_sites.right, *p_sites.right)]
 
-    integrands = _integrands(model)
-    field = (*_vector_field(model), *integrands)
+    integrands, motion = _integrands(model), _vector_field(model)
+    field = (*motion, *integrands)
     rates, integrals, path = list[list[Expr]](), [sympy.S.Zero] * len(integrands), list[PathValue]()
     for i, point in enumerate(step.points):
         shares = [point.position] * dimension + [point.momentum] * len(model.rates)
@@ -69,7 +71,14 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
         read = {symbol for value in (*integrals, *(g.value for g in path)) for symbol in value.free_symbols}
         stages, equations = _without_idle_stages(values[1:-1], equations, read)
     cost, *others = integrals
-    return OneStepInterval(q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others))
+    observed = ()
+    if model.observed:
+        abscissae = [point.abscissa for point in step.points]
+        inside = continued(model, scheme.dense_derivatives, q_sites, p_sites, motion, abscissae)
+        observed = observed_at(model, inside[:dimension], inside[dimension:])
+    return OneStepInterval(
+        q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others), observed
+    )
 
 
 def _sum(terms: Iterable[tuple[Expr, Expr]]) -> Expr:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
+from codegen.discretise.dense_output import FRACTION, observed_at
 from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, sites, substitute
 from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
@@ -23,7 +24,8 @@ _LONG = 80
 class VariationalInterval:
     """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
 
-    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost.
+    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost;
+    `observed` is what the model's measurements are of, at FRACTION of the interval.
     Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
     point after the other, at the fractions `inner_abscissae` of the step, and is stationary there up to `force_inner`.
     Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
@@ -43,6 +45,7 @@ class VariationalInterval:
     force_inner: tuple[Expr, ...] = ()
     slopes: tuple[Expr, ...] = ()
     impulse: tuple[Expr, ...] = ()
+    observed: tuple[Expr, ...] = ()
 
     @property
     def left_momentum(self) -> tuple[Expr, ...]:
@@ -135,6 +138,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         force_inner=tuple(f for node in between for f in node),
         slopes=slopes,
         impulse=impulse,
+        observed=observed_at(model, motion.position(FRACTION), motion.velocity(FRACTION)) if model.observed else (),
     )
 
 

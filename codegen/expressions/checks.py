@@ -15,6 +15,7 @@ from sympy.core.function import AppliedUndef
 
 from codegen.errors import ExpressionError
 from codegen.expressions import special_functions
+from codegen.expressions.body_values import EachBodyBase
 from codegen.expressions.table_functions import TableBase
 from codegen.expressions.zeros import identically_zero
 
@@ -23,7 +24,7 @@ PRINTABLE = (
     *(sympy.sinh, sympy.cosh, sympy.tanh, sympy.asinh, sympy.acosh, sympy.atanh),
     *(sympy.exp, sympy.log, sympy.Abs, sympy.Min, sympy.Max, sympy.Piecewise),
     *(sympy.erf, sympy.erfc, special_functions.gamma, special_functions.lgamma, special_functions.OrderedBase),
-    TableBase,
+    *(TableBase, EachBodyBase),
 )
 """Functions that the printer knows how to write as numba code."""
 

@@ -10,24 +10,26 @@ from sympy import Dummy, Expr, Symbol, expand
 from codegen.derive import ControlDerivatives, ElementDerivatives
 from codegen.discretise import STEP, at_nodes
 from codegen.expressions.table_functions import tables_of
-from codegen.lower import control_guesses, phases
+from codegen.lower import control_guesses, inner_times, phases
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
 from codegen.lower.coupling import lower_couplings
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.lower.module import ControlModule, arguments_of
 from codegen.lower.printer import array_code, scalar_code
+from codegen.lower.samples import data_arguments, sample_constants, sample_kernels, sample_metadata
 from codegen.lower.statement import description
 from codegen.lower.table_ranges import Input, inputs_kernel, range_constants, ranged_inputs
 from codegen.lower.tables import (
     described_tables,
     guess_kernels,
-    table_arguments,
     table_constants,
     table_kernels,
     table_metadata,
     table_runtime,
 )
+from codegen.model import Model
+from codegen.model.definitions import prescribed
 from codegen.model.nonsmooth_costs import kinks
 from codegen.tables.data import TableData
 from codegen.transcribe.program import ControlProgram, EndElement
@@ -41,6 +43,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
     ranged, guessed = ranged_inputs(tables, first, _equations(program)), _guess_tables(program)
     kernels = (
         *_all_interval_kernels(program, derivatives),
+        *sample_kernels(program, derivatives, _codes(program, program.element_symbols)),
         *_control_kernels(program, derivatives),
         *_end_kernels(program, program.start, derivatives.start, "start", curved),
         *_end_kernels(program, program.end, derivatives.end, "end", curved),
@@ -53,19 +56,22 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
     parts = (control_guesses.guesses, layout.duration, layout.bounds)
     if program.phases:
         parts = (phases.guesses, phases.duration, phases.bounds)
+    told = {name: value for part in parts for name, value in part(program).items()}
     return ControlModule(
         template="control.py.j2",
         name=model.name,
         title=model.title,
         description=tuple(description(program, kernels, described_tables(tables))),
         left_out=tuple(left_out(program, derivatives)),
-        metadata=(*metadata(program, kernels), *_warnings(program), *table_metadata(tables)),
+        metadata=(*metadata(program, kernels), *_warnings(program), *table_metadata(tables), *sample_metadata(program)),
         constants=(
             *layout.constants(program, derivatives),
+            *inner_times.constants(program),
             *couplings.constants,
             *(phases.constants(program) if program.phases else ()),
             *table_constants(tables),
             *range_constants(ranged),
+            *sample_constants(program, tables),
         ),
         kernels=(*table_kernels(tables, first), *guess_kernels(guessed), *kernels),
         runtime=(
@@ -75,9 +81,13 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
             *(("table_guesses",) if guessed else ()),
             *_runtime(program, derivatives),
         ),
-        sizes=(*layout.sizes(program, derivatives), ("RANGED", len(ranged))),
+        sizes=(
+            *layout.sizes(program, derivatives),
+            ("RANGED", len(ranged)),
+            ("SAMPLED", len(model.measurements)),
+        ),
         arguments=arguments_of(model),
-        table_arguments=table_arguments(tables),
+        **data_arguments(program, tables, inner_times.grid_code(program, told["grid_duration"])),
         steps=model.steps,
         boundary_values=tuple(
             Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values
@@ -85,9 +95,10 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         boundary_inputs=(Line("body", "np.arange(BODIES)"),) if numbers_bodies else (),
         coupling_kinds=(tuple(k.name for k in couplings.kernels),) if couplings.kernels else (),
         boundary_example=f'as in {given.where}={{"{given.quantity}": 0.5}}' if given else "of which there are none",
+        **inner_times.times_and_values(program, boundary_code),
         **layout.pins(program),
         **layout.views(program),
-        **{name: value for part in parts for name, value in part(program).items()},
+        **told,
     )
 
 
@@ -98,8 +109,14 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     entries = [("unseen_controls", repr(unseen))] if unseen else []
     entries += [("unused", repr(model.unused))] if model.unused else []
     entries += [("maximised", "True")] if model.maximised else []
+    if jumps := _jumps_from_history(model.authored):
+        entries.append(("history_jumps", repr(jumps)))
+    if (segments := model.segments) and segments.number > 1:
+        names = {own: (whole, number) for own, whole, number in segments.names}
+        entries.append(("segments", repr({"number": segments.number, "names": names})))
     if integrals := _integral_multipliers(program):
         entries.append(("integrals", repr(integrals)))
+    entries += inner_times.metadata(program)
     if bends := _kinks(program):
         entries.append(("kinks", repr(bends)))
     if redundant:
@@ -111,6 +128,17 @@ def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
     if decided := tuple((name, where) for where, end in ends for _, name in end.determined if name):
         entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
     return entries
+
+
+def _jumps_from_history(model: Model) -> tuple[tuple[str, str, str], ...]:
+    """Quantities whose given value at the start is not where their history ends, with both values."""
+    given, found = prescribed(model, "start"), {}
+    for delay in model.delays:
+        last = delay.history.xreplace({model.time: sympy.S.Zero})
+        value = given.get(delay.quantity, last)
+        if sympy.simplify(value - last) != 0:
+            found[delay.quantity.name] = (sympy.sstr(value), sympy.sstr(last))
+    return tuple((name, *values) for name, values in found.items())
 
 
 def _integral_multipliers(program: ControlProgram) -> tuple[tuple[str, int], ...]:
@@ -158,7 +186,7 @@ def _codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, 
     codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(layout.parameters(program))}
     codes[program.model.time] = "t"
     codes[STEP] = "h"
-    return codes
+    return codes | inner_times.codes(program)
 
 
 def _all_interval_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
@@ -214,12 +242,13 @@ def _inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[K
     if not ranged:
         return ()
     codes = _codes(program, program.element_symbols)
+    stems = phases.named_elements(program) if program.phases else [("interval", "")]
     kernels = [
         inputs_kernel(
             f"{stem}_inputs", f"on an interval{where}", ("unknowns", "t", "h", "parameters"), codes, ranged,
             (share.element, share.cost),
         )
-        for (stem, where), share in zip(phases.named_elements(program), program.interval_elements, strict=True)
+        for (stem, where), share in zip(stems, program.interval_elements, strict=True)
     ]  # fmt: skip
     for name, end, node in (
         ("start", program.start, program.left_symbols),
@@ -292,13 +321,14 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
     solver: tuple[str, ...] = ("newton_linear",)
     if not derivatives.linear_quadratic:
         kind = ("barrier", "bounded") if program.has_inequalities else ("unbounded",)
-        solver = ("stagnation", "descent", "filter", "refinement", *kind, "newton_steps", "restoration")
-        solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "newton")
+        solver = ("stagnation", "descent", "filter", "refinement", *kind, "newton_steps", "line_search", "restoration")
+        solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "newton", "cascade")
     return (
-        "arrays", "times",
+        "arrays", "times", *(("inner_number",) if program.inner.times else ()),
         *(("shared",) if program.shared else ()),
         *(("tied_ends",) if program.start.shared or program.end.shared else ()),
         *(("coupling",) if program.couplings else ()),
+        *(("samples",) if program.sample else ()),
         "iteration_log", "lagrangian", "norms", "point", "elements",
         "ends_nonlinear" if layout.has_nonlinear_ends(derivatives) else "ends_linear",
         "symmetric",
@@ -307,9 +337,11 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         *solver,
         *(("momenta",) if program.method == "variational" else ()),
         "counts", "tolerances", "time_grid",
+        *(("observations",) if program.sample else ()),
         *(("slacks",) if layout.slack_indices(program) else ()),
         *(("phases",) if program.phases else ()),
         "layout",
+        *(("inner_times",) if program.inner.times else ()),
         "callbacks",
         *(("active_bounds",) if program.has_inequalities else ()),
         *(("tied",) if program.has_inequalities and (program.start.shared or program.end.shared) else ()),

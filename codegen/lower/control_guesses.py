@@ -20,15 +20,28 @@ def guesses(program: ControlProgram) -> dict[str, Any]:
     """Guesses as code over arrays of time, and what they read."""
     at_nodes = [replace(line, target=f"nodes[:, :, {line.target}]") for line in _node_guess(program)]
     inside = [replace(line, target=f"intervals[:, :, {line.target}]") for line in _interval_guess(program)]
+    at_nodes += _through_inner_times(program)
     nodes = (Line("t", "duration * grid.nodes / grid.steps"),)
     middles = (Line("t", "duration * (0.5 * (grid.nodes[:-1] + grid.nodes[1:])) / grid.steps"),)
     lines = [*(nodes if _read("t", at_nodes) else ()), *at_nodes, *(middles if _read("t", inside) else ()), *inside]
+    told = [value for _, values, _, _ in program.inner.guess for _, value in values]
     duration = (Line("duration", "duration_of(grid, unknowns)"),)
     return {
-        "guess_inputs": inputs(program, [*program.node_guess, *program.stage_guess, *program.control_guess]),
+        "guess_inputs": inputs(program, [*program.node_guess, *program.stage_guess, *program.control_guess, *told]),
         "guess_lines": (*(duration if _read("duration", lines) else ()), *lines),
         **shared_guesses(program),
     }
+
+
+def _through_inner_times(program: ControlProgram) -> list[Line]:
+    """Lines that lead guesses through what is told of inner times."""
+    lines = []
+    for index, values, at_start, at_end in program.inner.guess:
+        numbers, codes = [number for number, _ in values], ", ".join(array_code(value) for _, value in values)
+        target = f"nodes[:, :, {index}]"
+        call = f"through_inner_times(grid, {target}, {numbers}, [{codes}], {at_start}, {at_end})"
+        lines.append(Line(target, call))
+    return lines
 
 
 def _read(name: str, lines: Sequence[Line]) -> bool:

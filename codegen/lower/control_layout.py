@@ -15,8 +15,9 @@ from codegen.transcribe.program import ControlProgram, EndElement, Unknown
 
 
 def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
-    """What stands in the vector of parameters: the author's, boundary values, then the shared unknowns."""
-    return (*program.model.parameters, *(value.symbol for value in program.boundary_values), *program.shared_symbols)
+    """What stands in the vector of parameters: the author's, boundary values, inner times, shared unknowns."""
+    given = (*program.model.parameters, *(value.symbol for value in program.boundary_values))
+    return (*given, *program.inner.parameters, *program.shared_symbols)
 
 
 def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
@@ -36,6 +37,8 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("TIED", len(program.start.shared) + len(program.end.shared)),
         ("SHARED_MULTIPLIERS", sum(u.multiplier for u in program.shared)),
         ("PHASES", len(program.phases)),
+        ("INNER_TIMES", len(program.inner.times)),
+        ("FREE_TIMES", len(program.inner.lacking)),
         ("INEQUALITIES", int(program.has_inequalities)),
         ("UNBOUNDED", int(not program.has_inequalities)),
         ("SCALED", int(not derivatives.linear_quadratic)),
@@ -116,6 +119,8 @@ def pins(program: ControlProgram) -> dict[str, Any]:
             lines.append(
                 Line(f"nodes[:, {node}, {index}]", shared if offset == 0 else f"{shared} + {array_code(offset)}")
             )
+    for number, index in enumerate(program.inner.unknowns):
+        lines.append(Line(f"nodes[:, without_inner_unknown(grid, {number}), {index}]", "0.0"))
     needs_shared = bool(program.start.shared or program.end.shared)
     views = shared_views(program, "own, common", "unknowns") if needs_shared else ()
     return {"pin_inputs": (*inputs(program, values, column=False), *views), "pinned_values": tuple(lines)}
@@ -131,7 +136,9 @@ def duration(program: ControlProgram) -> dict[str, Any]:
         "duration_inputs": duration_inputs(program, [program.model.duration]) if free else (),
         "duration": code if free else "grid.steps * grid.h",
         "phase_durations": (),
-        "node_times": "duration_of(grid, unknowns) * grid.nodes / grid.steps",
+        "node_times": "duration_of(grid, unknowns) * grid.nodes / grid.steps"
+        if program.inner.clock is None
+        else f"nodes[0, :, {program.inner.clock}].copy()",
         "choices": (),
         "of_each_phase": "",
         "fractions": "fractions (N,) of the duration",
@@ -167,6 +174,12 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
                         target, code = f"{side}_{group}[{i}]", common_code(value)
                     lines.append(Line(target, code, unknown.name))
                     values.append(value)
+    for number, *limits in program.inner.windows:
+        for side, value in zip(("lower", "upper"), limits, strict=True):
+            if value is not None:
+                target = f"{side}_nodes[:, grid.inner[{number}], {program.inner.clock}]"
+                lines.append(Line(target, common_code(value), f"the window of waypoint {number + 1}"))
+                values.append(value)
     views = bound_views(program)
     return {
         "bound_inputs": inputs(program, values),
@@ -192,18 +205,23 @@ def slack_bounds(program: ControlProgram) -> list[Line]:
         lines.append(Line(f"lower_intervals[..., {first + j}]", array_code(slack.lower), slack.name))
     for node, end in (("0", program.start), ("-1", program.end)):
         lines += [Line(f"lower_nodes[:, {node}, {i}]", "0.0", program.node[i].name) for i, _ in end.slacks]
-        lines += [line for name, _ in end.determined for line in _without_bounds(program, end, node, name)]
+        lines += [line for name, _ in end.determined for line in _without_bounds(program, end.slacks, node, node, name)]
+    for number, name, before in program.inner.determined:
+        node = f"grid.inner[{number}]"
+        lines += _without_bounds(program, (), node, f"{node} - 1" if before else node, name)
     return lines
 
 
-def _without_bounds(program: ControlProgram, end: EndElement, node: str, name: str) -> list[Line]:
-    """Lines that take away the bounds of an unknown of an end node, or of a slack there or beside it."""
+def _without_bounds(
+    program: ControlProgram, slacks: Sequence[tuple[int, int]], node: str, interval: str, name: str
+) -> list[Line]:
+    """Lines that take away the bounds of an unknown of a node with its own `slacks`, or of a slack beside it."""
     of_interval = [slack.name for slack in program.slacks]
     if name in of_interval:
         index = len(program.interval) + len(program.controls) + of_interval.index(name)
-        return [Line(f"lower_intervals[:, {node}, {index}]", "-1.0", f"{name} is determined there")]
+        return [Line(f"lower_intervals[:, {interval}, {index}]", "-1.0", f"{name} is determined there")]
     index = [unknown.name for unknown in program.node].index(name)
-    if index in [slack for slack, _ in end.slacks]:
+    if index in [slack for slack, _ in slacks]:
         return [Line(f"lower_nodes[:, {node}, {index}]", "-1.0", f"{name} is determined there")]
     ends = (("lower", "-np.inf"), ("upper", "np.inf"))
     return [Line(f"{side}_nodes[:, {node}, {index}]", code, f"{name} is determined there") for side, code in ends]

@@ -76,11 +76,14 @@ class Choice:
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
-    `boundary_values` is code in the arguments and in `boundary_inputs`. `table_arguments` has the name of the argument
-    that takes other numbers for tables, where there are any. Guesses, pinned values and bounds are
+    `boundary_values` is code in the arguments and in `boundary_inputs`. `data_arguments` are those that take other
+    numbers for tables and measurements, where there are any, each with what is said of it; `grid_code` makes a grid
+    with them. Guesses, pinned values and bounds are
     assignments to views of the unknowns; their `..._inputs` read what they depend on. `node_times` is code of the times
     at nodes. The duration is the argument `duration_arguments` with its default, or code of the unknowns where it is
-    free; `grid_duration` is what the grid divides into steps. `bound_lines` has one group where there are inequalities,
+    free; `grid_duration` is what the grid divides into steps. Where there are inner times, `inner_times` has one group
+    of them, and `inner_values` is what stands among the parameters for them.
+    `bound_lines` has one group where there are inequalities,
     and `coupling_kinds` one, of kernels, where bodies are coupled. Where there are several phases, `phase_durations`
     has one group (inputs, code for each phase), `choices` select kernels, `of_each_phase` says whose steps are
     given, and `fractions` of what intervals last. `positions`, `momenta`, `controls` and `multipliers` are code that
@@ -89,8 +92,11 @@ class ControlModule(Module):
 
     boundary_values: tuple[Line, ...]
     boundary_inputs: tuple[Line, ...]
+    inner_times: tuple[str, ...]
+    inner_values: tuple[Line, ...]
     boundary_example: str
-    table_arguments: tuple[str, ...]
+    data_arguments: tuple[tuple[str, str], ...]
+    grid_code: str
     duration_arguments: tuple[str, ...]
     default_durations: tuple[str, ...]
     grid_duration: str

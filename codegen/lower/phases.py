@@ -17,6 +17,8 @@ from codegen.transcribe.program import ControlProgram, IntervalElement, Phase, U
 
 def named_elements(program: ControlProgram) -> list[tuple[str, str]]:
     """The stem of the kernels' names for every kind of interval, in their order, and where these intervals are."""
+    if program.sample:
+        return [("motion", ", without its samples")]
     if not program.phases:
         return [("interval", "")]
     named = []

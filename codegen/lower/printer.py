@@ -154,6 +154,10 @@ class ArrayPrinter(ScalarPrinter):
         number, at = ORDERS[len(expr.args)].index(expr.order), ", ".join(map(self._print, expr.args))
         return f"along({expr.table.shape.lookup}_values, grid.parameters[0], {number}, {at})"
 
+    def _print_EachBodyBase(self, expr: Any) -> str:
+        body, *values = map(self._print, expr.args)
+        return f"np.array([{', '.join(values)}])[{body}]"
+
     def _print_Min(self, expr: Any) -> str:
         return self._nested("np.minimum", expr.args)
 

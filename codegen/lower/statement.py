@@ -28,8 +28,10 @@ def description(program: ControlProgram, kernels: Sequence[Kernel], tables: Sequ
     operations = [f"{k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
     blocks = [
         *_problem(program),
+        *_segments(program.model),
         *(_phases(program) if program.phases else _intervals(program)),
         *_balance(program),
+        *_inner_times(program),
         *_end(program, "start", program.start, program.left_symbols),
         *_end(program, "end", program.end, program.right_symbols),
         *_couplings(program),
@@ -49,11 +51,29 @@ def _problem(program: ControlProgram) -> Iterator[list[str]]:
     yield _block(f"Find {_unknowns(program)}{_objective(program)}, where", [*time, *bounds])
 
 
+def _segments(model: Model) -> Iterator[list[str]]:
+    """How a motion with delays was cut, and what was before it."""
+    segments, whole = model.segments, model.authored
+    if segments is None:
+        return
+    past = [f"{delay.quantity}(t - {sympy.sstr(delay.lag)})" for delay in whole.delays]
+    lead = f"This is the method of steps for {', '.join(past)}."
+    if segments.number > 1:
+        lead = (
+            f"The motion of duration {sympy.sstr(whole.duration)} is cut into {segments.number} segments that run side "
+            f"by side, each of which begins where the one before it ends: x_i is x in segment i, for every quantity x. "
+            f"{lead} A node or interval k of segment i is k + (i - 1) N of the whole."
+        )
+    lines = {f"{d.quantity} = {sympy.sstr(d.history)} before t = 0": None for d in whole.delays}
+    yield _block(lead, [*lines])
+
+
 def _objective(program: ControlProgram) -> str:
     """The goal: the sum of the discrete cost and the costs at ends and switches, as far as there are any."""
     terms = []
     if any(cost != 0 for cost in [phase.regular.cost for phase in program.phases] or [program.cost]):
         terms.append("the sum of Cd over all intervals" + (" of all bodies" if program.bodies > 1 else ""))
+    terms += ["the losses of all samples"] if program.sample else []
     switches = [i for i, phase in enumerate(program.phases) if dict(phase.switch_equations).get("cost")]
     terms += [f"the cost at switch {i}" for i in switches]
     if program.end.cost != 0:
@@ -112,10 +132,30 @@ def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
 def _intervals(program: ControlProgram) -> Iterator[list[str]]:
     """The equations of one interval."""
     length = "h = 1/N, in parts of the duration" if program.scaled_time else "h = duration/N"
+    if program.inner.times:
+        length = "with nodes at inner times"
+    if program.inner.scales:
+        (step, lasting), _ = program.inner.scales
+        length = f"where h is a part of 1, the same between any two inner times, and lasts {lasting / step}*h"
     yield _block(
         f"On each of N intervals, from t_k to t_k1 = t_k + h, {length} (suffixes _k and _k1 mark its nodes):",
         _equations(program.equations),
     )
+
+
+def _inner_times(program: ControlProgram) -> Iterator[list[str]]:
+    """What nodes at inner times have, and where these are free, how time passes."""
+    inner = program.inner
+    if not inner.times:
+        return
+    names = ", ".join(program.node[i].name for i in inner.unknowns)
+    lead = "At inner times, by multipliers nu and slacks s >= 0; at other nodes x^2/2 in l makes each of them vanish:"
+    lines = [f"{names}, with numbers {', '.join(s.name for s in inner.symbols)} of these nodes, zero elsewhere"]
+    yield _block(lead, lines)
+    if inner.clock is not None:
+        time, pace = (program.node[inner.clock + i].name for i in (0, 1))
+        lines = [f"{time}_k1 = {time}_k + {pace}_k1*h", f"{pace}_k1 = {pace}_k, unless node k is at an inner time"]
+        yield _block("Time passes at a pace of its own between any two inner times:", lines)
 
 
 def _phases(program: ControlProgram) -> Iterator[list[str]]:

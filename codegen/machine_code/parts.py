@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import is_of_particles
+from codegen.loading import few_steps, is_of_particles
 
 Calls = list[Callable[[], Any]]
 
 
 def control_parts(module: Any) -> Calls:
     """Calls for a module that optimises; the factorisation comes first, and what needs its parts after it."""
-    grid = module.make_grid(2)
+    grid = module.make_grid(few_steps(module, 2))
     unknowns, system = module.initial_guess(grid), module.allocate_system(grid)
     step, zeros = np.zeros_like(unknowns), np.zeros_like(unknowns)
     calls = [

@@ -6,7 +6,32 @@ real, finite and made of functions that can be printed; a Lagrangian is regular;
 guesses are finite at the default parameters, and the conditions on one body's motion do not depend on each other.
 """
 
-from codegen.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Integral, Model
+from codegen.model.definitions import (
+    Boundary,
+    Bounds,
+    Condition,
+    Delay,
+    EndValue,
+    FreeParameter,
+    InnerCondition,
+    InnerTime,
+    Integral,
+    Model,
+    Segments,
+)
 from codegen.model.phases import normalise
 
-__all__ = ["Boundary", "Bounds", "Condition", "EndValue", "FreeParameter", "Integral", "Model", "normalise"]
+__all__ = [
+    "Boundary",
+    "Bounds",
+    "Condition",
+    "Delay",
+    "EndValue",
+    "FreeParameter",
+    "InnerCondition",
+    "InnerTime",
+    "Integral",
+    "Model",
+    "Segments",
+    "normalise",
+]

@@ -8,6 +8,7 @@ import sympy
 
 from codegen.drawing import Item
 from codegen.model.relations import short, text
+from codegen.tables.measurements import MeasurementData
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,30 @@ class Integral(Condition):
     """The integral of `expression` over the duration equals `value`, or (`equality` false) does not exceed it."""
 
     value: sympy.Expr = sympy.S.Zero
+
+
+@dataclass(frozen=True)
+class InnerTime:
+    """A time between start and end at which conditions hold: given, or (None) free within a window."""
+
+    time: sympy.Expr | None
+    earliest: sympy.Expr | None = None
+    latest: sympy.Expr | None = None
+
+
+@dataclass(frozen=True)
+class InnerCondition(Condition):
+    """A condition that holds at one of the inner times of a model, whose index is `number`."""
+
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What a column of measurements, `name`, holds: the value of `expression` at the time of the sample."""
+
+    name: str
+    expression: sympy.Expr
 
 
 @dataclass(frozen=True)
@@ -79,6 +104,34 @@ class EndValue:
 
 
 @dataclass(frozen=True)
+class Delay:
+    """A value of the past: `symbol` stands for that of `quantity` at the time t - `lag`.
+
+    `history` is what it was before t = 0, in the time t at which the quantity had it.
+    """
+
+    symbol: sympy.Symbol
+    quantity: sympy.Symbol
+    lag: sympy.Expr
+    history: sympy.Expr
+
+
+@dataclass(frozen=True)
+class Segments:
+    """How a motion with delays was cut into `number` segments of equal length, which run side by side.
+
+    `whole` is the problem as its author gave it; in the order of its quantities, each segment has them all. A delayed
+    value is that of `steps_back` segments before, in the order of the delays. `names` has for every quantity of a
+    segment its name there, its name in the whole problem and the number of the segment, from 1.
+    """
+
+    number: int
+    whole: Model
+    steps_back: tuple[int, ...]
+    names: tuple[tuple[str, str, int], ...]
+
+
+@dataclass(frozen=True)
 class Model:
     """A problem in canonical form; `rates` are velocities of a Lagrangian, momenta of a Hamiltonian.
 
@@ -86,12 +139,17 @@ class Model:
     rates, `function` is zero and `dynamics` holds the right-hand sides of x' = f(x, u, t); `force` is empty.
 
     `path` holds at every time and may depend on coordinates, rates, controls, time and parameters; bounds on
-    velocities arrive there as well. `integrals` are conditions on integrals over the duration. `start_conditions` and
+    velocities arrive there as well. `integrals` are conditions on integrals over the duration. `inner_conditions` hold
+    at one of the `inner_times` each, which are in this order. `start_conditions` and
     `end_conditions` are conditions on coordinates and rates of one end, beside the values of `start` and `end`.
     `terminal_cost` is added to the integral of `cost` and depends on coordinates and rates at the end and on
     parameters; both are negated where the author asked for a greatest value, which `maximised` says. `holonomic`
-    constraints c(q) = 0 hold at every time.
+    constraints c(q) = 0 hold at every time. The `loss` of what is `observed`, less `measurements`, is added to the
+    cost; these are files of one layout, one for each body.
     `periodic` gives pairs (coordinate or rate, shift): its value at the end is that at the start plus the shift.
+    `joined` gives pairs of coordinates: the value of the one at the end is that of the other at the start, and the same
+    holds for their rates.
+    With `delays` the values of the past are symbols of their own; only the whole problem behind `segments` has them.
 
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
     number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
@@ -126,12 +184,17 @@ class Model:
     bounds: tuple[Bounds, ...] = ()
     path: tuple[Condition, ...] = ()
     integrals: tuple[Integral, ...] = ()
+    inner_times: tuple[InnerTime, ...] = ()
+    inner_conditions: tuple[InnerCondition, ...] = ()
     start_conditions: tuple[Condition, ...] = ()
     end_conditions: tuple[Condition, ...] = ()
     terminal_cost: sympy.Expr = sympy.S.Zero
     maximised: bool = False
     holonomic: tuple[sympy.Expr, ...] = ()
     periodic: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
+    joined: tuple[tuple[sympy.Symbol, sympy.Symbol], ...] = ()
+    delays: tuple[Delay, ...] = ()
+    segments: Segments | None = None
     free_parameters: tuple[FreeParameter, ...] = ()
     bodies: int = 1
     body: sympy.Symbol | None = None
@@ -141,6 +204,9 @@ class Model:
     phases: tuple[Model, ...] = ()
     jumps: tuple[tuple[tuple[sympy.Symbol, sympy.Expr], ...], ...] = ()
     scales: tuple[tuple[sympy.Symbol, float], ...] = ()
+    observed: tuple[Observed, ...] = ()
+    measurements: tuple[MeasurementData, ...] = ()
+    loss: str = "squares"
     unused: tuple[str, ...] = ()
 
     @property
@@ -148,6 +214,17 @@ class Model:
         """The same model with nothing given at its ends, where a Legendre transform could fail for their sake."""
         free = Boundary((None,) * len(self.coordinates), (None,) * len(self.rates))
         return replace(self, start=free, end=free if self.end else None)
+
+    @property
+    def authored(self) -> Model:
+        """The problem as its author gave it, with its values of the past."""
+        return self.segments.whole if self.segments else self
+
+    @property
+    def has_free_times(self) -> bool:
+        """Whether it is to be found how the duration is shared out between the inner times."""
+        free = {parameter.symbol for parameter in self.free_parameters}
+        return any(inner.time is None or self.duration.free_symbols & free for inner in self.inner_times)
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:

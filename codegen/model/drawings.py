@@ -13,7 +13,7 @@ from typing import Any
 import sympy
 
 from codegen.author.problem import Problem
-from codegen.author.symbols import BodyNumber, Coordinate, EndValue, Momentum, Quantity, State, Time, Velocity
+from codegen.author.symbols import BodyNumber, Coordinate, Delayed, EndValue, Momentum, Quantity, State, Time, Velocity
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, SymbolError
 from codegen.expressions import checks as expressions
@@ -94,5 +94,5 @@ def _require_drawable(expression: sympy.Expr, what: str) -> None:
     for symbol in sorted(expression.free_symbols, key=str):
         if not isinstance(symbol, Quantity):
             raise SymbolError(f"{symbol} in {what} was never declared", "declare it, or write a number")
-        if isinstance(symbol, (Velocity, Momentum, EndValue)):
+        if isinstance(symbol, (Velocity, Momentum, EndValue, Delayed)):
             raise ExpressionError(f"{what} depends on {symbol}", _REMEDY)

@@ -17,11 +17,14 @@ from codegen.author.problem import FORMS, Control, Problem, Simulate, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
-from codegen.model import drawings, sample_points, values
+from codegen.expressions.body_values import value_counts
+from codegen.model import delays, drawings, sample_points, values
+from codegen.model.conditions.observations import measurements_of
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
 from codegen.model.relations import Entry, text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
+from codegen.model.segments import in_segments
 from codegen.model.written import maximises, used_quantities, written_costs, written_entries
 
 
@@ -50,7 +53,22 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     plain = plain_symbols(used, problem.task)
     model = checked_model(problem, entries, kinds, plain, name, title)
     values.require_agreement(model)
-    return drawings.with_drawing(replace(model, unused=unused), drawing, plain)
+    model = with_positive_durations(replace(model, unused=unused))
+    return in_segments(drawings.with_drawing(model, drawing, plain))
+
+
+def with_positive_durations(model: Model) -> Model:
+    """The model in which a free parameter that is the duration, and has no lower bound, is at least zero.
+
+    Periodic motions are left alone: with a bound the search may end in one that takes no time.
+    """
+    durations = {phase.duration for phase in model.phases or (model,) if not phase.periodic}
+    free = tuple(
+        replace(each, lower=sympy.S.Zero) if each.lower is None and each.symbol in durations else each
+        for each in model.free_parameters
+    )
+    phases = tuple(replace(phase, free_parameters=free) for phase in model.phases)
+    return replace(model, free_parameters=free, phases=phases)
 
 
 def checked_model(
@@ -70,6 +88,7 @@ def checked_model(
     _require_fitting(problem, form, entries, kinds)
     require_keys(entries, kinds)
     require_scope(entries, kinds, form, isinstance(problem, Control))
+    delays.require_history(entries, kinds.delayed)
     used = [plain[symbol] for symbol in used_quantities(entries)]
     entries = [in_plain_symbols(entry, plain) for entry in entries]
     model = _built(problem, form, entries, kinds, plain, name, title)
@@ -84,7 +103,7 @@ def checked_model(
 def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.Symbol]:
     """The symbols of a model that stand for the author's quantities; names that generated code needs have a mark."""
     names = {symbol.name for symbol in used if not isinstance(symbol, symbols.EndValue)}
-    plain = {}
+    plain: dict[Quantity, sympy.Symbol] = {}
     for symbol in used:
         moving = not isinstance(symbol, (symbols.Parameter, symbols.FreeParameter, symbols.EndValue))
         name = mangling.marked(symbol.name, task, names, moving=moving)
@@ -92,6 +111,8 @@ def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.S
             name = "t" if isinstance(symbol, symbols.Time) else "body"
         elif isinstance(symbol, symbols.EndValue) and symbol.name in names:
             name = symbol.name + mangling.MARK
+        elif isinstance(symbol, symbols.Delayed):
+            name = delays.past_name(symbol, plain[symbol.partner].name)
         plain[symbol] = sympy.Symbol(name, real=True)
     return plain
 
@@ -143,6 +164,11 @@ def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entr
     for kind in CONDITIONS:
         for entry in (entry for entry in entries if entry.role == kind.argument):
             kind.require_fitting(entry, problem, form)
+    for entry in entries:
+        for count in value_counts(entry.expression) - {problem.bodies}:
+            raise ExpressionError(
+                f"{entry.what} has values of {count} bodies, and there are {problem.bodies}", "give one for each"
+            )
     for value in kinds.end_values:
         coordinate, where = value.partner, f"{value.partner}.of({value.body})"
         require_body(value, problem.bodies)
@@ -166,6 +192,7 @@ def _built(
     )
     start, tied_at_start = _boundary(entries, "start", coordinates, rates, free)
     end, tied_at_end = _boundary(entries, "end", coordinates, rates, free)
+    time = plain[kinds.time] if kinds.time is not None else sympy.Symbol("t", real=True)
     is_control = isinstance(problem, Control)
     first_order = form == "dynamics"
     # In Lagrangian form velocities are no unknowns of their own.
@@ -180,7 +207,7 @@ def _built(
         controls=controls,
         parameters=parameters,
         defaults=tuple(p.value for p in kinds.parameters),
-        time=plain[kinds.time] if kinds.time is not None else sympy.Symbol("t", real=True),
+        time=time,
         function=_value(entries, form) if not first_order else sympy.S.Zero,
         force=_each(entries, "force", coordinates) if not first_order else (),
         cost=_value(entries, "cost") if is_control else None,
@@ -189,6 +216,7 @@ def _built(
         end=end if is_control else None,
         guess=_pairs(entries, "guess"),
         steps=int(problem.steps),
+        delays=delays.delays_of(entries, kinds.delayed, plain, time),
         dynamics=_each(entries, "dynamics", coordinates) if first_order else (),
         bounds=_bounds_of(entries, (*coordinates, *(rates if form == "hamiltonian" else ()), *controls)),
         path=tuple(condition for bound in of_velocities for condition in bound.conditions),
@@ -206,7 +234,8 @@ def _built(
     )
     for kind in CONDITIONS:
         model = kind.added(model, entries)
-    return model
+    given = measurements_of(problem) if isinstance(problem, Control) else ()
+    return replace(model, measurements=tuple(one.data for one in given), loss=given[0].loss) if given else model
 
 
 def _bounds_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[Bounds, ...]:

@@ -16,7 +16,7 @@ from codegen.author.problem import Control, Phases, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
-from codegen.model import drawings, normal_form, sample_points, values
+from codegen.model import delays, drawings, normal_form, sample_points, values
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import FreeParameter, Model, prescribed
 from codegen.model.relations import Entry
@@ -32,6 +32,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of
     CodegenError that names the symbol or expression and the remedy.
     """
+    delays.require_supported(problem)
     if has_path_couplings(problem):
         problem, declared = written_out(problem, declared)
     if not isinstance(problem, Phases):
@@ -51,7 +52,8 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     entries = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
     chain = _chain(models, entries, kinds, plain, name, title)
     _require_values(chain, entries)
-    return drawings.with_drawing(replace(chain, unused=unused), drawing, plain)
+    chain = normal_form.with_positive_durations(replace(chain, unused=unused))
+    return drawings.with_drawing(chain, drawing, plain)
 
 
 @contextmanager

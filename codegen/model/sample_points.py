@@ -20,8 +20,8 @@ def sample_points(
     their defaults, and they are the same in every run.
     """
     fixed = _constants(model)
-    ends = [value.symbol for value in model.end_values]
-    symbols = [*model.coordinates, *model.rates, *model.controls, *ends, model.time]
+    others = [*(value.symbol for value in model.end_values), *(delay.symbol for delay in model.delays)]
+    symbols = [*model.coordinates, *model.rates, *model.controls, *others, model.time]
     first, *others = [{**(elsewhere or {}), **expected_values(model, share)} for share in (0.0, 0.5, 1.0)]
     likely, *drawn = expressions.sample_points(symbols, fixed, first)
     return [likely, *({**drawn[0], **point, **fixed} for point in others), *drawn]
@@ -36,6 +36,7 @@ def expected_values(model: Model, share: float) -> dict[sympy.Symbol, float]:
     duration = expressions.rounded_at(model.duration, constants)
     at = {**constants, model.time: share * (duration or 0.0)}
     guessed = {**_middles(model), **_between_ends(model, share), **dict(model.guess)}
+    guessed |= {delay.symbol: guessed.get(delay.quantity, delay.history) for delay in model.delays}
     numbers = {symbol: expressions.rounded_at(value, at) for symbol, value in guessed.items()}
     return {model.time: at[model.time]} | {symbol: number for symbol, number in numbers.items() if number is not None}
 

@@ -11,6 +11,7 @@ from codegen.author.symbols import (
     BodyNumber,
     ControlInput,
     Coordinate,
+    Delayed,
     EndValue,
     FreeParameter,
     Momentum,
@@ -28,13 +29,14 @@ from codegen.model.relations import MOVING, STATIC, Entry
 _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
     "lagrangian": (*MOVING, Time, *STATIC),
     "hamiltonian": (*MOVING, Time, *STATIC),
-    "dynamics": (*MOVING, ControlInput, Time, *STATIC),
-    "force": (*MOVING, ControlInput, Time, *STATIC),
-    "cost": (*MOVING, ControlInput, Time, *STATIC),
+    "dynamics": (*MOVING, Delayed, ControlInput, Time, *STATIC),
+    "force": (*MOVING, Delayed, ControlInput, Time, *STATIC),
+    "cost": (*MOVING, Delayed, ControlInput, Time, *STATIC),
     "terminal_cost": (*MOVING, *STATIC),
     "duration": STATIC,
     "start": (*STATIC, BodyNumber),
     "end": (*STATIC, BodyNumber),
+    "history": (Time, *STATIC),
     "guess": (Time, *STATIC, BodyNumber),
     "lower bound": (Parameter, BodyNumber),
     "upper bound": (Parameter, BodyNumber),
@@ -64,6 +66,7 @@ class Kinds:
     parameters: tuple[Parameter, ...]
     free: tuple[FreeParameter, ...]
     end_values: tuple[EndValue, ...]
+    delayed: tuple[Delayed, ...]
     time: Time | None
     body: BodyNumber | None
 
@@ -82,6 +85,7 @@ def kinds_of(used: Sequence[Quantity], form: str) -> Kinds:
         tuple(symbol for symbol in used if isinstance(symbol, Parameter)),
         tuple(symbol for symbol in used if isinstance(symbol, FreeParameter)),
         tuple(sorted(end_values, key=lambda symbol: (symbol.body, symbol.partner.declared))),
+        tuple(symbol for symbol in used if isinstance(symbol, Delayed)),
         times[0] if times else None,
         next((symbol for symbol in used if isinstance(symbol, BodyNumber)), None),
     )
@@ -122,6 +126,7 @@ def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control:
         _require_common(entry)
         _require_tables(entry)
     acting = {s for e in entries if e.role in ("force", "dynamics", "path") for s in e.expression.free_symbols}
+    acting |= {symbol.partner for symbol in acting if isinstance(symbol, Delayed)}
     for u in kinds.controls:
         if u not in acting:
             where = "right-hand side of the dynamics" if form == "dynamics" else "force"
@@ -180,6 +185,9 @@ def _misplaced(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | E
     if isinstance(symbol, ControlInput) and entry.role in ("lagrangian", "hamiltonian"):
         return SymbolError(f"control {symbol} in the {form}", "let controls act through force={...}")
     finding = f"{entry.what} depends on {symbol}"
+    if isinstance(symbol, Delayed):
+        where = "force, cost, path or integral" if form != "dynamics" else "dynamics, cost, path or integral"
+        return ExpressionError(finding, f"let values of the past act through {where}")
     if isinstance(symbol, EndValue):
         return ExpressionError(finding, f"use {symbol.partner}.of({symbol.body}) in end_conditions and path only")
     if isinstance(symbol, FreeParameter):
@@ -212,6 +220,8 @@ def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
             raise SymbolError(f"scale gives {key}, which is no unknown", f"scale {own}s, controls, free parameters")
         if entry.role in ("start", "end") and not (is_position or is_rate):
             raise BoundaryError(f"{entry.role} fixes {key}", f"fix {moving} only")
+        if entry.role == "history" and not (is_position or is_rate or key in kinds.controls):
+            raise SymbolError(f"history gives {key}, which does not move", f"give that of {moving} and controls")
         if entry.role == "periodic" and not (is_position or is_rate):
             raise BoundaryError(f"periodic lists {key}", f"list {moving} only")
         if entry.role == "jump" and not (is_position or is_rate):

@@ -131,6 +131,7 @@ def _require_real(model: Model, points: Points) -> None:
     named += [(f"dynamics of {x}", value) for x, value in zip(model.coordinates, model.dynamics, strict=False)]
     named += [("cost", model.cost)] if model.cost is not None else []
     named += [("terminal_cost", model.terminal_cost)]
+    named += [(f"history of {delay.quantity}", delay.history) for delay in model.delays]
     named += [pair for kind in CONDITIONS for pair in kind.values(model)]
     for what, expression in named:
         for body in _bodies(model, expression):

@@ -9,11 +9,22 @@ from typing import Any
 import sympy
 
 from codegen.author.problem import Control, Problem
-from codegen.author.symbols import Coordinate, EndValue, FreeParameter, Momentum, Quantity, Time, Velocity, time
+from codegen.author.symbols import (
+    Coordinate,
+    Delayed,
+    EndValue,
+    FreeParameter,
+    Momentum,
+    Quantity,
+    Time,
+    Velocity,
+    time,
+)
 from codegen.author.tables import guess_entries
 from codegen.errors import ExpressionError, SymbolError, TableError
 from codegen.expressions.table_functions import tables_of
 from codegen.model.conditions.table import CONDITIONS
+from codegen.model.delays import history_entries
 from codegen.model.relations import Entry, checked_mapping, checked_sequence, entry_of, value_entries
 from codegen.tables.data import TableData
 
@@ -77,7 +88,8 @@ def used_quantities(entries: Iterable[Entry]) -> list[Quantity]:
                     f'declare it, for example {symbol} = parameter("{symbol}", 1.0)',
                 )
             found.add(symbol)
-    found |= {symbol.partner for symbol in found if isinstance(symbol, EndValue)}
+    found |= {symbol.partner for symbol in found if isinstance(symbol, (EndValue, Delayed))}
+    found |= {symbol for value in found if isinstance(value, Delayed) for symbol in value.lag.free_symbols}
     found |= {symbol.partner for symbol in found if isinstance(symbol, (Coordinate, Velocity, Momentum))}
     return sorted(found, key=lambda symbol: symbol.declared)
 
@@ -100,6 +112,7 @@ def _entries(problem: Problem, form: str) -> Iterator[Entry]:
     yield from value_entries("start", problem.start)
     if control is None:
         return
+    yield from history_entries(control)
     yield from value_entries("end", control.end)
     yield from value_entries("scale", control.scale)
     yield from _bounds(control.bounds)

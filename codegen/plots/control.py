@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from codegen.drawing import Scene
-from codegen.loading import ControlModule
-from codegen.plots import panels, shapes
-from codegen.plots.quantities import Inequality, Quantity, inequalities, quantities
+from codegen.loading import ControlModule, Matrix, time_grid
+from codegen.plots import measured, panels, shapes
+from codegen.plots.measured import Measured
+from codegen.plots.quantities import Inequality, Quantity
+from codegen.plots.segments import inequalities, quantities
 from codegen.plots.style import MOST_BODY_COLOURS, body_map, title
 from codegen.solutions.result import Result
 
@@ -42,12 +44,13 @@ Row = list[Panel | None]
 
 @dataclass(frozen=True)
 class Time:
-    """The abscissa of all panels over time: its label, the time interval, and where one phase follows another."""
+    """The abscissa of all panels over time: its label, its ends, where phases follow each other, and inner times."""
 
     label: str
     start: float
     end: float
     switches: tuple[float, ...] = ()
+    inner: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,10 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     guess and the optimum.
     """
     groups, conditions = quantities(module, result), inequalities(module, result)
-    states, others = _state_rows(groups), _others(groups["control"], conditions, result)
+    samples, bodies = measured.measured(module, result), int(module.metadata["bodies"])
+    states = _state_rows(groups, samples, measured.bands(module, result) if samples else {})
+    others = [*_others(groups["control"], conditions, result), *_of_measurements(groups["state"], samples, bodies)]
+    others.sort(key=lambda panel: not panel.over_time)
     shape = _shape(drawings)
     beside = 0.0 < shape.left < 1.0 and len(others) <= _MOST_BESIDE
     blocks = [states] if beside else [states, _in_rows(others, len(states[0]))]
@@ -78,7 +84,8 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     upper, lower = _halves(figure, shape.height, height) if drawings is not None else (None, figure)
     phases = int(module.metadata.get("phases", 1))
     label, switches = f"time ({unit})" if unit else "time", result.t[result.steps : -1 : result.steps]
-    time = Time(label, float(result.t[0]), float(result.t[-1]), tuple(map(float, switches)))
+    inner = result.t[list(time_grid(module, result.steps, result.grid).inner)] if _inner_times(module) else ()
+    time = Time(label, float(result.t[0]), float(result.t[-1]), tuple(map(float, switches)), tuple(map(float, inner)))
     outcome = "optimum" if result.solved else "last iterate"
     if drawings is not None and beside:
         left, right = _halves(upper, shape.left, 1.0 - shape.left, vertically=False)
@@ -88,10 +95,10 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
         _draw(upper, drawings, outcome)
     axes = _fill(lower, blocks, time)
     shown = [quantity for group in groups.values() for quantity in group]
-    handles = panels.handles(shown, conditions, outcome, phases)
+    handles = panels.handles(shown, conditions, outcome, phases, _inner_times(module))
     if handles:
         lower.legend(handles=handles, loc="outside lower center", ncols=12)
-    _body_bar(lower, axes, int(module.metadata["bodies"]))
+    _body_bar(lower, axes, bodies)
     title(figure, result, _notes(result, module, groups))
     if drawings is not None:
         # Axes of equal scales find their final place in the second pass of the layout.
@@ -99,7 +106,16 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     return figure
 
 
-def _state_rows(groups: dict[str, list[Quantity]]) -> list[Row]:
+def _inner_times(module: ControlModule) -> str:
+    """What times between start and end at which conditions hold are called; nothing where there are none."""
+    if not module.metadata.get("inner_times"):
+        return ""
+    return "waypoint" if module.metadata.get("waypoints") else "inner time"
+
+
+def _state_rows(
+    groups: dict[str, list[Quantity]], samples: Sequence[Measured], bands: Mapping[str, Matrix]
+) -> list[Row]:
     """A row for each state with its momentum and multiplier, or for two states where there are no momenta."""
     states, momenta, multipliers = groups["state"], groups["momentum"], groups["multiplier"]
     shown = min(len(states), _MOST_ROWS)
@@ -107,7 +123,7 @@ def _state_rows(groups: dict[str, list[Quantity]]) -> list[Row]:
     for i in range(shown):
         # A Hamiltonian system has two equations, and two multipliers, for each coordinate.
         pair = multipliers[i : i + 1] + multipliers[i + len(states) : i + len(states) + 1]
-        own: Row = [_panel(quantity) for quantity in (states[i], *momenta[i : i + 1])]
+        own: Row = [_state_panel(states[i], samples, bands), *map(_panel, momenta[i : i + 1])]
         rows.append([*own, _panel(*pair) if pair else None])
     if not momenta and shown > 2:
         rows += [[None, None]] * (shown % 2)
@@ -117,6 +133,31 @@ def _state_rows(groups: dict[str, list[Quantity]]) -> list[Row]:
 
 def _panel(shown: Quantity, second: Quantity | None = None) -> Panel:
     return Panel(_TITLES[shown.kind], lambda axes: panels.quantity(axes, shown, second))
+
+
+def _state_panel(shown: Quantity, samples: Sequence[Measured], bands: Mapping[str, Matrix]) -> Panel:
+    """A state with the measurements of it, and the band in which it is."""
+    own = [sample for sample in samples if sample.expression == shown.name]
+
+    def draw(axes: Any) -> None:
+        panels.quantity(axes, shown)
+        if shown.name in bands:
+            measured.band(axes, shown.t, shown.values, bands[shown.name])
+        for sample in own:
+            measured.points(axes, sample, shown.values.shape[1])
+
+    return Panel(_TITLES[shown.kind], draw)
+
+
+def _of_measurements(states: Sequence[Quantity], samples: Sequence[Measured], bodies: int) -> list[Panel]:
+    """What was measured of expressions that are no states, and the errors of all that was."""
+    shown, names = samples[:_MOST_ROWS], [state.name for state in states]
+    beside = [sample for sample in shown if sample.expression not in names]
+    panels_of = [Panel("", lambda axes, one=one: measured.fit(axes, one, bodies)) for one in beside]  # type: ignore[misc]
+    return panels_of + [
+        Panel("errors", lambda axes, one=one: measured.residuals(axes, one, bodies))  # type: ignore[misc]
+        for one in shown
+    ]
 
 
 def _others(controls: Sequence[Quantity], conditions: Sequence[Inequality], result: Result) -> list[Panel]:
@@ -166,6 +207,7 @@ def _fill(figure: Any, blocks: Sequence[Sequence[Row]], time: Time) -> list[Any]
                     )
                     axes.tick_params(labelbottom=ends)
                     panels.switches(axes, time.switches)
+                    panels.inner_times(axes, time.inner)
                 made.append(axes)
         first += len(block)
     return made

@@ -21,6 +21,7 @@ _DASHED = (0, (5, 3))
 _ACTIVE: dict[str, Any] = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}
 _GUESS: dict[str, Any] = {"color": GREY, "linestyle": _DOTTED, "linewidth": 1.3, "zorder": 1.9}
 _SWITCH: dict[str, Any] = {"color": GREY, "linewidth": 0.7, "alpha": 0.6, "zorder": 1.1}
+_INNER: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 1.1}
 _BOUND: dict[str, Any] = {"color": GREY, "linestyle": _DASHED, "linewidth": 1.0, "zorder": 1.2}
 
 
@@ -89,9 +90,16 @@ def iterations(axes: Any, log: Matrix) -> None:
 
 
 def handles(
-    quantities: Sequence[Quantity], inequalities: Sequence[Inequality], outcome: str, phases: int = 1
+    quantities: Sequence[Quantity],
+    inequalities: Sequence[Inequality],
+    outcome: str,
+    phases: int = 1,
+    inner_times: str = "",
 ) -> list[Any]:
-    """Entries of the figure's legend, only for what occurs in it; `outcome` says what the curves of one body are."""
+    """Entries of the figure's legend, only for what occurs in it; `outcome` says what the curves of one body are.
+
+    `inner_times` says what times between start and end are called, where there are any.
+    """
     bodies = quantities[0].values.shape[1]
     bounded = any(np.isfinite(q.lower).any() or np.isfinite(q.upper).any() for q in quantities) or bool(inequalities)
     limited: list[Quantity | Inequality] = [*quantities, *inequalities]
@@ -105,6 +113,7 @@ def handles(
     if bounded:
         out += [Line2D([], [], label="bound", **_BOUND), Patch(color=FORBIDDEN, label="forbidden")]
     out += [Line2D([], [], label="next phase", **_SWITCH)] if phases > 1 else []
+    out += [Line2D([], [], label=inner_times, **_INNER)] if inner_times else []
     return out + ([Line2D([], [], label=active, **_ACTIVE)] if any(one.active().any() for one in limited) else [])
 
 
@@ -122,6 +131,12 @@ def switches(axes: Any, times: Sequence[float]) -> None:
     """Where one phase ends and the next begins."""
     for t in times:
         axes.axvline(t, **_SWITCH)
+
+
+def inner_times(axes: Any, times: Sequence[float]) -> None:
+    """Times at which conditions hold."""
+    for t in times:
+        axes.axvline(t, **_INNER)
 
 
 def _highlight(axes: Any, t: Vector, values: Matrix, where: np.ndarray) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from codegen.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solutions.result import Result
+from codegen.solutions.segments import multiplier_names
 
 CLOSE, LEAST = 2e-4, 1e-6
 """Relative and absolute distance from a limit that count as none: an interior point method ends a little inside."""
@@ -257,12 +258,7 @@ def _multipliers(module: ControlModule, result: Result, names: tuple[str, ...]) 
     assert result.multipliers is not None
     table = _by_body(_finite(result.multipliers), bodies)
     none = np.full(bodies, np.inf)
-    if metadata["method"] == "variational":
-        columns = [f"lambda_{name}" for name in metadata["coordinates"]]
-    else:
-        own = metadata["interval"]
-        first = next(i for i, name in enumerate(own) if name.startswith("mu_") and name[3:] in {*names, *own})
-        columns = list(own[first : first + table.shape[2]])
+    columns = multiplier_names(metadata, table.shape[2], names)
     wanted = {f"{stem}_{name}" for stem in ("lambda", "mu") for name in names}
     for i, column in enumerate(columns):
         if column in wanted:

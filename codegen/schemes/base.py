@@ -46,6 +46,14 @@ class Scheme:
         """Whether a step is a chain of substeps, so that no stages inside it depend on each other."""
         return self.step().is_chain
 
+    @property
+    def dense_derivatives(self) -> int:
+        """How many derivatives at both nodes continue a motion inside a step, at the scheme's own order or better.
+
+        Without any it goes on along a straight line, as that of a midpoint or an Euler does by itself.
+        """
+        return 0 if self.order <= 2 else 1 if self.order <= 4 else 2
+
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
         """What is repeated: one step whose substeps have the given lengths instead of fractions of the step."""
         return self

@@ -28,6 +28,13 @@ class OneStep(Scheme):
 
     substeps: tuple[Substep, ...]
 
+    @property
+    def dense_derivatives(self) -> int:
+        """One where the field is evaluated at both nodes, which makes the trapezoidal rule's motion a parabola."""
+        first, last = self.substeps[0], self.substeps[-1]
+        at_nodes = first.position, first.momentum, last.position, last.momentum
+        return int(at_nodes == (_ZERO, _ZERO, _ONE, _ONE))
+
     def step(self) -> Step:
         """Substep n leads from state n to state n + 1, with one point between them."""
         points, updates, abscissae, elapsed = list[FieldPoint](), list[Update](), list[Expr](), S.Zero

@@ -26,6 +26,7 @@ from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import prescribed
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
+from codegen.show.delays import delay_blocks, is_past, of_the_whole, with_past
 from codegen.show.notation import Block, Notation, written
 from codegen.show.particles import pairwise_equations
 from codegen.tables.data import OUTSIDE
@@ -68,12 +69,13 @@ def equations(
     if isinstance(model, PairwiseModel):
         return pairwise_equations(model, scheme, method, latex)
     program = transcribe.transcribe(model, scheme, method, controls)
-    notation = Notation.of(model, _side(model, program.method), latex=latex)
+    shown = with_past(_side(model.authored, program.method))
+    notation = Notation.of(model, shown, _side(model, program.method), latex=latex)
     title = f"{model.title.rstrip('.')} ({program.method} method, scheme {program.scheme})"
     own = (
         _of_phases(model, program)
         if model.phases
-        else (*_continuous(model, program.method), *_discrete(model, program))
+        else (*_continuous(model.authored, program.method), *delay_blocks(model), *_discrete(shown, program))
     )
     return written(title, [*own, *_ends(program), *_tables(model), _layout(program, notation)], notation)
 
@@ -196,19 +198,20 @@ def _composition(scheme: schemes.Scheme) -> Block:
 
 def _variational(model: Model, interval: VariationalInterval) -> Iterator[Block]:
     names = [q.name for q in model.coordinates]
+    own = [i for i, name in enumerate(names) if not is_past(name)]
     rows = [(_named("L_d"), interval.lagrangian)]
     for mark, forces in (("f-", interval.force_minus), ("f+", interval.force_plus)):
         rows += [(_named(f"{mark} {name}"), f) for name, f in zip(names, forces, strict=True) if f != 0]
-    inner = list(zip(interval.inner, interval.inner_balance, strict=True))
+    inner = [(q, b) for q, b in zip(interval.inner, interval.inner_balance, strict=True) if not is_past(q.name)]
     rows += [(_named(f"f {q}"), f) for q, f in zip(interval.inner, interval.force_inner, strict=True) if f != 0]
     yield Block("Discrete Lagrangian" + (" and discrete forces" if len(rows) > 1 else ""), tuple(rows))
     if inner:
         yield Block("Balances at inner points", tuple((_named("0"), _shortest(balance)) for _, balance in inner))
-    momenta = [(_named(f"p_{n}_k"), _shortest(p)) for n, p in zip(names, interval.left_momentum, strict=True)]
-    momenta += [(_named(f"p_{n}_k1"), _shortest(p)) for n, p in zip(names, interval.right_momentum, strict=True)]
+    momenta = [(_named(f"p_{names[i]}_k"), _shortest(interval.left_momentum[i])) for i in own]
+    momenta += [(_named(f"p_{names[i]}_k1"), _shortest(interval.right_momentum[i])) for i in own]
     yield Block("Discrete Legendre transforms", tuple(momenta), (_LEGENDRE,))
     shift = _one_interval_earlier(model, interval)
-    halves = zip(interval.right_momentum, interval.left_momentum, strict=True)
+    halves = [(interval.right_momentum[i], interval.left_momentum[i]) for i in own]
     balance = [
         (_named("0"), _shortest(_shortest(before.xreplace(shift)) - _shortest(after))) for before, after in halves
     ]
@@ -233,7 +236,7 @@ def _one_interval_earlier(model: Model, interval: VariationalInterval) -> dict[S
 def _one_step(step: OneStepInterval) -> Block:
     """Each equation solved for the value that it updates."""
     names = (*step.stages, *step.q.right, *step.p.right)
-    rows = tuple((y, _shortest(y - e)) for y, e in zip(names, step.equations, strict=True))
+    rows = tuple((y, _shortest(y - e)) for y, e in zip(names, step.equations, strict=True) if not is_past(y.name))
     return Block("One step", rows)
 
 
@@ -256,7 +259,7 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
             if name not in named
         ]
     remarks = (_MOMENTA,) if program.method == "variational" else ()
-    yield Block("Boundary conditions", tuple(rows), remarks)
+    yield Block("Boundary conditions", of_the_whole(program.model, rows), remarks)
 
 
 def _layout(program: ControlProgram | StepProgram, notation: Notation) -> Block:

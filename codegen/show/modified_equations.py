@@ -42,7 +42,7 @@ def analysis(
 
     `scheme` is a name of the registries, or `alpha` for the whole family with a symbol in place of a number. Raises
     ArgumentError for an order outside 1 to 8 and for problems that have no modified equations here (particles, several
-    phases, holonomic constraints), and what `modified_equations` raises.
+    phases, holonomic constraints, values of the past), and what `modified_equations` raises.
     """
     if not 1 <= order <= LARGEST_ORDER:
         raise ArgumentError(f"--order {order}", f"give a power of h from 1 to {LARGEST_ORDER}")
@@ -63,6 +63,8 @@ def _analysable(model: Model | PairwiseModel) -> Model:
         reason = "several phases"
     elif model.holonomic:
         reason = "holonomic constraints"
+    elif model.segments:
+        reason = "values of the past"
     if reason:
         raise ArgumentError(
             f"modified equations are not derived for {reason}",

@@ -18,6 +18,7 @@ from codegen.model import Model
 WIDTH = 100
 _LATEX_WIDTH = 90
 _INDEX = re.compile(r"^(?P<base>.+?)(?:_stage(?P<stage>\d+))?(?:_k(?P<shift>1|-1)?|@(?P<end>[0T])|@(?P<side>[+-]))?$")
+_WORD = re.compile(r"[^\W\d]\w*")
 _GREEK = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma tau upsilon phi chi "
     "psi omega"
@@ -50,8 +51,8 @@ class Notation:
     """Symbols of the pipeline to symbols as they are written; `velocities` maps the name dq to that of q.
 
     Names end in `_k`, `_k1`, `_k-1` at nodes, in `_stage1` inside a step, in `@0` and `@T` at the ends of time, in `@-`
-    and `@+` before and after a switch; they begin with `rate ` for one derivative by time, with `acceleration ` for
-    two, with `f `, `f- ` or `f+ ` for forces.
+    and `@+` before and after a switch, in `@t-1/2` before all that for a value of the past; they begin with `rate ` for
+    one derivative by time, with `acceleration ` for two, with `f `, `f- ` or `f+ ` for forces.
     """
 
     velocities: dict[str, str]
@@ -83,7 +84,10 @@ class Notation:
         index = ""
         if symbol.name != match["base"] and not match["end"] and not match["side"]:
             index = {None: "k", "1": "k+1", "-1": "k-1"}[match["shift"]]
-        written = self._written(mangling.plain(match["base"]), match["stage"], index)
+        base, _, lag = mangling.plain(match["base"]).partition("@t-")
+        written = self._written(base, match["stage"], index)
+        if lag:
+            return f"{written}(t - {_WORD.sub(lambda found: self._letter(found[0]), lag)})"
         if match["side"]:
             return written + (f"^{{{match['side']}}}" if self.latex else match["side"].translate(_HIGH))
         return written + (f"({match['end']})" if match["end"] else "")

@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codegen.loading import ControlModule, Entries, Grid, Vector, time_grid
+from codegen.solutions.estimates import AT_BOUND, Estimates, estimates_of
 from codegen.solutions.result import (
     ControlAttempt,
     Result,
@@ -47,6 +49,7 @@ def control_result(
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
     cost = _cost(module, scaled, unknowns) if status == "solved" else float(module.cost(grid, unknowns))
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
+    estimates = _estimates(module, grid, unknowns) if status == "solved" else None
     summary = {
         **({"maximum": -cost} if metadata.get("maximised") else {}),
         "duration": float(t[-1] - t[0]),
@@ -55,14 +58,32 @@ def control_result(
         "stationarity": stationarity,
         **_free_parameters(module, unknowns),
         **_integral_multipliers(module, unknowns),
+        **({f"waypoint_{i}": float(t[k]) for i, k in enumerate(grid.inner, 1)} if "waypoints" in metadata else {}),
+        **_inner_conditions(module, grid, unknowns),
         **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.get("phases", 1))},
     }
     return Result(
         **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
         stationarity=stationarity, t=t, q=q, p=p, u=u, multipliers=multipliers, log=attempt.log, unknowns=unknowns,
         names=component_names(metadata), stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary,
-        grid=run.grid,
+        grid=run.grid, estimates=estimates,
     )  # fmt: skip
+
+
+def _estimates(module: ControlModule, grid: Grid, unknowns: Vector) -> Estimates | None:
+    """What measurements say of free parameters, where there are any."""
+    if "observations" not in module.metadata:
+        return None
+    return estimates_of(module, grid, unknowns, held_at_bounds(module, grid, unknowns))
+
+
+def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArray[np.bool_]:
+    """Which unknowns are at a bound, (n,); the grid has no sizes."""
+    held = np.zeros(unknowns.size, dtype=bool)
+    primal = module.primal_unknowns(grid)
+    distance = np.minimum(*bound_distances(module, grid, unknowns))
+    held[primal] = distance <= AT_BOUND * np.maximum(1.0, np.abs(unknowns[primal]))
+    return held
 
 
 def _beyond_tables(module: ControlModule, grid: Grid, unknowns: Vector) -> str:
@@ -206,6 +227,19 @@ def _integral_multipliers(module: ControlModule, unknowns: Vector) -> dict[str, 
     first = unknowns.size - module.ROOT
     integrals = module.metadata.get("integrals", ())
     return {f"multiplier of {name}": float(unknowns[first + index]) for name, index in integrals}
+
+
+def _inner_conditions(module: ControlModule, grid: Grid, unknowns: Vector) -> dict[str, float]:
+    """The multipliers of conditions at inner times, body by body."""
+    if "inner_conditions" not in module.metadata:
+        return {}
+    nodes, _ = module.views(grid, unknowns)
+    found = {}
+    for name, number, index in module.metadata["inner_conditions"]:
+        for body, of_nodes in enumerate(nodes):
+            of_body = f" of body {body}" if len(nodes) > 1 else ""
+            found[f"multiplier of {name}{of_body}"] = float(of_nodes[grid.inner[int(number)], int(index)])
+    return found
 
 
 def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:

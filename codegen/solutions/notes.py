@@ -30,6 +30,8 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
         found.append(
             f"{shortened(condition)} holds with equality at the {where}, by what is prescribed there, and was left out"
         )
+    for name, value, last in metadata.get("history_jumps", ()):
+        found.append(f"{name} starts at {value}, where its history ends at {last}: its values of the past jump there")
     if kinks := metadata.get("kinks", ()):
         named = ", ".join(map(shortened, kinks))
         found.append(

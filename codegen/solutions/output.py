@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from codegen.errors import ArgumentError
 from codegen.files import replacing
+from codegen.solutions import estimates
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -59,6 +60,7 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
         "summary": {name: _finite(value) for name, value in result.summary.items()},
         **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
         **({"accuracy": _accuracy(result)} if result.accuracy else {}),
+        **({"estimates": estimates.as_record(result.estimates)} if result.estimates else {}),
     }
 
 
@@ -125,6 +127,40 @@ def as_table(record: Mapping[str, Any], intervals: str) -> Table:
     seconds = record["seconds"]
     table.add_row("time", ", ".join(f"{name} {_duration(value)}" for name, value in seconds.items()))
     return table
+
+
+def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
+    """Free parameters with what measurements say of them, then, of several, how far they depend on each other."""
+    from rich import box
+    from rich.table import Table
+
+    title: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": box.SIMPLE_HEAD}
+    table, names = Table(title="Estimates", **title), list(record["parameters"])
+    if record["deviation_is_estimated"]:
+        errors = f"standard deviation of errors {_number(record['deviation'])}"
+        table.caption = f"{errors}, {record['degrees_of_freedom']} degrees of freedom"
+        table.caption_justify = "left"
+    table.add_column("parameter", style="cyan", no_wrap=True)
+    for heading in ("value", "standard error", f"{100 * record['confidence']:g} % interval"):
+        table.add_column(heading, justify="right")
+    for name, found in record["parameters"].items():
+        low, high = found["interval"]
+        interval = "not available" if low is None else f"{_number(low)} to {_number(high)}"
+        table.add_row(name, _number(found["value"]), _number(found["standard_error"]), interval)
+    if not 1 < len(names) <= _CORRELATED:
+        return [table]
+    beside = Table(title="Correlations", **title)
+    beside.add_column("", style="cyan", no_wrap=True)
+    for name in names[:-1]:
+        beside.add_column(name, justify="right")
+    for number, (name, row) in enumerate(zip(names, record["correlations"], strict=True)):
+        if number:
+            beside.add_row(name, *("" if entry is None else f"{entry:.3f}" for entry in row[:number]))
+    return [table, beside]
+
+
+_CORRELATED = 10
+"""Parameters whose correlations are shown; of more of them those in `--json`."""
 
 
 def log_table(result: Result) -> Table:

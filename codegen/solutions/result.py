@@ -11,6 +11,7 @@ import numpy as np
 
 from codegen.author.points import PointSet
 from codegen.loading import Matrix, Vector
+from codegen.solutions.estimates import Estimates
 
 STATUSES = {
     "solved": "the equations hold to the driver's tolerance, or to rounding",
@@ -136,7 +137,9 @@ class Result:
     evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
     first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made. `levels`
     tells how the grids of a refinement ended. `grid` holds the fractions of the duration, or of every phase, that
-    intervals last where they are not equal, and `accuracy` what came of a request for it.
+    intervals last where they are not equal, `accuracy` what came of a request for it, and `estimates` what measurements
+    say of free parameters. `by_segments` is the result of a problem with delays as its module has it, with columns for
+    every segment.
     """
 
     problem: str
@@ -170,6 +173,8 @@ class Result:
     stage_abscissae: tuple[float, ...] = ()
     grid: Vector | None = field(default=None, repr=False)
     accuracy: Accuracy | None = None
+    estimates: Estimates | None = None
+    by_segments: Result | None = field(default=None, repr=False)
 
     @property
     def solved(self) -> bool:

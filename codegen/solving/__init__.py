@@ -42,7 +42,8 @@ def solve(*positional: Any, **options: Any) -> Result:
     - `repeat`: the time is the least of so many solves, of which those that compile are not counted.
 
     For problems with tables, `tables` maps their names to other files of the same columns, with as many breakpoints;
-    nothing is built anew.
+    nothing is built anew. For problems with measurements `observations` are others in the same columns, any number of
+    them: a file, or a mapping of columns to arrays of shape (n,), of several bodies a list of these.
 
     For an optimisation:
 

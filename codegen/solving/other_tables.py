@@ -24,9 +24,14 @@ def with_tables(module: GeneratedModule, files: Mapping[str, Path | str] | None)
         return module
     known = module.metadata.get("tables", {})
     numbers = {name: _numbers(name, Path(file), known) for name, file in files.items()}
+    return with_arguments(module, tables=numbers)
+
+
+def with_arguments(module: Any, **given: Any) -> Any:
+    """The module with arguments given to whatever makes its grids."""
     other = ModuleType(getattr(module, "__name__", "generated"))
     other.__dict__.update(vars(module))
-    other.__dict__.update({name: partial(getattr(module, name), tables=numbers) for name in ("make_grid", "solve")})
+    other.__dict__.update({name: partial(getattr(module, name), **given) for name in ("make_grid", "solve")})
     return other
 
 

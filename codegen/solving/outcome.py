@@ -20,8 +20,10 @@ from codegen.loading import GeneratedModule, Matrix, Vector
 from codegen.machine_code import ahead_of_time
 from codegen.solutions import output
 from codegen.solutions.result import Result, Run, Watch
+from codegen.solutions.segments import put_together, segments_of
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
+from codegen.solving.other_observations import with_observations
 from codegen.solving.other_tables import with_tables
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
@@ -76,14 +78,16 @@ def outcome_of(
     begin = time.perf_counter()
     module: Any = request.problem if path is None else loading.load(path)
     load_seconds = time.perf_counter() - begin
-    module = with_tables(module, request.tables)
+    module = with_observations(with_tables(module, request.tables), request.observations)
     driver, warm, points = request.driver_for(module), start(module), _points(request, module)
     said: list[str] = []
     if path is not None and driver.name == "newton":
         seconds, said = ahead_of_time.require(path, module, is_new, working)
         build_seconds += seconds
+    said = [*said, *_rounded(request, module)]
     with following() as watch:
         result = _solved(request, module, driver, warm, points, request.watch or watch)
+    result = put_together(result, module.metadata)
     if result.compiled:
         return Outcome(module, result, build_seconds + result.seconds_first, load_seconds, said)
     return Outcome(module, result, build_seconds, load_seconds + result.seconds_first, said)
@@ -157,6 +161,25 @@ def _points(request: Request, module: GeneratedModule) -> PointSet | None:
     return file
 
 
+def _steps(request: Request, module: Any) -> int:
+    """The number of intervals, of each segment where the motion was cut into several."""
+    own: int = module.metadata["steps"]
+    segments = segments_of(module.metadata)
+    if request.steps is None:
+        return own
+    return segments.steps(request.steps) if segments else request.steps
+
+
+def _rounded(request: Request, module: Any) -> list[str]:
+    """What is to be said where there are more steps than were asked for."""
+    segments, asked = segments_of(module.metadata), request.steps
+    if segments is None or asked is None or asked % segments.number == 0:
+        return []
+    made = segments.number * segments.steps(asked)
+    why = f"as many in each of the {segments.number} segments between multiples of the delay"
+    return [f"codegen: note: {made} steps instead of {asked}, {why}"]
+
+
 def _solved(
     request: Request, module: Any, driver: Driver, warm: Vector | None, points: PointSet | None, watch: Watch | None
 ) -> Result:
@@ -182,7 +205,7 @@ def _solved(
             return best_of(lambda guess: solve_from(steps, guess, False, grid), module, steps, request.guesses)
         return solve_from(steps, start, True, grid)
 
-    steps = request.steps or module.metadata["steps"]
+    steps = _steps(request, module)
     if request.accuracy is not None:
         return to_accuracy(solve_on, module, steps, request.accuracy, warm)
     if request.doublings:

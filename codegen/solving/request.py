@@ -49,6 +49,7 @@ class Request:
     guesses: int = 1
     points: PointSet | Path | str | None = None
     tables: Mapping[str, Path | str] | None = None
+    observations: Any = None
     tolerance: float | None = None
     max_iterations: int | None = None
     time_limit: float | None = None

@@ -14,6 +14,7 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError
 from codegen.loading import ControlModule, GeneratedModule, Vector
 from codegen.solutions.result import component_names
+from codegen.solutions.segments import segments_of
 from codegen.solving.refinement import source_steps
 
 _REMEDY = "give a file that --save wrote when this problem was solved"
@@ -79,7 +80,9 @@ def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
 
     A file without names is judged by its size alone.
     """
-    own = component_names(module.metadata)
+    own, segments = component_names(module.metadata), segments_of(module.metadata)
+    if segments is not None:
+        own = {kind: segments.columns(names)[0] for kind, names in own.items()}
     for kind, what in (("q", "coordinates"), ("u", "controls")):
         given = saved.names.get(kind, ())
         if saved.names and given != own[kind]:
@@ -91,7 +94,8 @@ def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
     except NumericsError:
         finding = f"--warm {saved.path}: its {saved.unknowns.size} unknowns fit no number of steps of this problem"
         raise ArgumentError(finding, remedy) from None
-    if saved.nodes is not None and saved.nodes != steps * module.metadata.get("phases", 1) + 1:
+    parts = segments.number if segments else module.metadata.get("phases", 1)
+    if saved.nodes is not None and saved.nodes != steps * parts + 1:
         finding = f"--warm {saved.path}: its {saved.unknowns.size} unknowns on {saved.nodes} nodes are others than here"
         raise ArgumentError(finding, remedy)
     return saved.unknowns

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from codegen.errors import TableError
 from codegen.tables.data import Shape, TableData, fitted
 
 MOST = 20_000
-"""Rows: what is measured more often is to be smoothed before it is fitted."""
+"""Rows: what is measured more often is to be smoothed, or thinned out, before it is fitted."""
 _LEAST = {"cubic": 4, "monotone": 2, "linear": 2, "steps": 1}
 
 
@@ -35,8 +35,8 @@ class Columns:
         return TableError(f"{self.path}:{self.lines[row]}: {finding}", remedy)
 
 
-def read_columns(path: Path, names: Sequence[str] = ()) -> Columns:
-    """Read some columns of a file, or all of them.
+def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str] = ()) -> Columns:
+    """Read some columns of a file, or all of them; NaN stands for empty cells of `optional` ones.
 
     Raises TableError, naming the file and the line, when the file is missing or no text, lacks a column, has ragged
     rows, or holds what is no finite number in a column that is read.
@@ -53,8 +53,11 @@ def read_columns(path: Path, names: Sequence[str] = ()) -> Columns:
     (first, header), body = rows[0], rows[1:]
     chosen = _indices(path, first, header, names)
     if len(body) > MOST:
-        raise TableError(f"{path} has {len(body)} rows", f"give at most {MOST}, which a spline goes through")
-    values = [[_number(path, line, row, header, index) for index in chosen.values()] for line, row in body]
+        raise TableError(f"{path} has {len(body)} rows", f"give at most {MOST}, by means over neighbours for example")
+    empty = {chosen[name] for name in optional}
+    values = [
+        [_number(path, line, row, header, index, index in empty) for index in chosen.values()] for line, row in body
+    ]
     table = np.array(values).reshape(len(body), len(chosen))
     return Columns(path, {name: table[:, i] for i, name in enumerate(chosen)}, tuple(line for line, _ in body))
 
@@ -79,11 +82,13 @@ def _indices(path: Path, line: int, header: Sequence[str], names: Sequence[str])
     return {name: header.index(name) for name in names or header}
 
 
-def _number(path: Path, line: int, row: Sequence[str], header: Sequence[str], index: int) -> float:
+def _number(path: Path, line: int, row: Sequence[str], header: Sequence[str], index: int, optional: bool) -> float:
     if len(row) != len(header):
         raise TableError(
             f"{path}:{line}: {len(row)} values for {len(header)} columns", f"give {','.join(header)[:100]} in every row"
         )
+    if optional and not row[index]:
+        return math.nan
     try:
         number = math.nan if "_" in row[index] else float(row[index])
     except ValueError:

@@ -8,6 +8,7 @@ from codegen import schemes
 from codegen.errors import ArgumentError, SchemeError
 from codegen.model import Model
 from codegen.model.pairwise import PairwiseModel
+from codegen.model.segments import errors_of_the_whole
 from codegen.transcribe import connect, one_step, phases, simulate, variational
 from codegen.transcribe.assembly import in_scaled_time
 from codegen.transcribe.connect import PairwiseProgram
@@ -50,11 +51,14 @@ def transcribe(
         if controls != "interval":
             raise ArgumentError("a simulation has no controls", "leave --controls out")
         return simulate.simulate(model, found, method)
+    if model.joined and controls == "nodal":
+        raise ArgumentError("controls at nodes beside delays", "use --controls interval or stages")
     if model.phases:
         if controls != "interval":
             raise ArgumentError("a problem of several phases has its controls on intervals", "leave --controls out")
         return phases.chained(model, lambda phase: _controlled(phase, found, method, "interval"))
-    return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls)))
+    with errors_of_the_whole(model):
+        return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls)))
 
 
 def _controlled(model: Model, scheme: schemes.Scheme, method: str, controls: str) -> ControlProgram:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sympy import Expr, S, Symbol
 
-from codegen.discretise import STEP, OneStepInterval, VariationalInterval
+from codegen.discretise import STEP, OneStepInterval, VariationalInterval, at_nodes
 from codegen.errors import ExpressionError
 from codegen.model import Model
+from codegen.model.lines import at_guess
 from codegen.transcribe.determined_ends import with_determined_values
+from codegen.transcribe.determined_inner import with_determined_inner_values
 from codegen.transcribe.ends import End, Ends, pinned_at_zero
-from codegen.transcribe.guesses import at_guess, control_guess
+from codegen.transcribe.free_times import Clock, clock_of
+from codegen.transcribe.guesses import control_guess, inner_guess
+from codegen.transcribe.inner_times import InnerTerms, inner_terms
 from codegen.transcribe.integrals import end_share, integral_equations, interval_share, own_unknowns
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.path_conditions import NodalTerms, interval_terms
-from codegen.transcribe.program import BoundaryValue, ControlProgram, EndElement, Unknown
+from codegen.transcribe.program import BoundaryValue, ControlProgram, EndElement, InnerTimes, Unknown
+from codegen.transcribe.samples import sample_element
 from codegen.transcribe.shared import Shared
 
 
@@ -24,7 +29,8 @@ from codegen.transcribe.shared import Shared
 class Motion:
     """The discrete equations of motion: unknowns of nodes and intervals, their share of l, what the scheme made.
 
-    The symbols of a node's unknowns in `element` are their names with suffix `_k` and `_k1`.
+    The symbols of a node's unknowns in `element` are their names with suffix `_k` and `_k1`. `left_rates` makes the
+    rates at the left node of an interval.
     """
 
     method: str
@@ -36,6 +42,7 @@ class Motion:
     element: Expr
     equations: tuple[tuple[str, Expr], ...]
     node_guess: tuple[Expr, ...]
+    left_rates: Callable[[], tuple[Expr, ...]]
     stage_guess: tuple[Expr, ...] = ()
 
 
@@ -50,6 +57,11 @@ def assemble(
     names: Names,
 ) -> ControlProgram:
     """Lay out all unknowns, and add up the shares of the interval and of both ends."""
+    clock = clock_of(model, names)
+    if clock is not None:
+        motion, start, end = _with_clock(motion, clock), start + clock.start(), end + clock.end(names)
+    inner = inner_terms(model, lambda expression: _at_left_node(model, motion, expression), names, clock)
+    nodal += inner.nodal
     integrals = integral_equations(model, names)
     ends = Ends(
         start + End(aliases=shared.start_aliases) + pinned_at_zero(nodal.start_pins),
@@ -63,19 +75,25 @@ def assemble(
     shares = ((f"Gd_{i}", value) for i, value in enumerate(quadratures, start=1))
     program = replace(
         program,
+        start=ends.start_element(program.node, program.shared),
+        end=ends.end_element(program.node, program.shared, _idle_controls(program)),
+    )
+    program = replace(
+        program,
         interval=(*program.interval, *path.multipliers),
         interval_symbols=(*program.interval_symbols, *symbols([y.name for y in path.multipliers], "_k")),
         equations=(*program.equations, *path.equations, *nodal.equations, *shares),
-        start=ends.start_element(program.node, program.shared),
-        end=ends.end_element(program.node, program.shared, _idle_controls(program)),
         path_multipliers=len(path.multipliers),
         integrals=integrals,
+        inner=_placed(program, inner, motion, len(motion.node) + len(nodal.unknowns)),
+        sample=sample_element(model, motion.discrete.observed, names),
         slacks=path.slacks,
         slack_symbols=symbols([slack.name for slack in path.slacks], "_k"),
         slack_multipliers=path.slack_multipliers,
     )
     _require_identical_bodies(program)
-    return with_determined_values(program, path.inequalities)
+    program = with_determined_values(program, path.inequalities)
+    return with_determined_inner_values(program, path.inequalities)
 
 
 def _laid_out(
@@ -113,6 +131,40 @@ def _laid_out(
         only_at_ends=tuple(range(len(before), len(before) + len(ends.extra))),
         start=empty,
         end=empty,
+    )
+
+
+def _at_left_node(model: Model, motion: Motion, expression: Expr) -> Expr:
+    """An expression in coordinates and rates at the left node of an interval, in the symbols there."""
+    left: dict[Symbol, Expr] = dict(zip(model.coordinates, at_nodes(model.coordinates, "_k"), strict=True))
+    if expression.has(*model.rates):
+        left |= dict(zip(model.rates, motion.left_rates(), strict=True))
+    return expression.subs(left, simultaneous=True)
+
+
+def _with_clock(motion: Motion, clock: Clock) -> Motion:
+    """The motion with times of its own, behind its own unknowns."""
+    guess = (*motion.node_guess, *(S.Zero for _ in motion.node[len(motion.node_guess) :]), *clock.guess)
+    return replace(
+        motion,
+        node=(*motion.node, *clock.node),
+        node_guess=guess,
+        interval=(*motion.interval, *clock.interval),
+        interval_symbols=(*motion.interval_symbols, *symbols(clock.multipliers, "_k")),
+    )
+
+
+def _placed(program: ControlProgram, inner: InnerTerms, motion: Motion, behind: int) -> InnerTimes:
+    """With indices of unknowns in a node, where those of inner times are the last before `behind`."""
+    pinned = [[i for i, _ in end.pins] for end in (program.start, program.end)]
+    first, times = behind - len(inner.nodal.unknowns), inner.times
+    return replace(
+        times,
+        unknowns=tuple(first + i for i in times.unknowns),
+        multipliers=tuple((name, time, first + i) for name, time, i in times.multipliers),
+        guess=tuple((i, told, i in pinned[0], i in pinned[1]) for i, told in inner_guess(program.model)),
+        clock=len(motion.node) - 2 if times.scales else None,
+        lacking=(len(motion.interval) - 1,) if times.scales else (),
     )
 
 
@@ -154,13 +206,19 @@ def _idle_controls(program: ControlProgram) -> list[str]:
 
 
 def in_scaled_time(program: ControlProgram) -> ControlProgram:
-    """Measure t and h in fractions of a duration that is optimised along: h -> D h and t -> D t everywhere."""
-    model = program.model
-    if not model.duration.free_symbols & {parameter.symbol for parameter in model.free_parameters}:
+    """Measure t and h in fractions of a duration that is optimised along: h -> D h and t -> D t everywhere.
+
+    Where nodes have times of their own, these tell what t and h are on an interval.
+    """
+    model, clock = program.model, dict(program.inner.scales)
+    if not clock and not model.duration.free_symbols & {parameter.symbol for parameter in model.free_parameters}:
         return program
     scales = _scales(model)
+    on_interval = clock or scales
 
-    def pairs(written: Sequence[tuple[str, Expr]]) -> tuple[tuple[str, Expr], ...]:
+    def pairs(
+        written: Sequence[tuple[str, Expr]], scales: Mapping[Symbol, Expr] = scales
+    ) -> tuple[tuple[str, Expr], ...]:
         return tuple((name, value.xreplace(scales)) for name, value in written)
 
     def end(element: EndElement) -> EndElement:
@@ -173,9 +231,9 @@ def in_scaled_time(program: ControlProgram) -> ControlProgram:
 
     return replace(
         program,
-        element=program.element.xreplace(scales),
-        cost=program.cost.xreplace(scales),
-        equations=pairs(program.equations),
+        element=program.element.xreplace(on_interval),
+        cost=program.cost.xreplace(on_interval),
+        equations=pairs(program.equations, on_interval),
         start=end(program.start),
         end=end(program.end),
         scaled_time=True,

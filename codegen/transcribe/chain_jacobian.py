@@ -53,6 +53,8 @@ class ChainJacobian:
                 free[first + index] = False
         for k in range(1, self.steps):
             free[[k * self.stride + index for index in program.only_at_ends]] = False
+        for k in range(self.steps + 1):
+            free[[k * self.stride + index for index in program.inner.unknowns]] = False
         rows, columns = np.flatnonzero(free & self.is_multiplier), np.flatnonzero(free & ~self.is_multiplier)
         matrix, residuals = matrix[np.ix_(rows, columns)], self.residuals[rows]
         scale = np.abs(matrix).max(axis=1, initial=0.0)
@@ -69,6 +71,7 @@ class ChainJacobian:
         numbers = {v.symbol: expressions.rounded_at(v.value, values) for v in program.boundary_values}
         values |= {symbol: number for symbol, number in numbers.items() if number is not None}
         duration = 1.0 if program.scaled_time else expressions.rounded_at(model.duration, values)
+        values |= dict.fromkeys(program.inner.symbols, 0.0)  # no node is at an inner time
         return values | {STEP: (duration or 1.0) / self.steps}
 
     def _point(self, program: ControlProgram, values: dict[Symbol, float], generator: np.random.Generator) -> Array:

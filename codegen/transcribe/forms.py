@@ -38,14 +38,14 @@ def rewritten(original: Model, transformed: Model) -> Model:
     if original.form == transformed.form:
         return transformed
     kinds = [kind for kind in CONDITIONS if Velocity in kind.scope[kind.argument]]
-    expressions = (original.terminal_cost, *(c.expression for kind in kinds for c in kind.of_model(original)))
+    expressions = (original.terminal_cost, *(c.expression for kind in kinds for c in getattr(original, kind.field)))
     if not any(expression.has(*original.rates) for expression in expressions):
         return transformed
     rates = legendre.velocity_of_momentum if original.form == "lagrangian" else legendre.momentum_of_velocity
     values = dict(zip(original.rates, rates(original), strict=True))
 
     written: dict[str, Any] = {
-        kind.field: tuple(replace(c, expression=c.expression.xreplace(values)) for c in kind.of_model(original))
+        kind.field: tuple(replace(c, expression=c.expression.xreplace(values)) for c in getattr(original, kind.field))
         for kind in kinds
     }
     return replace(transformed, **written, terminal_cost=original.terminal_cost.xreplace(values))

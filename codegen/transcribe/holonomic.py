@@ -54,18 +54,18 @@ class Constraints:
         potential = sum((k * c for k, c in zip(kappa, self.model.holonomic, strict=True)), S.Zero)
         return [(STEP * sympy.diff(potential, q) / 2).xreplace(substitution) for q in self.model.coordinates]
 
-    def nodal_terms(self, matched: tuple[set[int], set[int]], by_pi: set[int]) -> NodalTerms:
+    def nodal_terms(self, matched: tuple[set[int], set[int]], by_pi: tuple[set[int], set[int]]) -> NodalTerms:
         """Unknowns and pins: a kappa is zero at an end where no momentum of its coordinates is matched.
 
-        Where both ends match the same unknown momenta, at the indices `by_pi`, only the sum of both kappa acts, and
-        that of the end is zero.
+        Where both ends match the same unknown momenta, at the indices `by_pi` of the start and the end, only the sum of
+        both kappa acts, and that of the end is zero.
         """
         pairs = list(zip(self.kappa, self.touched, strict=True))
         return NodalTerms(
             unknowns=(*self.kappa, *self.eta.unknowns),
             element=self.eta.element,
-            start_pins=(*self.eta.start_pins, *(k.name for k, t in pairs if not t & (matched[0] | by_pi))),
-            end_pins=(*self.eta.end_pins, *(k.name for k, t in pairs if not t & matched[1] or t & by_pi)),
+            start_pins=(*self.eta.start_pins, *(k.name for k, t in pairs if not t & (matched[0] | by_pi[0]))),
+            end_pins=(*self.eta.end_pins, *(k.name for k, t in pairs if not t & matched[1] or t & by_pi[1])),
             equations=self.eta.equations,
         )
 

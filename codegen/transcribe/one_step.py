@@ -11,7 +11,7 @@ from dataclasses import replace
 import sympy
 from sympy import Expr, S, Symbol
 
-from codegen.discretise import one_step_interval
+from codegen.discretise import at_nodes, one_step_interval
 from codegen.model import Boundary, Model
 from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import FIRST_ORDER, Scheme
@@ -21,6 +21,7 @@ from codegen.transcribe.boundary import with_symbolic_boundaries
 from codegen.transcribe.ends import End, conditioned_end
 from codegen.transcribe.forms import in_momenta
 from codegen.transcribe.guesses import coordinate_guess, momentum_guess
+from codegen.transcribe.joined import joined_unknowns
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.periodic import Periodic, periodic_unknowns, periodic_velocities_in_momenta
 from codegen.transcribe.program import BoundaryValue, ControlProgram, Unknown
@@ -40,7 +41,7 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
     names = Names(phase)
     guesses = (*coordinate_guess(model), *momentum_guess(model))
     states = (*phase.coordinates, *phase.rates)
-    periodic = periodic_unknowns(model, states, guesses, names)
+    periodic = periodic_unknowns(model, states, guesses, names) + joined_unknowns(phase, states, guesses, names)
     if model.form == "lagrangian":
         periodic += periodic_velocities_in_momenta(model, phase, names)
     shared = shared_unknowns(model, periodic, guesses, names)
@@ -88,7 +89,7 @@ def _ends(
         unknowns |= {own.symbol for own in shared.all}
         substitution = dict(zip(states, here, strict=True))
         ends.append(values + conditioned_end(conditions, cost, substitution, suffix, unknowns, names))
-    return ends[0], ends[1]
+    return ends[0], ends[1] + End(element=periodic.end_share)
 
 
 def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: tuple[Expr, ...]) -> Motion:
@@ -115,6 +116,7 @@ def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: t
         element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
         equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
         node_guess=guesses,
+        left_rates=lambda: at_nodes(phase.rates, "_k"),
         stage_guess=tuple(guesses[names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),
     )
 

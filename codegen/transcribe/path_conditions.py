@@ -71,11 +71,11 @@ def with_inner_path(model: Model) -> Model:
 
 
 def start_inequalities(model: Model) -> tuple[Condition, ...]:
-    """Path inequalities on coordinates at a start that is neither given nor periodic; the right nodes leave it out."""
+    """Path inequalities on coordinates at a start that is not given, nor also an end; right nodes leave it out."""
     return tuple(
         g
         for g in nodal_conditions(model, equality=False)
-        if not (given_at(model, model.start, g.expression) or repeated_at_end(model, g.expression))
+        if not (given_at(model, model.start, g.expression) or _is_repeated(model, g.expression))
     )
 
 
@@ -139,7 +139,8 @@ def nodal_equalities(model: Model, conditions: Sequence[Condition], stem: str, n
     """Impose conditions on coordinates and time at every node by multipliers `<stem>_<number>`.
 
     A multiplier is pinned at an end where every coordinate of its condition is given, and at the end of a motion that
-    is periodic in all of them, where the condition at the start says the same.
+    is periodic in all of them, where the condition at the start says the same, or at the start of a segment that
+    follows another one.
     """
     unknowns, start_pins, end_pins, element = list[Unknown](), list[str](), list[str](), S.Zero
     for condition in conditions:
@@ -148,7 +149,7 @@ def nodal_equalities(model: Model, conditions: Sequence[Condition], stem: str, n
         for suffix, abscissa in (("_k", S.Zero), ("_k1", S.One)):
             element += symbols([name], suffix)[0] * _at_node(model, condition, abscissa) / 2
         assert model.end is not None, "a control problem has an end"
-        if given_at(model, model.start, condition.expression):
+        if given_at(model, model.start, condition.expression) or is_repeated_at_start(model, condition.expression):
             start_pins.append(name)
         if given_at(model, model.end, condition.expression) or repeated_at_end(model, condition.expression):
             end_pins.append(name)
@@ -161,6 +162,17 @@ def given_at(model: Model, boundary: Boundary, expression: Expr) -> bool:
     free = {parameter.symbol for parameter in model.free_parameters}
     indices = occurring(model.coordinates, expression)
     return not expression.free_symbols & free and all(boundary.positions[i] is not None for i in indices)
+
+
+def is_repeated_at_start(model: Model, expression: Expr) -> bool:
+    """Whether an expression in coordinates is at the start what that of the segment before is at the end."""
+    joined = {first for _, first in model.joined}
+    present = [model.coordinates[i] for i in occurring(model.coordinates, expression)]
+    return bool(present) and all(q in joined for q in present)
+
+
+def _is_repeated(model: Model, expression: Expr) -> bool:
+    return repeated_at_end(model, expression) or is_repeated_at_start(model, expression)
 
 
 def repeated_at_end(model: Model, expression: Expr) -> bool:

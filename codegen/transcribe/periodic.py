@@ -28,18 +28,23 @@ Alias = tuple[str, str, Expr]
 
 @dataclass(frozen=True)
 class Own:
-    """A shared unknown that every body has for itself: what it is, its symbol, and where it starts."""
+    """A shared unknown that every body has for itself: what it is, its symbol, and where it starts.
+
+    One that `follows` an unknown of a node needs no bounds of its own.
+    """
 
     unknown: Unknown
     symbol: Symbol
     guess: Expr
+    follows: bool = False
 
 
 @dataclass(frozen=True)
 class Periodic:
     """Shared unknowns and what they do at both ends.
 
-    `momenta` gives for a coordinate's index the momentum at the start and at the end that the discrete ones match.
+    `start_momenta` and `end_momenta` give for a coordinate's index the momentum there that the discrete one matches.
+    `end_share` is what the end gains.
     """
 
     own: tuple[Own, ...] = ()
@@ -47,7 +52,9 @@ class Periodic:
     end_aliases: tuple[Alias, ...] = ()
     start_conditions: tuple[Condition, ...] = ()
     end_conditions: tuple[Condition, ...] = ()
-    momenta: tuple[tuple[int, Expr, Expr], ...] = ()
+    start_momenta: tuple[tuple[int, Expr], ...] = ()
+    end_momenta: tuple[tuple[int, Expr], ...] = ()
+    end_share: Expr = S.Zero
 
     def __add__(self, other: Periodic) -> Periodic:
         """Both together."""
@@ -151,7 +158,7 @@ def _tied(model: Model, quantity: Symbol, unknown: Symbol, shift: Expr, guess: E
 def _matched(model: Model, index: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
     q = model.coordinates[index]
     own = _own(names.named("pi", q), f"momentum of {q} at the start", guess)
-    return Periodic(own=(own,), momenta=((index, own.symbol, own.symbol + shift),))
+    return Periodic(own=(own,), start_momenta=((index, own.symbol),), end_momenta=((index, own.symbol + shift),))
 
 
 def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, names: Names) -> Periodic:

@@ -14,7 +14,7 @@ import sympy
 from sympy import Add, Expr, S, Symbol
 
 from codegen.model import Model
-from codegen.transcribe.guesses import at_guess, known_values
+from codegen.model.lines import at_guess, known_values
 
 Values = dict[Symbol, Expr]
 

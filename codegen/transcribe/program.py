@@ -81,6 +81,49 @@ class IntegralEquation:
 
 
 @dataclass(frozen=True)
+class InnerTimes:
+    """Conditions at inner times, which are nodes: how they are told from each other, and what they mean.
+
+    `times` are in order. A symbol of `symbols` stands, in an interval's share, for a number of the interval's left
+    node: zero unless that is at an inner time, and there what `numbers` has, a row for each symbol with a value for
+    each time. `unknowns` are indices in a node of multipliers and slacks, and `present` says for each time which of
+    them it has; elsewhere they vanish. `multipliers` names every condition with the index of its time, and of its
+    multiplier in a node. `guess` has for unknowns of nodes, by index, pairs of a time's number and the value there, and
+    whether start and end give one as well. What the equations at a time decide there has no bounds: `determined` has
+    the number of the time, the name of an unknown of the node or of a slack, and how many intervals before the node
+    that slack belongs to.
+
+    Where times are free, `times` are parts of the chain, `clock` is the index in a node of its time, and `windows` has
+    the numbers of times with the least and greatest of each. `scales` replace length and time in an interval's share;
+    `lacking` are indices, among the unknowns of an interval, of those that one after an inner time does not have.
+    """
+
+    times: tuple[Expr, ...] = ()
+    symbols: tuple[Symbol, ...] = ()
+    numbers: tuple[tuple[Expr, ...], ...] = ()
+    unknowns: tuple[int, ...] = ()
+    present: tuple[tuple[bool, ...], ...] = ()
+    multipliers: tuple[tuple[str, int, int], ...] = ()
+    guess: tuple[tuple[int, tuple[tuple[int, Expr], ...], bool, bool], ...] = ()
+    determined: tuple[tuple[int, str, int], ...] = ()
+    clock: int | None = None
+    windows: tuple[tuple[int, Expr | None, Expr | None], ...] = ()
+    scales: tuple[tuple[Symbol, Expr], ...] = ()
+    lacking: tuple[int, ...] = ()
+
+    @property
+    def values(self) -> tuple[Expr, ...]:
+        """The times, then all numbers of each symbol, as they stand among the parameters."""
+        return (*self.times, *(value for row in self.numbers for value in row))
+
+    @property
+    def parameters(self) -> tuple[Symbol, ...]:
+        """The symbols of these values."""
+        names = ["time", *(symbol.name for symbol in self.symbols)]
+        return tuple(Symbol(f"{name}[{i}]", real=True) for name in names for i in range(len(self.times)))
+
+
+@dataclass(frozen=True)
 class IntervalElement:
     """The share of an interval in the Lagrangian of the optimisation problem, and its discrete cost.
 
@@ -91,6 +134,26 @@ class IntervalElement:
     element: Expr
     cost: Expr
     lacking: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class SampleElement:
+    """What one sample adds to the share of the interval in which it lies: the losses of all its values.
+
+    `observed` is what the motion has there, `fraction` says where in the interval it lies, `values` are what was
+    measured, and `weights` the inverses of their standard deviations, zero where nothing was measured.
+    """
+
+    element: Expr
+    observed: tuple[Expr, ...]
+    fraction: Symbol
+    values: tuple[Symbol, ...]
+    weights: tuple[Symbol, ...]
+
+    @property
+    def symbols(self) -> tuple[Symbol, ...]:
+        """What belongs to a sample, in the order in which a module keeps it."""
+        return (self.fraction, *self.values, *self.weights)
 
 
 @dataclass(frozen=True)
@@ -143,13 +206,15 @@ class ControlProgram:
     and it may occur in boundary values, bounds and guesses only. `couplings` are written in the symbols of
     `coupling_symbols` (symbol, body, index among `own`) and of the problem's own shared unknowns; the redundant ones
     (number from 1, name) follow from them and are left out. `integrals` are conditions on integrals over the duration,
-    of each body, with quadratures last in `equations`; of several phases they stand with the phase.
+    of each body, with quadratures last in `equations`; of several phases they stand with the phase. `inner` are the
+    conditions at inner times.
 
     With `scaled_time` the symbols t and h are fractions of the duration, an expression of parameters and shared
     unknowns that is already inside `element`.
     `only_at_ends` are indices in a node of unknowns that only the first or last node has; elsewhere they are zero.
     Where there are `phases`, intervals of equal number for each follow each other in one chain; `element`, `cost`,
-    bounds, guesses and equations are then those of the first.
+    bounds, guesses and equations are then those of the first. Where there are measurements, every `sample` of them adds
+    to the share of its interval.
     `equations` are the discrete equations for people to read, the guesses are expressions of time, duration and
     parameters, for the primal unknowns of a node, the stages of an interval and the controls.
     """
@@ -189,8 +254,10 @@ class ControlProgram:
     redundant_couplings: tuple[tuple[int, str], ...] = ()
     coupling_symbols: tuple[tuple[Symbol, int, int], ...] = ()
     integrals: tuple[IntegralEquation, ...] = ()
+    inner: InnerTimes = InnerTimes()
     scaled_time: bool = False
     phases: tuple[Phase, ...] = ()
+    sample: SampleElement | None = None
 
     @property
     def nodal_controls(self) -> bool:

@@ -69,7 +69,7 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
     kept = _independent(model)
     tied_nodes = (*periodic.start_aliases, *periodic.end_aliases, *aliases)
     return Shared(
-        own=tuple(replace(o, unknown=_bounded(model, o.unknown, tied_nodes)) for o in own),
+        own=tuple(o if o.follows else replace(o, unknown=_bounded(model, o.unknown, tied_nodes)) for o in own),
         common=common,
         start_aliases=periodic.start_aliases,
         end_aliases=(*periodic.end_aliases, *aliases),

@@ -8,19 +8,21 @@ both halves of its forced discrete Euler-Lagrange equation; the momentum boundar
 
 from __future__ import annotations
 
-from sympy import Expr, S
+from sympy import Expr, S, Symbol
 
-from codegen.discretise import VariationalInterval, variational_interval
-from codegen.errors import SchemeError
-from codegen.model import Model
+from codegen.discretise import VariationalInterval, at_nodes, variational_interval
+from codegen.errors import BoundaryError, SchemeError
+from codegen.model import Model, legendre
 from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import Scheme
 from codegen.transcribe import path_conditions
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
+from codegen.transcribe.ends import End
 from codegen.transcribe.forms import in_velocities
 from codegen.transcribe.guesses import coordinate_guess
 from codegen.transcribe.holonomic import Constraints
+from codegen.transcribe.joined import joined_momenta, joined_unknowns
 from codegen.transcribe.momentum_ends import EndConditions, matched_indices, momentum_end
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.periodic import (
@@ -51,21 +53,23 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
     optimised = {own.symbol for own in shared.all}
     start, end = (momentum_end(model, e, constraints, literal, optimised, names) for e in ends)
     start_indices, end_indices = (matched_indices(model, e, constraints) for e in ends)
-    by_momentum = {index for index, _, _ in periodic.momenta}
+    by_momentum = {i for i, _ in periodic.start_momenta}, {i for i, _ in periodic.end_momenta}
     return assemble(
         model,
         _motion(model, scheme, controls, constraints),
         boundary_values,
         constraints.nodal_terms((start_indices, end_indices), by_momentum) + equalities,
         start,
-        end,
+        end + End(element=periodic.end_share),
         shared,
         names,
     )
 
 
 def _periodic(original: Model, model: Model, names: Names) -> Periodic:
-    out = periodic_unknowns(model, model.coordinates, coordinate_guess(model), names)
+    guesses = coordinate_guess(model)
+    out = periodic_unknowns(model, model.coordinates, guesses, names)
+    out += joined_unknowns(model, model.coordinates, guesses, names) + joined_momenta(model, names)
     if original.form == "hamiltonian":
         return out + periodic_momenta(original, model, names)
     out += periodic_velocities(model, names)
@@ -79,8 +83,8 @@ def _end_conditions(model: Model, periodic: Periodic) -> tuple[EndConditions, En
     start = (*model.start_conditions, *inequalities, *periodic.start_conditions)
     end = (*model.end_conditions, *periodic.end_conditions)
     return (
-        EndConditions("_k", 1, model.start, start, S.Zero, {i: first for i, first, _ in periodic.momenta}),
-        EndConditions("_k1", -1, model.end, end, model.terminal_cost, {i: last for i, _, last in periodic.momenta}),
+        EndConditions("_k", 1, model.start, start, S.Zero, dict(periodic.start_momenta)),
+        EndConditions("_k1", -1, model.end, end, model.terminal_cost, dict(periodic.end_momenta)),
     )
 
 
@@ -119,8 +123,25 @@ def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraint
         element=interval.cost + interval.virtual_work(displacements, impulses),
         equations=_equations(names, interval),
         node_guess=guess,
+        left_rates=lambda: _left_velocities(model, interval),
         stage_guess=guess * (len(interval.inner) // len(names)),
     )
+
+
+def _left_velocities(model: Model, interval: VariationalInterval) -> tuple[Expr, ...]:
+    """The velocities that belong to the discrete momenta at the left node of an interval, by the Legendre transform.
+
+    Raises BoundaryError where constraints share out the momentum of a node between its intervals, and what the
+    transform raises.
+    """
+    if model.holonomic:
+        raise BoundaryError(
+            "a condition at an inner time depends on velocities, beside holonomic constraints",
+            "write it in coordinates, or as path condition",
+        )
+    here: dict[Symbol, Expr] = dict(zip(model.coordinates, at_nodes(model.coordinates, "_k"), strict=True))
+    here |= dict(zip(legendre.conjugate_symbols(model), interval.left_momentum, strict=True))
+    return tuple(v.subs(here, simultaneous=True) for v in legendre.velocity_of_momentum(model))
 
 
 def _equations(names: list[str], interval: VariationalInterval) -> tuple[tuple[str, Expr], ...]:

@@ -6,17 +6,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sympy import Symbol
+import numpy as np
+from sympy import Expr, S, Symbol
 
 from codegen.discretise import STEP
+from codegen.errors import VerificationError
 from codegen.lower.control_layout import parameters
 from codegen.lower.phases import named_elements
 from codegen.transcribe.program import ControlProgram
 from codegen.verify.execution import Text
+from codegen.verify.judgement import complex_numbers
 from codegen.verify.points import GuessedPoints, Values, random_points, with_time
 from codegen.verify.shares import Share, ShareComparison
+from codegen.verify.tape import Tape
 
 _DRAWN = 30
+_ROUNDING = 1e-8
 _READ = (
     *("make_grid", "initial_guess", "read_shared", "STRIDE", "BODIES", "SHARED"),
     *(f"{share}HESSIAN_{side}" for share in ("", "START_", "END_") for side in ("ROWS", "COLUMNS")),
@@ -30,16 +35,19 @@ def verify_control(program: ControlProgram, text: Text) -> None:
     module = guessed.module
     intervals = list(_intervals(program, module, guessed))
     block = [_control_block(program, *intervals[0])] if text.defines("control_hessian") else []
-    for share, near in (*intervals, *block, *_ends(program, module, guessed)):
-        others = [*parameters(program), program.model.time, STEP]
+    samples = list(_samples(program, intervals))
+    for share, near in (*intervals, *block, *samples, *_ends(program, module, guessed)):
+        others = [*parameters(program), program.model.time, STEP, *(program.sample.symbols if program.sample else ())]
         symbols = list(dict.fromkeys([*share.unknowns, *others]))
         drawn = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
         ShareComparison(share, text, [with_time(near, program.model.time), drawn]).verify()
+    for share, near in samples:
+        _verify_values(program, text, share, with_time(near, program.model.time))
 
 
 def guessed_points(program: ControlProgram, text: Text) -> GuessedPoints:
     """Points near the guess that the text of a module makes."""
-    return GuessedPoints(text.interpreted(*_READ), program.model.steps)
+    return GuessedPoints(text.interpreted(*_READ), program.model.steps, len(program.inner.times) + 1)
 
 
 def _intervals(
@@ -48,15 +56,26 @@ def _intervals(
     others, time = parameters(program), program.model.time
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
-    def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
-        rows = [values[s] for s in local], values[time], values[STEP], [values[s] for s in others]
-        return kernel(*rows, filled)
+    def calling(begins_at: int) -> Any:
+        """Call a kernel of an interval that begins at the inner time of this number, or at none."""
+        times = inner_time_symbols(program)
+
+        def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+            moved = {s: values[time] + 2 * abs(i - begins_at) * values[STEP] for i, s in enumerate(times)}
+            given = [moved[s] if s in moved else values[s] for s in others]
+            return kernel([values[s] for s in local], values[time], values[STEP], given, filled)
+
+        return call
 
     pattern = _pattern(module, "")
-    for (stem, where), element in zip(named_elements(program), program.interval_elements, strict=True):
+    kinds = list(zip(named_elements(program), program.interval_elements, [0] * len(program.interval_elements)))
+    if program.inner.times:
+        kinds += [((stem, f"{where} that begins at no inner time"), share, -1) for (stem, where), share, _ in kinds]
+    for (stem, where), element, begins_at in kinds:
+        call = calling(begins_at)
         share = Share(
             name="an interval" + where,
-            scalar=element.element,
+            scalar=element.element.xreplace(inner_numbers(program, begins_at)),
             beside=element.cost,
             unknowns=program.element_symbols,
             indices=tuple(range(len(program.element_symbols))),
@@ -67,6 +86,57 @@ def _intervals(
             call_hessian=call,
         )
         yield share, guessed.on_intervals(local, others, part_of_chain(program, stem))
+
+
+def inner_time_symbols(program: ControlProgram) -> tuple[Symbol, ...]:
+    """The parameters that are inner times."""
+    return program.inner.parameters[: len(program.inner.times)]
+
+
+def inner_numbers(program: ControlProgram, number: int) -> dict[Symbol, Expr]:
+    """What an interval that begins at the inner time of this number, or at none (-1), reads of its left node."""
+    count, inner = len(program.inner.times), program.inner
+    of_times = inner.parameters[count:]
+    return {s: of_times[i * count + number] if number >= 0 else S.Zero for i, s in enumerate(inner.symbols)}
+
+
+def _samples(program: ControlProgram, intervals: Sequence[tuple[Share, Values]]) -> Iterator[tuple[Share, Values]]:
+    """What a sample adds to the share of an interval, with values that may have been measured."""
+    if program.sample is None:
+        return
+    (share, near), sample = intervals[0], program.sample
+    others, time, own = parameters(program), program.model.time, sample.symbols
+    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+
+    def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        # A sample stands behind the parameters, and its middle, which kernels do not read, before all else.
+        row = [*(values[s] for s in others), None, *(values[s] for s in own)]
+        return kernel([values[s] for s in local], values[time], values[STEP], row, len(others), filled)
+
+    measured = replace(
+        share, name="a sample", scalar=sample.element, beside=sample.element, gradient="sample_gradient",
+        hessian="sample_hessian", call_gradient=call, call_hessian=call, returned="the losses of",
+    )  # fmt: skip
+    generator, count = np.random.default_rng(7), len(next(iter(near.values())))
+    yield measured, near | {symbol: generator.uniform(0.1, 0.9, count) for symbol in own}
+
+
+def _verify_values(program: ControlProgram, text: Text, share: Share, near: Values) -> None:
+    """Compare what the motion has at a sample, on which no derivative depends, with the expressions themselves."""
+    assert program.sample is not None, "there are samples"
+    tape, numbers = Tape(program.sample.observed), complex_numbers(np.complex128)
+    given = {symbol: values.astype(complex) for symbol, values in near.items()}
+    emitted: list[Any] = [0.0] * len(program.sample.observed)
+    with np.errstate(all="ignore"):
+        exact = tape.evaluate(given, numbers)
+        share.call_gradient(text.kernels(("sample_values",), numbers)["sample_values"], given, emitted)
+    for observed, found, right in zip(program.model.observed, emitted, exact, strict=True):
+        finite = np.isfinite(right)
+        if not np.allclose(np.where(finite, found, 0.0), np.where(finite, right, 0.0), rtol=_ROUNDING, atol=_ROUNDING):
+            raise VerificationError(
+                f"the emitted code gives another value than the expression that {observed.name} measures",
+                "this is a defect of codegen, and nothing was written; please report it with the problem file",
+            )
 
 
 def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:

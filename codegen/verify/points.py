@@ -56,9 +56,9 @@ def random_points(symbols: Sequence[Symbol], defaults: Mapping[Symbol, float], c
 class GuessedPoints:
     """Points near the guess that a module of a control problem makes for itself."""
 
-    def __init__(self, module: Mapping[str, Any], steps: int) -> None:
+    def __init__(self, module: Mapping[str, Any], steps: int, least: int = 1) -> None:
         self.module = module
-        self.grid = module["make_grid"](min(steps, _STEPS))
+        self.grid = module["make_grid"](max(least, min(steps, _STEPS)))
         with np.errstate(all="ignore"):
             self.unknowns = module["initial_guess"](self.grid)
         if "read_shared" in module:

@@ -17,6 +17,7 @@ ABOUT_CONTROL = {
     "momentum matching",
     "boundary rank",
     "null controls",
+    "inner times",
     "path between nodes",
     "holonomic drift",
     "switches",
@@ -32,9 +33,10 @@ ABOUT_MECHANICS = {
 }
 SILENT = {
     "pendulum": {*ABOUT_CONTROL, "discrete Noether"},
-    "linear_pendulum": {"path between nodes", "discrete Noether", "holonomic drift", "switches"},
-    "orbital_transfer": {"path between nodes", "area preservation", "holonomic drift", "switches"},
+    "linear_pendulum": {"inner times", "path between nodes", "discrete Noether", "holonomic drift", "switches"},
+    "orbital_transfer": {"inner times", "path between nodes", "area preservation", "holonomic drift", "switches"},
     "hovercraft": {
+        "inner times",
         "path between nodes",
         "area preservation",
         "holonomic drift",
@@ -42,6 +44,7 @@ SILENT = {
         "optimum",
     },  # several bodies, coupled at the end
     "double_integrator": {
+        "inner times",
         "path between nodes",
         "holonomic drift",
         "switches",
@@ -49,21 +52,29 @@ SILENT = {
     },  # free duration, bounded control
     "low_thrust": {
         "area preservation",
+        "inner times",
         "path between nodes",
         "holonomic drift",
         "switches",
         "optimum",
     },  # path inequality, end condition, end cost
-    "spherical_pendulum": {"path between nodes", "area preservation", "switches", "optimum"},  # holonomic constraint
+    "spherical_pendulum": {
+        "inner times",
+        "path between nodes",
+        "area preservation",
+        "switches",
+        "optimum",
+    },  # holonomic constraint
     "van_der_pol": {
         *ABOUT_MECHANICS,
+        "inner times",
         "path between nodes",
         "holonomic drift",
         "switches",
         "optimum",
     },  # first-order system
 }
-SILENT = {problem: {*names, "integrals", "tables"} for problem, names in SILENT.items()}
+SILENT = {problem: {*names, "integrals", "tables", "measurements", "delays"} for problem, names in SILENT.items()}
 """Checks that do not apply: a simulation has no boundary value problem, and so on; see test_phase_checks for phases."""
 
 

@@ -34,12 +34,13 @@ class Case:
 
 
 PLAIN = (
-    "betts_10_7 bouncing_ball double_integrator_effort four_bar hovercraft hypersensitive linear_pendulum "
-    "n_link_pendulum orbital_transfer orbital_transfer_hamiltonian spherical_pendulum"
+    "betts_10_7 delayed_oscillator double_integrator_effort four_bar hovercraft hypersensitive "
+    "linear_pendulum n_link_pendulum orbital_transfer orbital_transfer_hamiltonian spherical_pendulum"
 ).split()
 BOUNDED = (
-    "acrobot brachistochrone bryson_denham cart_pendulum cart_pole convoy crane double_integrator goddard_rocket "
-    "low_thrust pendulum_swing_up quadrotor robot_arm two_link_arm two_stage_rocket van_der_pol"
+    "acrobot bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole convoy crane double_integrator "
+    "drone_gates goddard_rocket low_thrust pendulum_swing_up quadrotor robot_arm two_link_arm two_stage_rocket "
+    "van_der_pol"
 ).split()
 
 ELSEWHERE = {

@@ -14,6 +14,7 @@ from sympy import Eq, S, Symbol, sqrt
 
 from codegen import (
     Control,
+    Phases,
     Simulate,
     body_number,
     canonical_pair,
@@ -347,3 +348,17 @@ def test_infinite_bounds_and_whole_numbers_of_numpy_are_what_they_say() -> None:
     assert limits == {"x": (None, 2), "w": (0, None)}
     assert type(model.steps) is int
     assert model.steps == 7
+
+
+@pytest.mark.parametrize(
+    ("bounds", "lower"), [({}, 0), ({"lower": 0.5}, S.Half), ({"lower": -1}, -1), ({"upper": 3}, 0)]
+)
+def test_a_free_duration_is_not_negative_unless_its_author_says_so(bounds: dict[str, float], lower: Any) -> None:
+    """In problems of one phase and of several; another free parameter stays as it is."""
+    x, u, T, c = state("x"), control("u"), free_parameter("T", 1, **bounds), free_parameter("c", 1)
+    phase = {"dynamics": {x: u + c}, "cost": u**2 + c**2, "duration": T}
+    whole = Control(**phase, start={x: 0}, end={x: 1})
+    chain = Phases(Control(**phase, start={x: 0}), Control(**phase, end={x: 1}))
+    models = normalise(whole), normalise(chain), *normalise(chain).phases
+    for model in models:
+        assert {free.symbol.name: free.lower for free in model.free_parameters} == {"T": lower, "c": None}

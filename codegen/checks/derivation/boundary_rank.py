@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.module.flat_vector import FlatVector
+from codegen.checks.module.kernel_arguments import few_steps
 from codegen.checks.solution.solutions import free_values
 from codegen.expressions import checks as expressions
 from codegen.solutions.notes import shortened
@@ -38,7 +39,7 @@ def check(context: Context) -> Iterator[Finding]:
 
 def _rank(context: Context, program: ControlProgram) -> Iterator[Finding]:
     module = context.module
-    intervals = _enough_intervals(module)
+    intervals = _enough_intervals(module, few_steps(program, _INTERVALS))
     grid = module.make_grid(intervals)
     guess = module.initial_guess(grid)
     best: tuple[int, NDArray[np.float64], NDArray[np.float64]] | None = None
@@ -70,9 +71,8 @@ def _rank(context: Context, program: ControlProgram) -> Iterator[Finding]:
         yield Finding("boundary rank", "all equations", False, detail)
 
 
-def _enough_intervals(module: Any) -> int:
-    """As many as eight, or more where these have fewer unknowns than equations: one control for many masses."""
-    intervals = _INTERVALS
+def _enough_intervals(module: Any, intervals: int) -> int:
+    """As many as are given, or more where these have fewer unknowns than equations: one control for many masses."""
     while intervals < _MOST_INTERVALS:
         grid = module.make_grid(intervals)
         if module.primal_unknowns(grid).size >= module.multiplier_unknowns(grid).size:

@@ -86,9 +86,12 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
 
 
 def in_time(program: ControlProgram | StepProgram, expression: Expr) -> Expr:
-    """Undo that t and h are fractions of the duration."""
+    """Undo that t and h are fractions of the duration, or tell of a node's own time and pace."""
     if not (isinstance(program, ControlProgram) and program.scaled_time):
         return expression
+    if program.inner.scales:
+        (step, length), (time, there) = program.inner.scales
+        return expression.xreplace({length / step: sympy.S.One, there: time})
     duration, time = program.model.duration, program.model.time
     return expression.xreplace({STEP: STEP / duration, time: time / duration})
 

@@ -109,6 +109,8 @@ def _at_end(program: ControlProgram, condition: Condition, symbols: Sequence[Sym
 
 
 def _in_time(program: ControlProgram, value: Expr) -> Expr:
+    if program.inner.scales:
+        return value.xreplace(dict(program.inner.scales))
     return scaled_in_time(program.model, value) if program.scaled_time else value
 
 
@@ -140,12 +142,12 @@ def _violation(
     others = [*program.model.parameters, *(value.symbol for value in program.boundary_values)]
     known = [*program.element_symbols, program.model.time, STEP, *others]
     functions = [sympy.lambdify(known, value, modules="numpy", cse=True) for value in values]
-    worst = 0.0
+    worst, times = 0.0, grid.nodes * grid.h
     for body in range(program.bodies):
         numbers = grid.parameters[body][: len(others)]
         for k in range(steps):
             point = solution.unknowns[flat.element(body, k)]
             for function in functions:
-                value = float(function(*point, k * grid.h, grid.h, *numbers))
+                value = float(function(*point, times[k], times[k + 1] - times[k], *numbers))
                 worst = max(worst, abs(value) if condition.equality else value)
     return float(np.max([worst, 0.0]))

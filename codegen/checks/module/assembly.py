@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mpmath
@@ -20,8 +21,9 @@ from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.evaluation import DIGITS, Function, directional, function_of, gradient
 from codegen.checks.module.agreement import Agreement
 from codegen.checks.module.flat_vector import FlatVector
-from codegen.checks.module.kernel_arguments import other_symbols
+from codegen.checks.module.kernel_arguments import few_steps, other_symbols
 from codegen.expressions import checks as expressions
+from codegen.model import Model
 from codegen.transcribe.program import ControlProgram
 from codegen.verify.couplings import shared_symbols
 
@@ -48,9 +50,9 @@ class _Share:
 def check(context: Context) -> Iterator[Finding]:
     """Compare gradient, matrix and step at a point beside the initial guess."""
     program = context.control
-    module, flat = context.module, FlatVector.on_grid(program, _STEPS)
-    grid = module.make_grid(_STEPS, grid=_GRID)
-    shares = list(_shares(context, program, flat, grid.parameters))
+    module, flat = context.module, FlatVector.on_grid(program, few_steps(program, _STEPS))
+    grid = module.make_grid(flat.phase_steps, grid=None if program.inner.times else _GRID)
+    shares = list(_shares(context, program, flat, grid))
     unknowns, exact = _trial_point(module, grid, flat, shares)
     if exact is None:
         yield not_measured("assembly", "gradient of the Lagrangian", "it has no finite value beside the guess")
@@ -59,7 +61,7 @@ def check(context: Context) -> Iterator[Finding]:
     first = Agreement("assembly")
     emitted = np.array(module.evaluate(grid, unknowns).gradient)
     first.compare([f"by {names[i]}" for i in free], emitted[free], [exact[i] for i in free])
-    yield first.finding("gradient of the Lagrangian", f"120-digit differences on {_STEPS} intervals")
+    yield first.finding("gradient of the Lagrangian", f"120-digit differences on {flat.phase_steps} intervals")
     matrix = _kkt_matrix(module, grid, unknowns)
     second, direction = Agreement("assembly"), _direction(flat)
     turned = _scattered(
@@ -72,15 +74,19 @@ def check(context: Context) -> Iterator[Finding]:
     yield _newton_step(module, grid, unknowns, matrix, emitted, free, names)
 
 
-def _shares(context: Context, program: ControlProgram, flat: FlatVector, parameters: Vector) -> Iterator[_Share]:
+def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: Any) -> Iterator[_Share]:
     """All shares of the Lagrangian."""
-    others = other_symbols(program)
+    others, count = other_symbols(program), len(program.model.parameters) + len(program.boundary_values)
     whole = 1.0 if program.scaled_time else _duration(context)
-    lengths = whole * np.tile(_GRID, flat.steps // flat.phase_steps)
+    parts = np.diff(grid.nodes) / grid.steps if program.inner.times else _GRID
+    lengths = whole * np.tile(parts, flat.steps // flat.phase_steps)
     times = np.append(0.0, np.cumsum(lengths))
 
     def given(body: int, k: int) -> tuple[float, ...]:
-        return (*parameters[body, : len(others) - 2], times[k], lengths[min(k, flat.steps - 1)])
+        own, number = grid.parameters[body], flat.inner_nodes.get(k)
+        numbers = np.reshape(own[count : count + len(program.inner.values)], (-1, max(1, len(program.inner.times))))
+        here = [0.0 if number is None else row[number] for row in numbers[1:]]
+        return (*own[:count], *here, times[k], lengths[min(k, flat.steps - 1)])
 
     def function(scalar: Expr, unknowns: tuple[Symbol, ...]) -> Function:
         return function_of([*unknowns, *others], [scalar])
@@ -88,9 +94,13 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, paramet
     elements = {e.element: function(e.element, program.element_symbols) for e in program.interval_elements}
     start = function(program.start.element, (*program.left_symbols, *program.shared_symbols))
     end = function(program.end.element, (*program.right_symbols, *program.shared_symbols))
+    sample = program.sample
+    losses = function(sample.element, (*sample.symbols, *program.element_symbols)) if sample else end
     for body in range(program.bodies):
         for k in range(flat.steps):
             yield _Share(elements[flat.share(k).element], flat.element(body, k), given(body, k))
+        for k, told in _samples(context.model, body, times) if sample else ():
+            yield _Share(partial(losses, *told), flat.element(body, k), given(body, k))
         yield _Share(start, flat.end(body, "start"), given(body, 0))
         yield _Share(end, flat.end(body, "end"), given(body, flat.steps))
     symbols, every = shared_symbols(program), np.arange(flat.first_shared, flat.first_coupling)
@@ -98,6 +108,19 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, paramet
         multiplier = Symbol(f"_{coupling.multiplier.name}", real=True)
         indices = np.append(every, flat.first_coupling + i)
         yield _Share(function(multiplier * coupling.expression, (*symbols, multiplier)), indices, given(0, 0))
+
+
+def _samples(model: Model, body: int, times: Vector) -> Iterator[tuple[int, list[float]]]:
+    """The interval of each sample of a body, with where it lies there, its values and their weights."""
+    data = model.measurements[body]
+    columns = len(data.layout.columns)
+    for time, *row in data.rows:
+        k = min(int(np.sum(times[1:] <= time)), times.size - 2)
+        fraction = (time - times[k]) / (times[k + 1] - times[k])
+        pairs = [
+            (z, 1 / s) if np.isfinite(z) else (0.0, 0.0) for z, s in zip(row[:columns], row[columns:], strict=True)
+        ]
+        yield k, [fraction, *(z for z, _ in pairs), *(weight for _, weight in pairs)]
 
 
 def _duration(context: Context) -> float:

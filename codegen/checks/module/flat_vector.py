@@ -42,6 +42,12 @@ class FlatVector:
         return phase.elements[0] if within == 0 else phase.regular
 
     @property
+    def inner_nodes(self) -> dict[int, int]:
+        """The numbers of nodes at inner times, with those of the times, where one interval is between any two."""
+        count = len(self.program.inner.times)
+        return {number + 1: number for number in range(count)} if self.steps == count + 1 else {}
+
+    @property
     def inside(self) -> tuple[Unknown, ...]:
         """Unknowns of a node and of the interval after it."""
         program = self.program
@@ -109,6 +115,11 @@ class FlatVector:
                 free[self.node(body, k)[list(program.only_at_ends)]] = False
             for k in range(self.steps):
                 free[self.interval(body, k)[list(self.share(k).lacking)]] = False
+            for k in range(self.steps + 1):
+                free[self.node(body, k)[list(program.inner.unknowns)]] = False
+            for k, number in self.inner_nodes.items():
+                free[self.node(body, k)[list(program.inner.unknowns)]] = program.inner.present[number]
+                free[self.interval(body, k)[list(program.inner.lacking)]] = False
             for k, end in ((0, program.start), (self.steps, program.end)):
                 free[self.node(body, k)[[*(i for i, _ in end.pins), *(i for i, _, _ in end.shared)]]] = False
         return free

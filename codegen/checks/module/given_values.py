@@ -17,11 +17,12 @@ from sympy import Expr
 
 from codegen.checks.base import Context, Finding
 from codegen.checks.module.flat_vector import FlatVector
+from codegen.checks.module.kernel_arguments import few_steps
 from codegen.expressions import checks as expressions
 from codegen.model import Model
 from codegen.model.definitions import prescribed
 from codegen.transcribe.forms import in_velocities
-from codegen.transcribe.program import ControlProgram, EndElement, Unknown
+from codegen.transcribe.program import ControlProgram, Unknown
 
 _STEPS = 3
 _EQUAL = 1e-12
@@ -50,7 +51,7 @@ def _parameters(context: Context, program: ControlProgram) -> Finding:
         assert boundary is not None, "a control problem has an end"
         quantities = zip((*model.coordinates, *model.rates), (*boundary.positions, *boundary.rates), strict=True)
         given |= {(where, q.name): value for q, value in quantities if value is not None}
-    grid, count = context.module.make_grid(_STEPS), len(model.parameters)
+    grid, count = context.module.make_grid(few_steps(program, _STEPS)), len(model.parameters)
     names = [
         *(f"parameter {p}" for p in model.parameters),
         *(f"{v.where} {v.quantity}" for v in program.boundary_values),
@@ -69,8 +70,8 @@ def _parameters(context: Context, program: ControlProgram) -> Finding:
 
 def _pinned(context: Context, program: ControlProgram) -> Finding:
     """What `with_pinned_values` overwrites in an arbitrary vector, and with what."""
-    module, flat = context.module, FlatVector.on_grid(program, _STEPS)
-    grid = module.make_grid(_STEPS)
+    module, flat = context.module, FlatVector.on_grid(program, few_steps(program, _STEPS))
+    grid = module.make_grid(flat.phase_steps)
     before = np.random.default_rng(5).uniform(1.0, 2.0, flat.size)
     wanted = before.copy()
     for body in range(program.bodies):
@@ -81,6 +82,10 @@ def _pinned(context: Context, program: ControlProgram) -> Finding:
                 wanted[node[index]] = _number(value, program, body, known)
             for index, j, offset in end.shared:
                 wanted[node[index]] = before[shared[j]] + _number(offset, program, body, known)
+        absent = list(program.inner.unknowns)
+        for k in range(1, flat.steps):
+            indices = flat.node(body, k)[absent]
+            wanted[indices] = np.where(flat.free()[indices], before[indices], 0.0)
     found, names = module.with_pinned_values(grid, before), flat.names()
     wrong = [
         f"{names[i]} is given {found[i]:.12g}, expected {wanted[i]:.12g}"
@@ -95,7 +100,7 @@ def _pinned(context: Context, program: ControlProgram) -> Finding:
 
 def _bounds(context: Context, program: ControlProgram) -> Finding:
     """Tables of bounds against those that the author wrote; slacks are not negative, pinned unknowns unbounded."""
-    module, flat = context.module, FlatVector.on_grid(program, _STEPS)
+    module, flat = context.module, FlatVector.on_grid(program, few_steps(program, _STEPS))
     if not program.has_inequalities:
         wrong = ["there are none, but the module has variable_bounds"] if hasattr(module, "variable_bounds") else []
         return _finding("bounds", wrong, "there are none")
@@ -122,7 +127,9 @@ def _bounds(context: Context, program: ControlProgram) -> Finding:
         for k, end in ((0, program.start), (flat.steps, program.end)):
             lower[flat.node(body, k)[[slack for slack, _ in end.slacks]]] = 0.0
             interval = flat.interval(body, min(k, flat.steps - 1))
-            _release(program, end, flat.node(body, k), interval, (lower, upper))
+            determined = [name for name, _ in end.determined]
+            _release(program, determined, end.slacks, flat.node(body, k), interval, (lower, upper))
+        _at_inner_times(program, flat, body, (lower, upper))
     for number in range(1, len(program.phases)):
         node = flat.node(0, number * flat.phase_steps)
         put(node, program.node, 0, _continued(context.model, number, written[number]))
@@ -135,18 +142,32 @@ def _bounds(context: Context, program: ControlProgram) -> Finding:
 
 def _release(
     program: ControlProgram,
-    end: EndElement,
+    determined: Sequence[str],
+    own_slacks: Sequence[tuple[int, int]],
     node: NDArray[np.intp],
     interval: NDArray[np.intp],
     bounds: tuple[Values, Values],
 ) -> None:
-    """Take away the bounds of what is determined at an end; slacks keep one that they cannot reach."""
+    """Take away the bounds of what is determined at a node; slacks keep one that they cannot reach."""
     slacks = {slack.name: index for slack, index in zip(program.slacks, interval[-len(program.slacks) :], strict=False)}
     at_node = {unknown.name: index for unknown, index in zip(program.node, node, strict=True)}
-    for name, _ in end.determined:
-        is_slack = name in slacks or name in [program.node[i].name for i, _ in end.slacks]
+    for name in determined:
+        is_slack = name in slacks or name in [program.node[i].name for i, _ in own_slacks]
         index = slacks[name] if name in slacks else at_node[name]
         bounds[0][index], bounds[1][index] = -1.0 if is_slack else -np.inf, np.inf
+
+
+def _at_inner_times(program: ControlProgram, flat: FlatVector, body: int, bounds: tuple[Values, Values]) -> None:
+    """Put the windows of inner times, and take away the bounds of what is determined there."""
+    inner, nodes = program.inner, {number: k for k, number in flat.inner_nodes.items()}
+    for number, earliest, latest in inner.windows:
+        assert inner.clock is not None, "windows are of free times"
+        index = flat.node(body, nodes[number])[inner.clock]
+        for limits, value in zip(bounds, (earliest, latest), strict=True):
+            limits[index] = limits[index] if value is None else _number(value, program, body)
+    for number, name, before in inner.determined:
+        k = nodes[number]
+        _release(program, [name], (), flat.node(body, k), flat.interval(body, k - before), bounds)
 
 
 def _written(model: Model, program: ControlProgram) -> list[_Limits]:
@@ -154,6 +175,7 @@ def _written(model: Model, program: ControlProgram) -> list[_Limits]:
     common: _Limits = {free.symbol.name: (free.lower, free.upper) for free in model.free_parameters}
     common |= {u.name: (sympy.S.Zero, None) for u in program.shared if u.meaning.startswith("slack")}
     common |= {slack.name: (slack.lower, None) for slack in program.slacks}
+    common |= {u.name: (u.lower, None) for u in program.node if u.meaning.startswith(("slack", "pace"))}
     models = model.phases or (model,)
     return [common | {bound.symbol.name: (bound.lower, bound.upper) for bound in own.bounds} for own in models]
 
@@ -165,7 +187,7 @@ def _continued(model: Model, number: int, bounds: _Limits) -> _Limits:
 
 
 def _compared_bounds(module: Any, flat: FlatVector, lower: Values, upper: Values) -> Finding:
-    found, names = module.variable_bounds(module.make_grid(_STEPS)), flat.names()
+    found, names = module.variable_bounds(module.make_grid(flat.phase_steps)), flat.names()
     wrong = [
         f"the {side} bound of {names[i]} is {values[i]:.12g}, expected {wanted[i]:.12g}"
         for side, values, wanted in (("lower", found[0], lower), ("upper", found[1], upper))
@@ -173,7 +195,7 @@ def _compared_bounds(module: Any, flat: FlatVector, lower: Values, upper: Values
         if not _equal(values[i], wanted[i])
     ]
     count = np.count_nonzero(np.isfinite(lower)) + np.count_nonzero(np.isfinite(upper))
-    return _finding("bounds", wrong, f"all {count} bounds on {_STEPS} intervals are as written")
+    return _finding("bounds", wrong, f"all {count} bounds on {flat.phase_steps} intervals are as written")
 
 
 def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[sympy.Symbol, float] | None = None) -> float:

@@ -15,8 +15,12 @@ from codegen.transcribe.program import ControlProgram
 
 
 def other_symbols(program: ControlProgram) -> list[Symbol]:
-    """What the shares of the Lagrangian depend on beside unknowns: parameters, boundary values, time and step."""
-    return [*program.model.parameters, *(v.symbol for v in program.boundary_values), program.model.time, STEP]
+    """What the shares of the Lagrangian depend on beside unknowns: parameters, boundary values, time and step.
+
+    Where there are inner times, numbers of the left node come before the time.
+    """
+    given = (*program.model.parameters, *(v.symbol for v in program.boundary_values))
+    return [*given, *program.inner.symbols, program.model.time, STEP]
 
 
 def kernel_stems(program: ControlProgram) -> list[str]:
@@ -32,7 +36,20 @@ def pattern_of(module: Any, share: str) -> list[tuple[int, int]]:
 
 
 def parameter_vector(point: Point, program: ControlProgram) -> Any:
-    """A row of `grid.parameters`: parameters, boundary values, shared unknowns, and behind them numbers of tables."""
-    boundary = [value.symbol for value in program.boundary_values]
-    symbols = (*program.model.parameters, *boundary, *program.shared_symbols)
-    return np.array([*(point[s] for s in symbols), *numbers_of(program.model)])
+    """A row of `grid.parameters`: parameters, boundary values, inner times, shared unknowns, and numbers of tables.
+
+    The interval begins at the first of the inner times.
+    """
+    given = (*program.model.parameters, *(value.symbol for value in program.boundary_values))
+    later, inner = range(1, len(program.inner.times)), list[float]()
+    if program.inner.times:
+        time, step = point[program.model.time], point[STEP]
+        inner += [time, *(time + 2.0 * i * step for i in later)]
+        inner += [value for s in program.inner.symbols for value in (point[s], *(0.0 for _ in later))]
+    shared = [point[s] for s in program.shared_symbols]
+    return np.array([*(point[s] for s in given), *inner, *shared, *numbers_of(program.model)])
+
+
+def few_steps(program: ControlProgram, steps: int) -> int:
+    """As many intervals, or, where there are inner times, one between any two of them."""
+    return len(program.inner.times) + 1 if program.inner.times else steps

@@ -16,7 +16,7 @@ from codegen import mangling
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import random_points
 from codegen.checks.module.flat_vector import FlatVector
-from codegen.checks.module.kernel_arguments import kernel_stems, other_symbols, parameter_vector
+from codegen.checks.module.kernel_arguments import few_steps, kernel_stems, other_symbols, parameter_vector
 from codegen.checks.module.step_kernels import step_length
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
@@ -37,7 +37,7 @@ def check(context: Context) -> Iterator[Finding]:
 
 def _control_difference(module: Any, program: ControlProgram) -> str:
     """How tables of the module contradict the program; empty when they do not."""
-    flat = FlatVector.on_grid(program, _STEPS)
+    flat = FlatVector.on_grid(program, few_steps(program, _STEPS))
     names = {
         "node": tuple(u.name for u in program.node),
         "interval": tuple(u.name for u in flat.inside[len(program.node) :]),
@@ -159,9 +159,14 @@ def _differing_couplings(module: Any, program: ControlProgram) -> str:
 
 def _differing_grid(module: Any, program: ControlProgram, flat: FlatVector) -> str:
     """The vector of unknowns and the table of parameters that the module makes."""
-    grid = module.make_grid(_STEPS)
-    parameters = len(program.model.parameters) + len(program.boundary_values) + len(program.shared)
-    parameters += len(numbers_of(program.model))
+    grid = module.make_grid(flat.phase_steps)
+    parameters = len(program.model.parameters) + len(program.boundary_values) + len(program.inner.values)
+    parameters += len(program.shared) + len(numbers_of(program.model))
+    if program.sample is not None:
+        own = parameters, 1 + len(program.sample.symbols)
+        if own != (module.FIRST_SAMPLE, module.SAMPLE):
+            return f"samples of {module.SAMPLE} numbers begin at {module.FIRST_SAMPLE}, expected {own[1]} at {own[0]}"
+        parameters += own[1] * max(len(data.rows) for data in program.model.measurements)
     if grid.parameters.shape != (program.bodies, parameters):
         return f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, parameters)}"
     for name, found, wanted in (
@@ -198,6 +203,13 @@ def _control_run(module: Any, program: ControlProgram) -> str:
         entries = _indices(module, f"{end.upper()}_HESSIAN_ROWS").size
         if hasattr(module, f"{end}_hessian") or entries:
             problem = problem or _run(module, f"{end}_hessian", (local, t, given), hessian=(entries,))
+    if program.sample is not None:
+        row = np.concatenate([given, np.full(module.SAMPLE, 0.5)])
+        arguments = (x, t, h, row, given.size)
+        problem = problem or _run(module, "sample_values", arguments, values=(len(program.sample.values),))
+        problem = problem or _run(module, "sample_gradient", arguments, adds=True, gradient=(size,))
+        entries = _indices(module, "HESSIAN_ROWS").size
+        problem = problem or _run(module, "sample_hessian", arguments, adds=True, hessian=(entries,))
     return problem or _run_couplings(module, program, given)
 
 
@@ -241,7 +253,7 @@ def _step_run(module: Any, program: StepProgram) -> str:
     interval = [*program.stage_symbols, *program.right_symbols]
     symbols = [*program.left_symbols, *interval, *program.model.parameters, program.model.time]
     symbols = list(dict.fromkeys([*symbols, *program.lengths, *program.unknowns]))
-    expressions = [*(value for _, value in program.equations), program.energy]
+    expressions = [value for _, value in program.equations]
     (point,) = random_points(expressions, symbols, program.model.default_values, count=1)
 
     def at(group: Any) -> Any:

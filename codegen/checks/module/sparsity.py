@@ -15,6 +15,8 @@ from codegen.expressions.zeros import identically_zero
 from codegen.transcribe.program import ControlProgram
 
 Pair = tuple[int, int]
+_MEASURED = 0.4
+"""What stands for everything that belongs to a sample, where all else is as at the guess."""
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -22,6 +24,9 @@ def check(context: Context) -> Iterator[Finding]:
     program = context.control
     elements = [share.element for share in program.interval_elements]
     likely = [point for stem in kernel_stems(program) for point in near_interval(context, program, stem)[:2]]
+    if program.sample is not None:
+        elements.append(program.sample.element)
+        likely = [{**point, **dict.fromkeys(program.sample.symbols, _MEASURED)} for point in likely]
     yield from _compared(context, program, "interval", elements, program.element_symbols, set(), likely)
     for name, end, node in (
         ("start", program.start, program.left_symbols),
@@ -43,6 +48,7 @@ def _compared(
 ) -> Iterator[Finding]:
     """Shares of the Lagrangian that have one pattern; what is pinned counts as a number there."""
     symbols = [*unknowns, *other_symbols(program)]
+    symbols += program.sample.symbols if program.sample is not None and name == "interval" else ()
     emitted = pattern_of(context.module, name)
     free = [index for index in range(len(unknowns)) if index not in pinned]
     missing, occupied = set[Pair](), set[Pair]()

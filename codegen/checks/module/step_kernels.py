@@ -7,7 +7,6 @@ from typing import Any
 
 import mpmath
 import numpy as np
-from sympy import Expr, Symbol
 
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import DIGITS, Function, Point, function_of, gradient, random_points
@@ -24,7 +23,7 @@ def check_step(context: Context, program: StepProgram) -> Iterator[Finding]:
     interval = [*program.stage_symbols, *program.right_symbols]
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     equations = function_of([*base, *interval], [value for _, value in program.equations])
-    energy = function_of(base, [_expanded(program.energy, program.state_assignments)])
+    energy = function_of(base, [program.energy], program.state_assignments)
     written, height = Agreement(), Agreement()
     names = [name for name, _ in program.equations]
     module, size = context.module, len(interval)
@@ -57,9 +56,10 @@ def _closed(context: Context, program: StepProgram, points: Sequence[Point], equ
 
 
 def _after_a_step(context: Context, program: StepProgram, point: Point, equations: Function) -> list[Any] | None:
-    """What is left over of the equations; nothing where the module makes no step, however short.
+    """What is left over of the equations, in parts of the largest value of the step, or of one if that is more.
 
-    A long step may have no solution, as where bodies happen to lie beside each other; a short one has.
+    Nothing where the module makes no step, however short. A long step may have no solution, as where bodies happen to
+    lie beside each other; a short one has.
     """
     module, made = context.module, np.empty(len(program.equations))
     for shorter in _SHORTER:
@@ -68,18 +68,20 @@ def _after_a_step(context: Context, program: StepProgram, point: Point, equation
         given = (arguments[3], 1e-14, 50)
         if module.advance(*arguments[:3], given, module.allocate_work(arguments[2], given), made) >= 0:
             base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
+            scale = max(1.0, np.abs(arguments[0]).max(), np.abs(made).max())
             with mpmath.workdps(DIGITS):
-                return equations(*(mpmath.mpf(shortened[symbol]) for symbol in base), *map(mpmath.mpf, made))
+                left_over = equations(*(mpmath.mpf(shortened[symbol]) for symbol in base), *map(mpmath.mpf, made))
+                return [value / mpmath.mpf(scale) for value in left_over]
     return None
 
 
 def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
     base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
     symbols = [*program.unknowns, *base]
-    residual = [_expanded(value, program.before) for value in program.residual]
-    functions, size = [function_of(symbols, [value]) for value in residual], len(program.unknowns)
+    functions = [function_of(symbols, [value], program.before) for value in program.residual]
+    size = len(program.unknowns)
     values_seen, entries_seen = Agreement(), Agreement()
-    for point in random_points(residual, symbols, program.model.default_values):
+    for point in random_points(program.residual, symbols, program.model.default_values, assignments=program.before):
         numbers = [point[symbol] for symbol in symbols]
         unknowns, arguments = np.array(numbers[:size]), _step_arguments(point, program)
         alone, beside, matrix = np.empty(size), np.empty(size), np.empty((size, size))
@@ -93,12 +95,6 @@ def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
                 entries_seen.compare(names, matrix[i], gradient(function, numbers, range(size)))
     yield values_seen.finding("step_residual", "the reduced equations")
     yield entries_seen.finding("step_jacobian", "120-digit differences of the residual")
-
-
-def _expanded(value: Expr, assignments: Sequence[tuple[Symbol, Expr]]) -> Expr:
-    for symbol, meaning in reversed(assignments):
-        value = value.xreplace({symbol: meaning})
-    return value
 
 
 def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, Any, Any]:

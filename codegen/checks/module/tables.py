@@ -24,7 +24,7 @@ def check(context: Context) -> Iterator[Finding]:
     if not tables:
         yield does_not_apply("tables", "there are no tables")
         return
-    parameters = np.atleast_2d(context.module.make_grid(2).parameters)[0]
+    parameters = np.atleast_2d(context.module.make_grid(context.model.steps).parameters)[0]
     for table in tables:
         shape = table.shape
         same = np.array_equal(np.array(context.module.TABLES[shape.name]), table.numbers)

@@ -34,6 +34,8 @@ def near_end(context: Context, program: ControlProgram, end: str) -> list[dict[S
 
 
 def _points(values: Values, program: ControlProgram) -> list[dict[Symbol, float]]:
-    named = with_time(values, program.model.time)
+    named, inner = with_time(values, program.model.time), program.inner
+    for column, symbol in enumerate(inner.symbols, start=1):
+        named[symbol] = named[inner.parameters[column * len(inner.times)]]
     count = len(next(iter(named.values())))
     return [{s: float(array[index]) for s, array in named.items()} for index in _PREFERRED if index < count]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from sympy import Expr, sstr
 
 from codegen.author.problem import Control
-from codegen.author.symbols import ControlInput, Time
+from codegen.author.symbols import ControlInput, Delayed, Time
 from codegen.errors import ExpressionError
 from codegen.expressions import checks as expressions
 from codegen.model.conditions.base import Kind, Scope
@@ -21,7 +21,7 @@ class Integrals(Kind):
     """Relations between an integrand and the value of its integral."""
 
     argument, field, words = "integral", "integrals", "conditions on integrals"
-    scope: ClassVar[Scope] = {"integral": (*MOVING, ControlInput, Time, *STATIC), "integral value": STATIC}
+    scope: ClassVar[Scope] = {"integral": (*MOVING, Delayed, ControlInput, Time, *STATIC), "integral value": STATIC}
 
     def written(self, control: Control) -> Iterator[Entry]:
         """Each as an integrand and as the value that its integral has or does not exceed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import ClassVar
 
-from codegen.author.symbols import ControlInput, Time
+from codegen.author.symbols import ControlInput, Delayed, Time
 from codegen.errors import DegenerateError, ExpressionError
 from codegen.model.conditions.base import Kind, Points, Scope, dependent, is_constant
 from codegen.model.definitions import Condition, Model
@@ -16,7 +16,7 @@ class Path(Kind):
     """Equations and inequalities between coordinates, rates, controls, time and parameters."""
 
     argument, field, words = "path", "path", "path conditions"
-    scope: ClassVar[Scope] = {"path": (*MOVING, ControlInput, Time, *STATIC)}
+    scope: ClassVar[Scope] = {"path": (*MOVING, Delayed, ControlInput, Time, *STATIC)}
 
     def at(self, model: Model, end: str) -> Iterator[Condition]:
         yield from model.path

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.stand_ins.example import (
-    BODIES, COUPLINGS, END_PINNED, IS_MULTIPLIER, NODE, ONLY_AT_ENDS, OWN, PHASES, ROOT, SHARED_IS_MULTIPLIER,
-    SHARED_MULTIPLIERS, START_PINNED, STRIDE,
+    BODIES, COUPLINGS, END_PINNED, FREE_TIMES, INNER_LACKS, INNER_PRESENT, INNER_TIMES, INNER_UNKNOWNS, IS_MULTIPLIER,
+    NODE, ONLY_AT_ENDS, OWN, PHASES, ROOT, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, STRIDE,
 )  # fmt: skip
 from codegen.runtime.unknowns.phases import lacking_unknowns
 
@@ -49,16 +49,47 @@ def layout(steps):
     return Layout(is_multiplier, is_free, primal, multipliers)
 
 
+if INNER_TIMES:
+
+    @lru_cache(maxsize=4)
+    def inner_layout(steps, numbers):
+        """The layout of `steps` intervals whose nodes of these `numbers` are at inner times, read-only."""
+        plain, chain = layout(steps), steps * STRIDE + NODE
+        is_free = plain.is_free.copy()
+        for first in range(0, BODIES * chain, chain):
+            nodes = first + STRIDE * np.arange(steps + 1)
+            for j, present in zip(INNER_UNKNOWNS, INNER_PRESENT.T):
+                is_free[nodes + j] = False
+                is_free[nodes[np.array(numbers)[present]] + j] = True
+            if FREE_TIMES:
+                for j in INNER_LACKS:
+                    is_free[nodes[np.array(numbers)] + j] = False
+        primal = np.flatnonzero(is_free & ~plain.is_multiplier)
+        multipliers = np.flatnonzero(is_free & plain.is_multiplier)
+        for array in (is_free, primal, multipliers):
+            array.flags.writeable = False
+        return Layout(plain.is_multiplier, is_free, primal, multipliers)
+
+
 def free_unknowns(grid):
     """Boolean mask (n,) of the unknowns that no boundary condition fixes and that mean something."""
-    return layout(grid.steps).is_free
+    if INNER_TIMES:
+        return inner_layout(grid.steps, grid.inner).is_free
+    else:
+        return layout(grid.steps).is_free
 
 
 def primal_unknowns(grid):
     """Indices of the free primal unknowns."""
-    return layout(grid.steps).primal
+    if INNER_TIMES:
+        return inner_layout(grid.steps, grid.inner).primal
+    else:
+        return layout(grid.steps).primal
 
 
 def multiplier_unknowns(grid):
     """Indices of the multipliers whose equations are imposed."""
-    return layout(grid.steps).multipliers
+    if INNER_TIMES:
+        return inner_layout(grid.steps, grid.inner).multipliers
+    else:
+        return layout(grid.steps).multipliers

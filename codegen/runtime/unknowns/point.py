@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.stand_ins.example import SCALED
+from codegen.runtime.stand_ins.example import INNER_TIMES, SCALED
 from codegen.runtime.unknowns.lagrangian import lagrangian_gradient
 from codegen.runtime.norms import measure
 
@@ -32,6 +32,8 @@ class Grid(NamedTuple):
     forces: np.ndarray
     weight: float
     bounds: tuple[np.ndarray, ...]
+    if INNER_TIMES:  # type: ignore[misc]  # decided when a module is made
+        inner: tuple[int, ...] = ()  # the nodes at inner times
 
 
 class Point(NamedTuple):

@@ -9,10 +9,12 @@ from codegen.runtime.stand_ins.example import (
     PHASES,
     ROOT,
     SHARED,
+    SAMPLED,
     TABLED,
     duration_of,
     phase_durations,
 )
+from codegen.runtime.stand_ins.example_samples import FIRST_SAMPLE
 
 
 @njit(error_model="numpy", inline="always")
@@ -32,6 +34,8 @@ def read_shared(unknowns, body, parameters):
     """Copy a body's shared ones of `unknowns` (n,) behind its `parameters` (BODIES, P + SHARED), where kernels read."""
     first = unknowns.size - ROOT
     behind = parameters.shape[1] - SHARED
+    if SAMPLED:
+        behind = FIRST_SAMPLE - SHARED  # samples are as many as are given
     if TABLED:
         behind -= TABLED
     for j in range(SHARED):

@@ -37,11 +37,14 @@ def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[s
 
 
 def _cost_so_far(module: ControlModule, result: Result) -> Vector:
-    """The discrete cost up to each node, of all bodies together, without that of ends."""
+    """The discrete cost up to each node, of all bodies together, without ends, and without samples, where it jumps."""
     generated: Any = module
     grid: Any = time_grid(module, result.steps, result.grid)
     costs = np.empty((module.metadata["bodies"], grid.steps))
-    generated.interval_costs(result.unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, costs)
+    parameters = grid.parameters
+    if "observations" in module.metadata:
+        parameters = np.ascontiguousarray(parameters[:, : generated.FIRST_SAMPLE])
+    generated.interval_costs(result.unknowns, grid.steps, grid.h, grid.nodes, parameters, costs)
     return np.concatenate([[0.0], np.cumsum(costs.sum(axis=0))])
 
 

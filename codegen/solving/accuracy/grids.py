@@ -64,6 +64,19 @@ def refined(
     return np.array([_placed(*own, steps, known) for own, known in zip(lengths, times, strict=True)])
 
 
+def through(grid: Matrix, places: Sequence[float]) -> Matrix:
+    """A grid of one phase whose nodes are moved so that some of them are at given places, in parts of the whole."""
+    if not places:
+        return grid
+    nodes, count = np.append(0.0, np.cumsum(grid[0])), len(places)
+    chosen = [0]
+    for number, place in enumerate(places):
+        nearest = int(np.argmin(np.abs(nodes - place)))
+        chosen.append(min(max(nearest, chosen[-1] + 1), nodes.size - 1 - (count - number)))
+    moved = np.interp(nodes, nodes[[*chosen, -1]], [0.0, *places, nodes[-1]])
+    return np.asarray(np.diff(moved)[None] / nodes[-1], dtype=float)
+
+
 def _amounts(grid: Matrix, errors: Matrix, order: int, gaps: Sequence[Gap]) -> Matrix:
     """How many intervals each interval is worth, up to a factor; in gaps and beside them as many as farther away."""
     amounts = np.maximum(errors, 0.0) ** (1.0 / (order + 1))

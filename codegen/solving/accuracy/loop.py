@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from codegen.loading import ControlModule, Matrix, Vector
+from codegen.loading import ControlModule, Matrix, Vector, few_steps, inner_places
 from codegen.solutions.result import Accuracy, GridLevel, Result
 from codegen.solving.accuracy.arcs import gaps
 from codegen.solving.accuracy.estimate import Estimate, compared, interval_errors
-from codegen.solving.accuracy.grids import bisected, equal, refined
+from codegen.solving.accuracy.grids import bisected, equal, refined, through
 from codegen.solving.refinement import order_of_optima, transferred
 
 MOST_GRIDS = 30
@@ -100,9 +100,9 @@ class _Search:
         """The first pair that is solved: of equal intervals, of which there may be too few."""
         phases, pair = self.module.metadata.get("phases", 1), None
         for doubling in range(FIRST_GRIDS):
-            count = steps * 2**doubling
+            count = few_steps(self.module, steps) * 2**doubling
             known = None if warm is None else transferred(self.module, warm, count)
-            pair = self._pair(equal(phases, count), known, None)
+            pair = self._pair(through(equal(phases, count), inner_places(self.module)), known, None)
             if isinstance(pair, _Pair):
                 break
         assert pair is not None
@@ -143,7 +143,8 @@ class _Search:
         steps = pair.coarse.steps
         assert pair.coarse.grid is not None, "grids are given to all solves"
         limits = SHRINKAGE * steps, growth * steps
-        return refined(pair.coarse.grid, pair.local, self.order, ratio, limits, between, NARROW)
+        grid = refined(pair.coarse.grid, pair.local, self.order, ratio, limits, between, NARROW)
+        return through(grid, inner_places(self.module))
 
     def _carried(self, result: Result, grid: Matrix) -> Vector:
         assert result.unknowns is not None

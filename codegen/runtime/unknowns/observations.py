@@ -1,0 +1,55 @@
+"""Measurements as kernels read them: of every sample the interval in which it lies, and where in it."""
+
+import numpy as np
+
+from codegen.runtime.stand_ins.example import BODIES
+from codegen.runtime.stand_ins.example_samples import OBSERVATIONS, SAMPLE, metadata
+
+TIME_ROUNDING = 1e-9  # parts of the duration by which a time may be outside
+
+
+def with_observations(grid, observations):
+    """The grid with the samples of each body behind its parameters; `observations` as in `solve`."""
+    given = OBSERVATIONS if observations is None else observations
+    if isinstance(given, np.ndarray):
+        given = (given,)
+    if len(given) != BODIES:
+        raise ValueError(f"there are observations of {len(given)} bodies, and {BODIES} move")
+    rows = [samples_of(grid, checked_observations(measured)) for measured in given]
+    samples = np.full((BODIES, max(own.size for own in rows)), np.inf)  # where there are fewer, none begins
+    for body, own in enumerate(rows):
+        samples[body, : own.size] = own.ravel()
+    return grid._replace(parameters=np.hstack([grid.parameters, samples]))
+
+
+def checked_observations(measured):
+    """Rows (time, values, standard deviations) of one body, (n, SAMPLE - 1), by time; ValueError for what is none."""
+    rows = np.array(measured, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != SAMPLE - 1 or not rows.size:
+        columns = ", ".join(metadata["observations"]["columns"])
+        raise ValueError(f"observations have shape {rows.shape}, expected rows of time, {columns}, standard deviations")
+    values, sigmas = np.split(rows[:, 1:], 2, axis=1)
+    if not np.isfinite(rows[:, 0]).all() or np.isinf(values).any():
+        raise ValueError("observations must have finite times and values, NaN where nothing was measured")
+    if not (np.isnan(values) | (sigmas > 0.0) & (sigmas < np.inf)).all():
+        raise ValueError("standard deviations of observations must be positive and finite")
+    return rows[np.argsort(rows[:, 0], kind="stable")]
+
+
+def samples_of(grid, rows):
+    """Samples (n, SAMPLE) for kernels, of rows sorted by time; ValueError for times outside the motion."""
+    nodes = grid.nodes * grid.h
+    least, greatest = rows[0, 0], rows[-1, 0]
+    if least < -TIME_ROUNDING * nodes[-1] or greatest > (1.0 + TIME_ROUNDING) * nodes[-1]:
+        raise ValueError(f"observations are from t = {least:g} to {greatest:g}, the motion from 0 to {nodes[-1]:g}")
+    k = np.clip(np.searchsorted(nodes, rows[:, 0], side="right") - 1, 0, grid.steps - 1)
+    values, sigmas = np.split(rows[:, 1:], 2, axis=1)
+    missing = np.isnan(values)
+    return np.column_stack(
+        [
+            (nodes[k] + nodes[k + 1]) / 2.0,
+            np.clip((rows[:, 0] - nodes[k]) / (nodes[k + 1] - nodes[k]), 0.0, 1.0),
+            np.where(missing, 0.0, values),
+            np.where(missing, 0.0, 1.0 / np.where(missing, 1.0, sigmas)),
+        ]
+    )

@@ -1,0 +1,63 @@
+"""Kernels of samples, and measurements, that were damaged in an emitted text or in a module, are found."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from checks.conftest import PROBLEMS
+
+from codegen import checks, transcribe
+from codegen.compiler import build
+from codegen.errors import VerificationError
+from codegen.model.from_file import load_problem
+from codegen.verify import verify
+
+PROBLEM = PROBLEMS / "published" / "gas_oil.py"
+DAMAGES = {
+    "gradient": (r"def sample_gradient.*?gradient\[0\] \+= ", r"\g<0>1.001*"),
+    "hessian": (r"def sample_hessian.*?hessian\[0\] \+= ", r"\g<0>1.001*"),
+    "hessian-index": (r"(def sample_hessian.*?)hessian\[1\] \+= ", r"\1hessian[2] += "),
+    "losses": (r"(def sample_gradient.*?)return x", r"\1return 2*x"),
+    "fraction": (r"(def sample_hessian.*?)parameters\[sample \+ 1\]", r"\1parameters[sample + 2]"),
+    "weight": (r"(def sample_gradient.*?)parameters\[sample \+ 5\]", r"\1parameters[sample + 4]"),
+    "value": (r"(def sample_values.*?)values\[1\] = b_k", r"\1values[1] = 2*b_k"),
+    "motion": (r"(def motion_hessian.*?)hessian\[3\] = ", r"\1hessian[3] = 1.001*"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_sample_is_not_written(damage):
+    program = transcribe.transcribe(load_problem(PROBLEM), None, None, "interval")
+    text = build(PROBLEM).path.read_text()
+    pattern, replacement = DAMAGES[damage]
+    damaged = re.sub(pattern, replacement, text, count=1, flags=re.DOTALL)
+    assert damaged != text
+    with pytest.raises(VerificationError, match=r"sample|interval|measures"):
+        verify(program, damaged)
+
+
+def test_sound_measurements_pass_every_check(prepared):
+    context = prepared(PROBLEM)
+    for name in ("layout", "derivatives", "measurements", "assembly", "sparsity", "given values"):
+        findings = checks.apply(name, context)
+        assert all(finding.passed for finding in findings), [f for f in findings if not f.passed]
+    assert len(checks.apply("measurements", context)) == 5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "check", "subject"),
+    [
+        ("0.025, 0.8105, 0.2", "0.025, 0.8106, 0.2", "measurements", "numbers"),
+        ("(nodes[k] + nodes[k + 1]) / 2.0", "nodes[k] + nodes[k + 1]", "measurements", "times of samples"),
+        ("(rows[:, 0] - nodes[k]) /", "0.9 * (rows[:, 0] - nodes[k]) /", "measurements", "times of samples"),
+        ("gradient[1] += ", "gradient[1] += 1.001*", "measurements", "sample_gradient"),
+        ("hessian[5] += ", "hessian[5] += 1.001*", "measurements", "sample_hessian"),
+        ("parameters[sample] < t + h:\n        cost", "parameters[sample] < t:\n        cost", "assembly", "gradient"),
+        ("        sample_hessian(unknowns", "        sample_gradient(unknowns", "assembly", "KKT matrix"),
+        ("1.0 / np.where(missing", "2.0 / np.where(missing", "assembly", "gradient"),
+    ],
+)
+def test_damaged_measurements_fail_a_check(prepared, damaged, old, new, check, subject):
+    findings = checks.apply(check, damaged(prepared(PROBLEM), old, new))
+    assert any(subject in finding.subject for finding in findings if not finding.passed), findings
