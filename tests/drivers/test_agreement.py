@@ -53,6 +53,8 @@ ELSEWHERE = {
     ("cart_pendulum", "trust-constr"),  # another local optimum
     ("pendulum_swing_up", "trust-constr"),  # an infeasible point
     ("low_thrust", "slsqp"),  # a singular subproblem at the guess
+    ("drone_gates", "slsqp"),  # stops where it is not stationary
+    ("drone_gates", "trust-constr"),  # the limit of iterations, far from the equations
 }
 """Problems and drivers that have to start near the solution, and what happens otherwise."""
 
