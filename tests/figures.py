@@ -16,6 +16,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 if "CODEGEN_TEST_CACHE" in os.environ:
     os.environ["CODEGEN_CACHE_DIR"] = os.environ["CODEGEN_TEST_CACHE"]
 
+import argparse
 import json
 import sys
 from collections.abc import Collection, Mapping
@@ -77,10 +78,17 @@ def with_errors(rows: list[Row], before: Collection[Mapping[str, Any]]) -> list[
     return rows
 
 
-def main(arguments: list[str]) -> int:
+def main() -> int:
     """Compare with what is on record, or put it on record."""
-    rows = measured([name for name in arguments if not name.startswith("-")])
-    if "--update" in arguments:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("problems", nargs="*", metavar="PROBLEM", help="names of problems, all by default")
+    parser.add_argument("--update", action="store_true", help="put the figures on record")
+    arguments = parser.parse_args()
+    known = {problem for problem, _, _ in GALLERY}
+    if unknown := [name for name in arguments.problems if name not in known]:
+        parser.error(f"{', '.join(unknown)} is not in the gallery: {', '.join(sorted(known))}")
+    rows = measured(arguments.problems)
+    if arguments.update:
         FOLDER.mkdir(exist_ok=True)
         RECORD.write_text(as_json(records.Record(machine(), tuple(with_errors(rows, ())))))
         return 0
@@ -104,4 +112,4 @@ def as_json(record: records.Record) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

@@ -8,6 +8,7 @@ folder.
 
 from __future__ import annotations
 
+import argparse
 import difflib
 import hashlib
 import sys
@@ -128,8 +129,11 @@ def update(texts: Mapping[str, str]) -> None:
 
 def main() -> int:
     """Compare, or rewrite with --update; exit status 1 when the folder is not what the generator makes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--update", action="store_true", help="write generated/ anew")
+    arguments = parser.parse_args()
     texts = fresh()
-    if "--update" in sys.argv[1:]:
+    if arguments.update:
         update(texts)
         return 0
     lines = differences(texts)
