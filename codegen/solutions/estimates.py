@@ -131,7 +131,7 @@ def _covariance(reduced: _Reduced, inverse: _Inverse, fit: Fit, loss: str, devia
     """The covariance (p, p) of free parameters."""
     if loss == "squares":
         return 2.0 * deviation**2 * inverse.matrix
-    slopes = fit.slopes() @ reduced.following
+    slopes = fit.slopes(reduced.following)
     return inverse.matrix @ (slopes.T @ slopes) @ inverse.matrix
 
 

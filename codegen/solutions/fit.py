@@ -67,17 +67,21 @@ class Fit:
         """The sum of squares of all errors."""
         return float(np.nansum(self.errors**2))
 
-    def slopes(self) -> Matrix:
-        """The gradient of the losses of each sample by all unknowns, a row for each sample."""
-        module, size = self._module, self._unknowns.size
-        found = np.zeros((len(self._places), size))
+    def slopes(self, following: Matrix) -> Matrix:
+        """How the loss of each sample follows p quantities, a row (p,) for each sample.
+
+        `following` (n, p) says how all unknowns follow them.
+        """
+        module, size = self._module, len(following)
+        found = np.zeros((len(self._places), following.shape[1]))
         for i, place in enumerate(self._places):
             local = np.zeros(module.ELEMENT + module.SHARED)
             plain(module.sample_gradient)(*self._given(place), local)
             first = place[0] * self._chain + place[1] * module.STRIDE
-            found[i, first : first + module.ELEMENT] = local[: module.ELEMENT]
+            found[i] = local[: module.ELEMENT] @ following[first : first + module.ELEMENT]
             for j in range(module.SHARED):
-                found[i, size - module.ROOT + plain(module.root_index)(place[0], j)] += local[module.ELEMENT + j]
+                index = size - module.ROOT + plain(module.root_index)(place[0], j)
+                found[i] += local[module.ELEMENT + j] * following[index]
         return found
 
 
