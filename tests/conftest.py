@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
+
+# Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +40,18 @@ FAST = frozenset(
     " limits tasks delays segments inner_times samples damaged_samples estimates measured".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no other files of tests where `-m fast` is all that is asked for."""
+    is_other = collection_path.suffix == ".py" and collection_path.stem.removeprefix("test_") not in FAST
+    return True if is_other and config.option.markexpr == "fast" else None
+
+
+def pytest_collection_finish() -> None:
+    """Look for cyclic garbage less often, as builds do, and not among what has been imported and collected."""
+    gc.freeze()
+    gc.set_threshold(100_000, 10, 10)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
