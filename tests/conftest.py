@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compiled_modules import compiled
 from hypothesis import HealthCheck, settings
 from interpreted import Interpreted
 from registered_images import SHAPE
 
 from codegen.author.points import read_points
 from codegen.compiler import build
-from codegen.loading import GeneratedModule, load
+from codegen.loading import GeneratedModule
 from codegen.registration import LandmarkPairs, Registration, register
 from codegen.registration.flow import FlowModule
 from codegen.registration.solver import registration_module
@@ -83,18 +84,18 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(scope="session")
 def orbital_transfer(cache_folder: Path) -> GeneratedModule:
-    return load(build(PROBLEMS / "orbital_transfer.py").path)
+    return compiled(build(PROBLEMS / "orbital_transfer.py").path)
 
 
 @pytest.fixture(scope="session")
 def pendulum(cache_folder: Path) -> GeneratedModule:
     """The implicit midpoint rule."""
-    return load(build(PROBLEMS / "pendulum.py").path)
+    return compiled(build(PROBLEMS / "pendulum.py").path)
 
 
 @pytest.fixture(scope="session")
 def explicit_pendulum(cache_folder: Path) -> GeneratedModule:
-    return load(build(PROBLEMS / "pendulum.py", scheme="stormer-verlet").path)
+    return compiled(build(PROBLEMS / "pendulum.py", scheme="stormer-verlet").path)
 
 
 @pytest.fixture(scope="session")
