@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
+
+# Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+
 from pathlib import Path
 
 import numpy as np
 import pytest
+from compiled_modules import compiled
 from hypothesis import HealthCheck, settings
 from interpreted import Interpreted
 from registered_images import SHAPE
 
 from codegen.author.points import read_points
 from codegen.compiler import build
-from codegen.loading import GeneratedModule, load
+from codegen.loading import GeneratedModule
 from codegen.registration import LandmarkPairs, Registration, register
 from codegen.registration.flow import FlowModule
 from codegen.registration.solver import registration_module
@@ -35,6 +41,18 @@ FAST = frozenset(
     " limits tasks delays segments inner_times samples damaged_samples estimates measured".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no other files of tests where `-m fast` is all that is asked for."""
+    is_other = collection_path.suffix == ".py" and collection_path.stem.removeprefix("test_") not in FAST
+    return True if is_other and config.option.markexpr == "fast" else None
+
+
+def pytest_collection_finish() -> None:
+    """Look for cyclic garbage less often, as builds do, and not among what has been imported and collected."""
+    gc.freeze()
+    gc.set_threshold(100_000, 10, 10)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -66,18 +84,18 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(scope="session")
 def orbital_transfer(cache_folder: Path) -> GeneratedModule:
-    return load(build(PROBLEMS / "orbital_transfer.py").path)
+    return compiled(build(PROBLEMS / "orbital_transfer.py").path)
 
 
 @pytest.fixture(scope="session")
 def pendulum(cache_folder: Path) -> GeneratedModule:
     """The implicit midpoint rule."""
-    return load(build(PROBLEMS / "pendulum.py").path)
+    return compiled(build(PROBLEMS / "pendulum.py").path)
 
 
 @pytest.fixture(scope="session")
 def explicit_pendulum(cache_folder: Path) -> GeneratedModule:
-    return load(build(PROBLEMS / "pendulum.py", scheme="stormer-verlet").path)
+    return compiled(build(PROBLEMS / "pendulum.py", scheme="stormer-verlet").path)
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,9 @@ from codegen.transcribe.program import ControlProgram
 class Scalar:
     """A scalar of some unknowns and other arguments, with gradient and Hessian in the unknowns."""
 
-    def __init__(self, expression: sympy.Expr, unknowns: tuple[sympy.Symbol, ...], others: list[sympy.Symbol]) -> None:
+    def __init__(
+        self, expression: sympy.Expr, unknowns: tuple[sympy.Symbol, ...], others: tuple[sympy.Symbol, ...]
+    ) -> None:
         gradient = [expression.diff(x) for x in unknowns]
         hessian = [[g.diff(x) for x in unknowns] for g in gradient]
         self._value = sympy.lambdify([unknowns, others], expression, cse=True)
@@ -44,6 +47,10 @@ class Scalar:
         return np.array(self._hessian(x, others), dtype=float).reshape(len(x), len(x))
 
 
+scalar_of = lru_cache(maxsize=100)(Scalar)
+"""The same program on several grids has the same scalars."""
+
+
 @dataclass(frozen=True)
 class Share:
     """One scalar at some indices of the flat vector, with the values of its other arguments."""
@@ -58,7 +65,7 @@ class DenseProblem(DenseLayout):
 
     def __init__(self, program: ControlProgram, steps: int, parameters: Mapping[str, float] | None = None) -> None:
         super().__init__(program, steps, parameters)
-        self.others = [program.model.time, STEP, *self.values, *(v.symbol for v in program.boundary_values)]
+        self.others = (program.model.time, STEP, *self.values, *(v.symbol for v in program.boundary_values))
         self.shares = self._shares()
 
     def _others(self, body: int, t: float) -> list[float]:
@@ -67,9 +74,9 @@ class DenseProblem(DenseLayout):
 
     def _shares(self) -> list[Share]:
         program = self.program
-        element = Scalar(program.element, program.element_symbols, self.others)
-        start = Scalar(program.start.element, (*program.left_symbols, *program.shared_symbols), self.others)
-        end = Scalar(program.end.element, (*program.right_symbols, *program.shared_symbols), self.others)
+        element = scalar_of(program.element, program.element_symbols, self.others)
+        start = scalar_of(program.start.element, (*program.left_symbols, *program.shared_symbols), self.others)
+        end = scalar_of(program.end.element, (*program.right_symbols, *program.shared_symbols), self.others)
         out = []
         for body in range(program.bodies):
             for k in range(self.steps):
@@ -82,7 +89,7 @@ class DenseProblem(DenseLayout):
         own_indices = [self.own_start + body * program.own + index for _, body, index in program.coupling_symbols]
         for i, coupling in enumerate(program.couplings):
             multiplier = sympy.Symbol(f"_{coupling.multiplier.name}")
-            scalar = Scalar(multiplier * coupling.expression, (*symbols, *common, multiplier), self.others)
+            scalar = scalar_of(multiplier * coupling.expression, (*symbols, *common, multiplier), self.others)
             indices = [*own_indices, *range(self.common_start, self.coupling_start), self.coupling_start + i]
             out.append(Share(scalar, np.array(indices), self._others(0, 0.0)))
         return out

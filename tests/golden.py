@@ -13,10 +13,11 @@ import difflib
 import hashlib
 import sys
 from collections.abc import Collection, Mapping
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-from codegen.compiler import generate
+from codegen.compiler import build, generate
 from codegen.emit import write
 from codegen.naming import Choices, module_name
 
@@ -80,11 +81,15 @@ def fresh(problems: Collection[str] | None = None) -> dict[str, str]:
 
 @cache
 def text_of(name: str) -> str:
-    """The text of a module of the gallery by its file name, generated anew where it is not committed."""
+    """The text of a module of the gallery by its file name; where it is not committed, the build cache has it."""
     path = FOLDER / name
-    if path.is_file():
-        return path.read_text(encoding="utf-8")
-    return next(fresh([problem])[name] for problem, _, _ in GALLERY if name in names([problem]))
+    if not path.is_file():
+        path = next(
+            build(ROOT / "problems" / f"{problem}.py", arguments, **asdict(choices)).path
+            for problem, arguments, choices in GALLERY
+            if name == f"{module_name(ROOT / 'problems' / f'{problem}.py', arguments, choices)}.py"
+        )
+    return path.read_text(encoding="utf-8")
 
 
 def committed() -> dict[str, str]:

@@ -40,7 +40,8 @@ SYMBOLIC = ("model", "expressions", "schemes", "discretise", "transcribe", "deri
 """What may import it, or what leads there; of the author's files that of points is about numbers alone."""
 
 
-def imported(path: Path) -> set[str]:
+@cache
+def imported(path: Path) -> frozenset[str]:
     """Absolute names of the codegen modules that a file imports at run time, type-checking blocks aside."""
     names = set()
     tree = ast.parse(path.read_text())
@@ -54,7 +55,7 @@ def imported(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             names.add(node.module)
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
+    return frozenset(names)
 
 
 def files(part: str) -> list[Path]:

@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Iterator
 from dataclasses import fields
-from functools import cache
+from functools import cache, lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -33,14 +33,6 @@ _SPECIAL = ("polygamma", "sinc_derivative")
 
 def render(module: Module, origin: Origin) -> str:
     """The text of a generated module; its template asks for values by name, and decides nothing."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("codegen.emit"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=False,
-        autoescape=False,
-    )
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
     # Functions that kernels call and Python does not have: a file for each.
@@ -57,11 +49,24 @@ def render(module: Module, origin: Origin) -> str:
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
     }
-    named = renamed(_tidy(environment.get_template(module.template).render(values, identity=_NAME)))
+    named = renamed(_tidy(_environment().get_template(module.template).render(values, identity=_NAME)))
     # numba's cache needs a name that belongs to this text alone; see the end of a generated module.
     text = named.replace(_NAME, _digest(named.replace(_NAME, "")))
     compile(text, f"{module.name}.py", "exec")
     return text
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    """Where templates are found; it keeps them translated, which takes longer than filling them in."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("codegen.emit"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=False,
+        autoescape=False,
+    )
 
 
 def is_whole(text: str) -> bool:
@@ -76,15 +81,21 @@ def _digest(text: str) -> str:
 
 def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = ()) -> str:
     """The runtime files one after the other, without docstrings, imports and what concerns only sizes that are zero."""
-    parts = []
-    for name in names:
-        text, tree = _runtime_file(name)
-        docstring = ast.get_docstring(tree, clean=True) or ""
-        head = max((node.end_lineno or 0 for node in tree.body if _is_head(node)), default=0)
-        body = specialise("\n".join(text.splitlines()[head:]), dict(sizes)).strip()
-        comment = "\n".join(f"# {line}".rstrip() for line in docstring.splitlines())
-        parts.append(f"{comment}\n\n\n{body}" if body.startswith(("@", "def", "class")) else f"{comment}\n\n{body}")
-    return "\n\n\n".join(parts)
+    return "\n\n\n".join(
+        _specialised(name, tuple((size, number) for size, number in sizes if size in _runtime_file(name)[0]))
+        for name in names
+    )
+
+
+@lru_cache(maxsize=1000)
+def _specialised(name: str, sizes: tuple[tuple[str, int], ...]) -> str:
+    """One of them; sizes are those that it names, so that most problems have most files in common."""
+    text, tree = _runtime_file(name)
+    docstring = ast.get_docstring(tree, clean=True) or ""
+    head = max((node.end_lineno or 0 for node in tree.body if _is_head(node)), default=0)
+    body = specialise("\n".join(text.splitlines()[head:]), dict(sizes)).strip()
+    comment = "\n".join(f"# {line}".rstrip() for line in docstring.splitlines())
+    return f"{comment}\n\n\n{body}" if body.startswith(("@", "def", "class")) else f"{comment}\n\n{body}"
 
 
 def numba_names(names: tuple[str, ...]) -> list[str]:

@@ -30,6 +30,7 @@ def _tables(name: str) -> tuple[Any, Any, Any]:
     return a, b, weights
 
 
+@cache
 def step_matrix(name: str, x: float) -> tuple[Any, Any, Any, Any]:
     """Entries a, b, c, d of q1 = a q + b p, p1 = c q + d p, in 30 digits."""
     a, b, weights = _tables(name)

@@ -28,6 +28,7 @@ class Text:
         self._imports: list[ast.stmt] = []
         self._parts: dict[str, ast.stmt] = {}
         self._codes: dict[tuple[str, ...], CodeType] = {}
+        self._reads: dict[str, set[str]] = {}
         for node in ast.parse(text).body:
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 self._imports += [node] if not (isinstance(node, ast.ImportFrom) and node.module == "numba") else []
@@ -71,7 +72,9 @@ class Text:
             name = waiting.pop()
             if name in self._parts and name not in found and name not in replaced:
                 found.add(name)
-                waiting += _read(self._parts[name])
+                if name not in self._reads:
+                    self._reads[name] = _read(self._parts[name])
+                waiting += self._reads[name]
         return list(dict.fromkeys(node for name, node in self._parts.items() if name in found))
 
 

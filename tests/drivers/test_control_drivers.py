@@ -9,7 +9,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from codegen import drivers, solving
 from codegen.drivers import scaled
@@ -145,6 +145,7 @@ def test_dense_drivers_refuse_large_problems(orbital_transfer, name):
 
 @pytest.mark.parametrize("name", ["slsqp", "trust-constr", "fsolve"])
 def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
+    """Whatever it runs on elsewhere."""
     seen = set()
 
     def constraints(self, x, original=ScaledProblem.constraints):
@@ -152,7 +153,9 @@ def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
         return original(self, x)
 
     monkeypatch.setattr(ScaledProblem, "constraints", constraints)
-    solving.solve(orbital_transfer, name, steps=10)
+    with threadpool_limits(2, "blas"):
+        assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {2}
+        solving.solve(orbital_transfer, name, steps=10)
     assert seen == {1}
 
 

@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy
+from compiled_modules import compiled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +15,6 @@ from codegen import Control, control, errors, state
 from codegen.compiler import build
 from codegen.expressions.checks import checked
 from codegen.expressions.special_functions import sinc_derivative as exact_sinc_derivative
-from codegen.loading import load
 from codegen.runtime.special.polygamma import polygamma
 from codegen.runtime.special.sinc_derivative import sinc_derivative
 
@@ -132,7 +132,7 @@ def test_a_compiled_module_of_them_solves(tmp_path):
     )
     made = build(tmp_path / "well.py", out=tmp_path)
     assert made.path.read_text().count("def polygamma(") == made.path.read_text().count("def sinc_derivative(") == 1
-    solution = load(made.path).solve()
+    solution = compiled(made.path).solve()
     assert solution.status == "solved"
     assert solution.residual < 1e-10
 

@@ -87,8 +87,8 @@ def test_tables_of_polynomials_are_those(folder, tabled, choices):
 
 @pytest.mark.parametrize("driver", ["newton", IPOPT, "slsqp", "trust-constr"])
 def test_drivers_agree(tabled, driver):
-    result = codegen.solve(tabled, driver)
-    written = codegen.solve(write_problem(tabled.parent, _FORMULAS, name="written"))
+    result = codegen.solve(interpreted(tabled), driver)
+    written = codegen.solve(interpreted(write_problem(tabled.parent, _FORMULAS, name="written")))
     assert result.status == written.status == "solved"
     assert result.cost == pytest.approx(written.cost, rel=1e-8)
 
@@ -100,12 +100,16 @@ def test_another_table_needs_no_build(tabled, folder):
     module = codegen.load(codegen.build(tabled).path)
     replaced = codegen.solve(module, tables={"spring": folder / "other" / "spring.csv"})
     write_tables(folder, stiffness=2.0)
-    changed = codegen.solve(tabled)
+    changed = codegen.solve(interpreted(tabled))
     assert replaced.cost == pytest.approx(changed.cost, rel=1e-12)
     assert abs(replaced.cost - plain.cost) > 0.1
     numbers = codegen.load(codegen.build(tabled).path).TABLES["spring"]
     assert module.solve(tables={"spring": numbers}).cost == pytest.approx(changed.cost, rel=1e-12)
     assert module.solve().cost == pytest.approx(plain.cost, rel=1e-12)
+    write_tables(folder / "other", ends=(-0.8, 0.8))
+    result = codegen.solve(module, tables={"spring": folder / "other" / "spring.csv"})
+    assert result.status == "outside a table"
+    assert "on interval 0 (t = 0), outside -0.8 to 0.8" in result.message
 
 
 def test_what_does_not_replace_a_table_is_refused(tabled, folder):
@@ -133,13 +137,13 @@ def test_what_does_not_replace_a_table_is_refused(tabled, folder):
 @pytest.mark.parametrize("driver", ["newton", IPOPT])
 def test_outside_a_table_nothing_is_solved(folder, tabled, driver):
     write_tables(folder, ends=(-0.8, 0.8))
-    result = codegen.solve(tabled, driver)
+    result = codegen.solve(interpreted(tabled), driver)
     assert result.status == "outside a table"
     assert "x of table spring is 0.99" in result.message
     assert "on interval 0 (t = 0), outside -0.8 to 0.8" in result.message
     for outside in ("extend", "clamp"):
         path = write_problem(folder, options=f', outside="{outside}"', name=outside)
-        assert codegen.solve(path, driver).status == "solved"
+        assert codegen.solve(interpreted(path), driver).status == "solved"
 
 
 def test_extended_tables_go_on_as_polynomials(folder, tabled):
@@ -288,7 +292,7 @@ def test_a_changed_file_is_seen(tabled, folder):
 
 def test_a_module_needs_no_file(tabled, folder, tmp_path_factory):
     module = codegen.build(tabled, out=folder / "out").path
-    cost = codegen.solve(module).cost
+    cost = codegen.solve(interpreted(tabled)).cost
     for name in ("spring.csv", "drag.csv", "wind.csv"):
         (folder / name).unlink()
     elsewhere = tmp_path_factory.mktemp("elsewhere") / module.name

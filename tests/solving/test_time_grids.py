@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compiled_modules import compiled
 
 from codegen.compiler import build
-from codegen.loading import load
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 
@@ -21,22 +21,22 @@ def graded(steps, ratio=6.0):
 
 @pytest.fixture(scope="module")
 def effort(cache_folder):
-    return load(build(PROBLEMS / "double_integrator_effort.py").path)
+    return compiled(build(PROBLEMS / "double_integrator_effort.py").path)
 
 
 @pytest.fixture(scope="module")
 def fastest(cache_folder):
-    return load(build(PROBLEMS / "double_integrator.py").path)
+    return compiled(build(PROBLEMS / "double_integrator.py").path)
 
 
 @pytest.fixture(scope="module")
 def ball(cache_folder):
-    return load(build(PROBLEMS / "bouncing_ball.py").path)
+    return compiled(build(PROBLEMS / "bouncing_ball.py").path)
 
 
 @pytest.fixture(scope="module")
 def layer(cache_folder):
-    return load(build(PROBLEMS / "hypersensitive.py").path)
+    return compiled(build(PROBLEMS / "hypersensitive.py").path)
 
 
 @pytest.mark.parametrize("name", ["orbital_transfer", "effort", "fastest", "ball"])

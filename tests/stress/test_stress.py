@@ -3,6 +3,7 @@
 import csv
 import math
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 
 import pytest
@@ -28,7 +29,7 @@ from codegen.stress.measure import measure
 from codegen.stress.references import REFERENCES
 from codegen.stress.systems import FORCES, LIMITS, frequency, plate_gradient
 
-CASES = all_cases()
+every_case = cache(all_cases)
 PLAIN = Case("plain", "stiff", setup("oscillator", EVERY_SCHEME[5]), "accurate", "a test", bound=1e-3)
 
 
@@ -36,11 +37,11 @@ PLAIN = Case("plain", "stiff", setup("oscillator", EVERY_SCHEME[5]), "accurate",
 
 
 def test_there_are_enough_rows_with_unique_names_and_reasons():
-    names = [(case.name, case.setup, case.driver) for case in CASES]
-    assert len(CASES) >= 120
+    names = [(case.name, case.setup, case.driver) for case in every_case()]
+    assert len(every_case()) >= 120
     assert len(set(names)) == len(names)
-    assert all(len(case.reason) > 5 for case in CASES)
-    assert {case.family for case in CASES} == set(FAMILIES)
+    assert all(len(case.reason) > 5 for case in every_case())
+    assert {case.family for case in every_case()} == set(FAMILIES)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -59,10 +60,10 @@ def test_schemes_are_those_of_the_registry_and_have_limits():
 
 
 def test_problems_are_written_for_the_package_alone():
-    used = {case.setup.file for case in CASES}
+    used = {case.setup.file for case in every_case()}
     assert used == set(OWN_PROBLEMS.glob("*.py"))
     assert {name for name, _ in QUICK} <= {path.stem for path in used}
-    assert 0 < len(quick_cases()) < len(CASES)
+    assert 0 < len(quick_cases()) < len(every_case())
 
 
 def test_promises_end_where_steps_do_not_resolve_the_motion():
@@ -144,7 +145,7 @@ def test_collocation_turns_by_the_angle_of_a_pade_approximant():
 @pytest.mark.parametrize("name", ["yoshida-4", "blanes-moan-6"])
 def test_generated_steps_are_as_stable_as_the_tables_say(name):
     module = as_machine_code(generate(OWN_PROBLEMS / "oscillator.py", {}, Choices(name, "hamiltonian")))
-    case = next(c for c in CASES if c.setup.scheme == name and c.reference == "stable_step")
+    case = next(c for c in every_case() if c.setup.scheme == name and c.reference == "stable_step")
     assert stable_limit(module, case) == pytest.approx(LIMITS[name], rel=1e-3)
     for x in (0.4, 1.4):
         assert spectral_radius(module, "oscillator", x) == pytest.approx(growth(name, x), rel=1e-6)
@@ -169,7 +170,7 @@ def test_hangs_and_crashes_cost_one_case_each():
 @pytest.fixture(scope="module")
 def verlet():
     """The text of the oscillator's Störmer-Verlet module."""
-    case = next(c for c in CASES if c.setup == PLAIN.setup and c.name.endswith("h omega = 0.01"))
+    case = next(c for c in every_case() if c.setup == PLAIN.setup and c.name.endswith("h omega = 0.01"))
     case = replace(case, steps=100, values=(("omega", 100.0), ("duration", 0.01)), limit=False)
     return generate(OWN_PROBLEMS / "oscillator.py", {}, Choices("stormer-verlet", "hamiltonian")), case
 
@@ -229,8 +230,8 @@ def test_numbers_that_are_none_are_refused_by_name(verlet):
 
 def test_a_prescribed_value_beyond_its_bound_is_refused():
     module = without_compilation(generate(OWN_PROBLEMS / "walled_cart.py", {}, Choices()))
-    cases = [replace(case, steps=6) for case in CASES if case.setup.file.stem == "walled_cart"]
-    behind = next(case for case in cases if case.name == "cart, wall behind the start")
+    walled = [replace(case, steps=6) for case in every_case() if case.setup.file.stem == "walled_cart"]
+    behind = next(case for case in walled if case.name == "cart, wall behind the start")
     seen = measure(module, behind)
     assert seen.status == "infeasible"
     assert "x is prescribed as 0 at the start, beyond its bounds -inf to -0.1" in seen.message
@@ -339,6 +340,6 @@ def test_generic_cases_vary_one_parameter_at_a_time():
 
 
 def test_every_scheme_has_its_limit_on_the_oscillator_case():
-    wanted = {case.setup.label for case in CASES if case.reference == "stable_step"}
+    wanted = {case.setup.label for case in every_case() if case.reference == "stable_step"}
     assert len(wanted) == len(EVERY_SCHEME) + len(HIGHER_ORDER)
     assert callable(stable_limit)
