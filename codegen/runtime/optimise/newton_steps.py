@@ -82,7 +82,7 @@ def regularised_step(search, iterate, before, damping, careful):
     return None
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def is_of_rounding(primal, gradient):
     """Whether a step `primal` (n,) is so long beside its right-hand side `gradient` (n,) that rounding made it."""
     longest = right = 0.0
