@@ -26,6 +26,8 @@ def control_parts(module: Any) -> Calls:
         calls.append(lambda: module.scaled_grid(grid, unknowns))
     if hasattr(module, "linear_residual"):
         calls.append(lambda: module.linear_residual(grid, unknowns, zeros, zeros, step))
+    if hasattr(module, "is_of_rounding"):
+        calls.append(lambda: module.is_of_rounding(step, zeros))
     if hasattr(module, "finite_bounds"):
         calls += _barrier_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none

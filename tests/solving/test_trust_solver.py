@@ -1,10 +1,14 @@
 """Minimal problems on which a solver may give up too soon: values forced onto bounds, saddle points, rounding."""
 
+from math import asin
+from math import sin as sine
+
 import pytest
 from interpreted import of_problem
-from sympy import cos, exp, pi, sin
+from scipy.optimize import brentq
+from sympy import cos, exp, pi, sin, tan
 
-from codegen import Control, control, controls, states
+from codegen import Control, control, controls, free_parameter, states
 
 HILL = 8.33032459938
 """IPOPT 3.14 from y = sin(pi t), at a tolerance of 1e-10, on the program of `around_a_hill`."""
@@ -76,3 +80,38 @@ def test_saddle_point_is_left(bounded):
     solution = of_problem(around_a_hill(bounded)).solve()
     assert solution.status == "solved"
     assert solution.cost == pytest.approx(HILL, rel=1e-8)
+
+
+TURN = 0.6
+"""The largest steering angle of a car whose axles are one unit of length apart."""
+
+
+def parked_sideways():
+    """Linearised at the guess, where the car is at rest and looks along x, nothing changes y: 0 = 1."""
+    x, y, theta = states("x y theta")
+    v, delta = controls("v delta")
+    T = free_parameter("T", 4)
+    return Control(
+        dynamics={x: v * cos(theta), y: v * sin(theta), theta: v * tan(delta)},
+        terminal_cost=T,
+        duration=T,
+        start={x: 0, y: 0, theta: 0},
+        end={x: 0, y: 1, theta: 0},
+        bounds={v: (-1, 1), delta: (-TURN, TURN)},
+        steps=40,
+    )
+
+
+def test_equations_that_contradict_each_other_at_the_guess():
+    """The least time is that of four arcs (Reeds and Shepp, 1990), which switch at nodes here; IPOPT takes 3000."""
+    radius = 1 / float(tan(TURN))
+
+    def way_to_the_side(angle):
+        first = asin(sine(angle) / 2)  # x is what it was
+        return 2 * radius * (2 * float(cos(first)) - 1 - float(cos(angle)))
+
+    exact = 2 * radius * brentq(lambda angle: way_to_the_side(angle) - 1, 0.5, 1.5)
+    solution = of_problem(parked_sideways()).solve()
+    assert solution.status == "solved"
+    assert exact <= solution.cost <= 1.02 * exact
+    assert solution.iterations <= 200

@@ -27,6 +27,7 @@ SHORT = 0.25  # part of a step that is left when it counts as much too long
 SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 LEAST_DAMPING = 1e-5
+IN_VAIN = 20  # full steps in turn that leave the equations as they were: linearised, these contradict each other
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
@@ -42,6 +43,11 @@ class Globalisation:
         self.filtered = Filter(attempt.funnel * first)
         self.inertia, self.length, self.damping = InertiaCorrection(), 0.0, 0.0
         self.shortened, self.watchdog, self.monitor = 0, None, AccuracyMonitor()
+        self.in_vain = 0
+
+    def is_contradicted(self, point):
+        """Whether full steps in turn have left the equations as they were, far from holding."""
+        return self.in_vain >= IN_VAIN and point.residual > self.small_violation
 
     if INEQUALITIES:
 
@@ -77,6 +83,8 @@ class Globalisation:
                     trial = self.line_search(search, iterate, step)
                 self.monitor.record(step.refined)
         self.shortened = self.shortened + 1 if trial is None or self.length < step.longest else 0
+        as_before = self.shortened == 0 and trial.point.violation >= 0.999 * iterate.point.violation
+        self.in_vain = self.in_vain + 1 if as_before else 0
         if self.shortened or self.damping > 0.0:
             self.damping = damped(self.damping, step, self.length, self.shortened) if trial is not None else 0.0
         return step, trial

@@ -64,6 +64,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
         if not status and log.is_late():
             status = "time limit"
+        elif not status and course.is_contradicted(iterate.point):
+            status = "infeasible"  # a search that begins elsewhere may find a way
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
         if INEQUALITIES:

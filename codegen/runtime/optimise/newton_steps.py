@@ -4,6 +4,7 @@ Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
 """
 
 import numpy as np
+from numba import njit
 
 from codegen.runtime.kkt.refinement import ACCURATE, inaccuracy, linear_residual, refine
 from codegen.runtime.kkt.system import factor_kkt, solve_kkt
@@ -15,6 +16,8 @@ from codegen.runtime.optimise.bounded import (
 )
 from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 
+SINGULAR = 1e12  # times the right-hand side: a longer step is one of rounding
+LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
 
 
@@ -44,11 +47,13 @@ class AccuracyMonitor:
 def regularised_step(search, iterate, before, damping, careful):
     """A Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step, or None.
 
-    This is algorithm IC; `before` is the correction at the last iterate. With `careful`, what the step leaves of the
-    linear system is measured, and solved for again where that is much. None where the system stays singular.
+    This is algorithm IC; `before` is the correction at the last iterate. Equations that are dependent, as those of a
+    vehicle at rest often are, may have an eigenvalue of zero to which rounding gave a sign, so that the count of
+    negative ones means nothing: a step, or a shift, without end tells of it. With `careful`, what the step leaves of
+    the linear system is measured, and solved for again where that is much. None where the system stays singular.
     """
     grid, system, point = search.grid, search.system, iterate.point
-    primal, singular, delta_c = np.empty(point.unknowns.size), False, 0.0
+    primal, delta_c = np.empty(point.unknowns.size), 0.0
     at_once, least = first_delta_w(before)
     delta_w = max(damping, at_once)
     while delta_w < 1e20:
@@ -56,22 +61,42 @@ def regularised_step(search, iterate, before, damping, careful):
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
+            if delta_c == 0.0 and is_of_rounding(primal, gradient):
+                delta_c = dual_regularisation(iterate)
+                continue
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            same = delta_w == before.delta_w == 0.0 and not singular
-            given = before if same else corrected_inertia(before, delta_w, least, singular)
+            same = delta_w == before.delta_w == 0.0 and delta_c == 0.0
+            given = before if same else corrected_inertia(before, delta_w, least, delta_c > 0.0)
             step = step_along(search, iterate, gradient, primal, given, refined)
             if abs(step.slope) < np.inf:
                 return step
-        elif delta_c == 0.0 and (excess is None or excess < 0):
-            delta_c, singular = 1e-8, True  # the equations may be dependent
-            if INEQUALITIES:
-                delta_c *= iterate.mu**0.25
+        elif delta_c == 0.0 and (excess is None or excess < 0 or delta_w > LARGE_SHIFT):
+            delta_c = dual_regularisation(iterate)
+            if delta_w > LARGE_SHIFT:
+                delta_w = max(damping, at_once)
             continue
         if delta_w == 0.0:
             delta_w = least
         else:
             delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
+
+
+@njit(cache=True, error_model="numpy")
+def is_of_rounding(primal, gradient):
+    """Whether a step `primal` (n,) is so long beside its right-hand side `gradient` (n,) that rounding made it."""
+    longest = right = 0.0
+    for i in range(primal.size):
+        longest, right = max(longest, abs(primal[i])), max(right, abs(gradient[i]))
+    return longest > SINGULAR * right
+
+
+def dual_regularisation(iterate):
+    """delta_c, for equations that may be dependent."""
+    if INEQUALITIES:
+        return 1e-8 * iterate.mu**0.25
+    else:
+        return 1e-8
 
 
 def is_inaccurate(search, iterate, step):
