@@ -2550,11 +2550,13 @@ def is_below(point, saddle):
 def escape_steps(grid, unknowns, curvature, escapes):
     """Steps along the falling direction to both sides; the more escapes there were, the longer.
 
-    The first are a tenth of the greatest unknown long, or of one where that is smaller.
+    The first change each quantity by a tenth of its greatest value at most, or of one where that is smaller: a large
+    one says nothing about how far the others may go.
     """
-    direction = negative_curvature_direction(grid, unknowns, curvature)
-    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
-    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
+    direction, sizes = negative_curvature_direction(grid, unknowns, curvature), np.maximum(1.0, np.abs(unknowns))
+    for own in views(grid, sizes):
+        own[:] = own.max(axis=1, initial=1.0)[:, None]
+    direction *= 0.1 * 3.0**escapes / max((np.abs(direction) / sizes).max(initial=0.0), 1e-300)
     return direction, -direction
 
 
@@ -3590,7 +3592,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_fd8131d830360da2"
+_IDENTITY = "codegen_orbital_transfer_6ea7f00f858a34ad"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
