@@ -3351,11 +3351,13 @@ def is_below(point, saddle):
 def escape_steps(grid, unknowns, curvature, escapes):
     """Steps along the falling direction to both sides; the more escapes there were, the longer.
 
-    The first are a tenth of the greatest unknown long, or of one where that is smaller.
+    The first change each quantity by a tenth of its greatest value at most, or of one where that is smaller: a large
+    one says nothing about how far the others may go.
     """
-    direction = negative_curvature_direction(grid, unknowns, curvature)
-    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
-    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
+    direction, sizes = negative_curvature_direction(grid, unknowns, curvature), np.maximum(1.0, np.abs(unknowns))
+    for own in views(grid, sizes):
+        own[:] = own.max(axis=1, initial=1.0)[:, None]
+    direction *= 0.1 * 3.0**escapes / max((np.abs(direction) / sizes).max(initial=0.0), 1e-300)
     return direction, -direction
 
 
@@ -3801,7 +3803,9 @@ def is_lacking(local, k, steps):
 # which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
 # matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
 # constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
-# duration. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
+# duration. What has no effect on any equation at the guess, such as the rate of a reaction between substances that are
+# not there yet, or the slack of a condition in squares, is looked at beside it, where all that has a size differs by a
+# part of it. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
 # at most when all unknowns of one kind change by their size.
 #
 # Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
@@ -3813,6 +3817,8 @@ SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, whic
 LEAST = 1e-150  # what is below, or above its inverse, is no size
 LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
 NEGLIGIBLE = 1e-6  # the same beside the other terms of every equation
+BESIDE = 0.1  # part of all sizes by which unknowns differ from the guess where it says nothing of some
+ROUNDS = 4  # how often they do, each time with the sizes found before
 
 # Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
 NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
@@ -3845,6 +3851,14 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
     for j in range(KINDS):
         bound[j] = bound[j] if size[j] == 0.0 else 0.0
     balance_sizes(size, rest, tables[1])
+    for _ in range(ROUNDS):
+        if not lacks_sizes(size, bound):
+            break
+        beside, away = displaced(primal, lower, upper, kinds, size), np.zeros((3, KINDS, KINDS))
+        measure_intervals(beside, steps, h, nodes, parameters, away)
+        if not np.isfinite(away[1]).all():
+            break
+        balance_sizes(size, rest, away[1])
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), 6.0, False)
@@ -3964,6 +3978,25 @@ def balance_sizes(size, rest, effect):
 
 
 @njit(error_model="numpy")
+def lacks_sizes(size, bound):
+    """Whether there are unknowns without a size, and without a bound to stand for it."""
+    return ((size == 0.0) & (bound == 0.0) & ~KIND_IS_MULTIPLIER).any()
+
+
+@njit(error_model="numpy")
+def displaced(primal, lower, upper, kinds, size):
+    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it."""
+    beside = primal.copy()
+    for i in range(kinds.size):
+        if not KIND_IS_MULTIPLIER[kinds[i]]:
+            by = BESIDE * size[kinds[i]]
+            if lower.size and primal[i] + by > upper[i]:
+                by = max(-by, lower[i] - primal[i])
+            beside[i] += by
+    return beside
+
+
+@njit(error_model="numpy")
 def change_of_cost(slopes, kinds, size, curvature):
     """By how much the cost changes, at most, when all unknowns of one kind change by its size.
 
@@ -3990,7 +4023,9 @@ COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
 WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
 LARGE_CORRECTION = 1e-3  # part of the cost
-FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
+# In other sizes it may be solved, for which iterations beyond a number are kept.
+FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
+LONG = 1000
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -4000,7 +4035,8 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if scaling == "auto":
         grid = scaled_grid(grid, unknowns)
     start = scaled_unknowns(grid, unknowns)
-    status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
+    limit = min(max_iterations, LONG) if grid.sizes.size else max_iterations
+    status, point, iterations = minimise(grid, start, tolerance, limit, warm, log)
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
@@ -4449,7 +4485,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_68628e359d9db03a"
+_IDENTITY = "codegen_bouncing_ball_c352d6f4209ea0cc"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

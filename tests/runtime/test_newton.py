@@ -27,6 +27,7 @@ from codegen.runtime.optimise import (
     newton,
     newton_steps,
     restoration,
+    saddle_points,
     unbounded,
 )
 from codegen.runtime.optimise.iteration_log import Log
@@ -42,7 +43,8 @@ def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
         loop = cascade, newton, newton_steps, line_search, restoration
-        for module in (*loop, barrier, bounded, unbounded, negative_curvature, exact_bounds, refinement):
+        others = barrier, bounded, unbounded, negative_curvature, exact_bounds, refinement, saddle_points
+        for module in (*loop, *others):
             for name in set(vars(module)) & LINEAR_ALGEBRA:
                 patch.setattr(module, name, getattr(dense_problem, name))
         patch.setattr(unbounded, "regularisation", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))

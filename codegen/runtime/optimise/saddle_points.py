@@ -3,6 +3,7 @@
 import numpy as np
 
 from codegen.runtime.optimise.negative_curvature import negative_curvature_direction
+from codegen.runtime.unknowns.time_grid import views
 
 NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
 ESCAPES = 3  # how often a saddle point is left
@@ -22,9 +23,11 @@ def is_below(point, saddle):
 def escape_steps(grid, unknowns, curvature, escapes):
     """Steps along the falling direction to both sides; the more escapes there were, the longer.
 
-    The first are a tenth of the greatest unknown long, or of one where that is smaller.
+    The first change each quantity by a tenth of its greatest value at most, or of one where that is smaller: a large
+    one says nothing about how far the others may go.
     """
-    direction = negative_curvature_direction(grid, unknowns, curvature)
-    size = max(1.0, np.abs(unknowns[~grid.is_multiplier]).max(initial=0.0))
-    direction *= 0.1 * 3.0**escapes * size / max(np.abs(direction).max(initial=0.0), 1e-300)
+    direction, sizes = negative_curvature_direction(grid, unknowns, curvature), np.maximum(1.0, np.abs(unknowns))
+    for own in views(grid, sizes):
+        own[:] = own.max(axis=1, initial=1.0)[:, None]
+    direction *= 0.1 * 3.0**escapes / max((np.abs(direction) / sizes).max(initial=0.0), 1e-300)
     return direction, -direction

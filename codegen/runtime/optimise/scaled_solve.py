@@ -34,7 +34,9 @@ COARSE, COARSE_COST = 3e3, 3e6
 REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
 WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
 LARGE_CORRECTION = 1e-3  # part of the cost
-FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded")  # in other sizes it may be solved
+# In other sizes it may be solved, for which iterations beyond a number are kept.
+FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
+LONG = 1000
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -44,7 +46,8 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if scaling == "auto":
         grid = scaled_grid(grid, unknowns)
     start = scaled_unknowns(grid, unknowns)
-    status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
+    limit = min(max_iterations, LONG) if grid.sizes.size else max_iterations
+    status, point, iterations = minimise(grid, start, tolerance, limit, warm, log)
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further

@@ -4,7 +4,9 @@ Every kind of unknown (a coordinate at all nodes, a control on all intervals, ..
 which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
 matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
 constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
-duration. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
+duration. What has no effect on any equation at the guess, such as the rate of a reaction between substances that are
+not there yet, or the slack of a condition in squares, is looked at beside it, where all that has a size differs by a
+part of it. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
 at most when all unknowns of one kind change by their size.
 
 Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
@@ -36,6 +38,8 @@ SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, whic
 LEAST = 1e-150  # what is below, or above its inverse, is no size
 LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
 NEGLIGIBLE = 1e-6  # the same beside the other terms of every equation
+BESIDE = 0.1  # part of all sizes by which unknowns differ from the guess where it says nothing of some
+ROUNDS = 4  # how often they do, each time with the sizes found before
 
 # Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
 NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
@@ -78,6 +82,14 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
     for j in range(KINDS):
         bound[j] = bound[j] if size[j] == 0.0 else 0.0
     balance_sizes(size, rest, tables[1])
+    for _ in range(ROUNDS):
+        if not lacks_sizes(size, bound):
+            break
+        beside, away = displaced(primal, lower, upper, kinds, size), np.zeros((3, KINDS, KINDS))
+        measure_intervals(beside, steps, h, nodes, parameters, away)
+        if not np.isfinite(away[1]).all():
+            break
+        balance_sizes(size, rest, away[1])
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     if TIED:
@@ -215,6 +227,25 @@ def balance_sizes(size, rest, effect):
         for j in range(KINDS):
             if size[j] == 0.0:
                 size[j] = found[j]
+
+
+@njit(error_model="numpy")
+def lacks_sizes(size, bound):
+    """Whether there are unknowns without a size, and without a bound to stand for it."""
+    return ((size == 0.0) & (bound == 0.0) & ~KIND_IS_MULTIPLIER).any()
+
+
+@njit(error_model="numpy")
+def displaced(primal, lower, upper, kinds, size):
+    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it."""
+    beside = primal.copy()
+    for i in range(kinds.size):
+        if not KIND_IS_MULTIPLIER[kinds[i]]:
+            by = BESIDE * size[kinds[i]]
+            if lower.size and primal[i] + by > upper[i]:
+                by = max(-by, lower[i] - primal[i])
+            beside[i] += by
+    return beside
 
 
 @njit(error_model="numpy")

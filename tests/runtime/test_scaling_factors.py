@@ -1,0 +1,100 @@
+"""Sizes of what does not matter at the guess, and problems that are solved from there."""
+
+from __future__ import annotations
+
+import pytest
+from interpreted import as_machine_code, text_of
+from sympy import exp
+
+from codegen import Control, controls, free_parameter, parameter, states, time
+from codegen.author.problem import Phases
+
+FIRST, SECOND = 2e-5, 1e-5  # rates of the reactions, 1/s
+
+
+def reactions() -> Control:
+    """A becomes B, and B becomes C, in seconds: from rates of zero nothing is seen of the second one.
+
+    What is followed is the closed form for two rates.
+    """
+    a, b, c = states("a b c")
+    p, q = free_parameter("p", 0, lower=0), free_parameter("q", 0, lower=0)
+    t = time()
+    fed = FIRST / (FIRST - SECOND) * (exp(-SECOND * t) - exp(-FIRST * t))
+    made = 1 - exp(-FIRST * t) - fed
+    return Control(
+        dynamics={a: -p * a, b: p * a - q * b, c: q * b},
+        cost=(a - exp(-FIRST * t)) ** 2 + (b - fed) ** 2 + (c - made) ** 2,
+        duration=1e5,
+        start={a: 1, b: 0, c: 0},
+        steps=20,
+    )
+
+
+def thrust() -> Control:
+    """Move a mass in the plane, from rest to rest, by the least integral of a thrust that is bounded in newtons.
+
+    Thrust at the limit, coasting, thrust at the limit.
+    """
+    x, y, v, w = states("x y v w")
+    a, b, force = controls("a b force")
+    m, F, d = parameter("m", 2000), parameter("F", 10000), parameter("d", 600)
+    return Control(
+        dynamics={x: v, y: w, v: a / m, w: b / m},
+        path=[a**2 + b**2 <= force**2],
+        cost=force,
+        duration=30,
+        start={x: 0, y: 0, v: 0, w: 0},
+        end={x: 3 * d / 5, y: 4 * d / 5, v: 0, w: 0},
+        bounds={force: (0, F)},
+        steps=30,
+    )
+
+
+def module_of(problem: Control | Phases):
+    return as_machine_code(text_of(problem))
+
+
+def test_rates_that_do_not_matter_at_the_guess_are_found():
+    module = module_of(reactions())
+    grid = module.make_grid(20)
+    scaled = module.scaled_grid(grid, module.initial_guess(grid))
+    assert scaled.sizes[-2:] == pytest.approx([1e-6, 1e-6])
+    solution = module.solve(20)
+    assert solution.status == "solved", solution.message
+    assert solution.iterations < 60
+    assert solution.unknowns[-2:] == pytest.approx([FIRST, SECOND], rel=1e-2)
+
+
+def test_a_slack_has_the_size_of_its_condition_beside_the_guess():
+    """Where the squares of thrusts vanish with all their derivatives."""
+    module = module_of(thrust())
+    grid = module.make_grid(30)
+    scaled = module.scaled_grid(grid, module.initial_guess(grid))
+    slack = (module.kinds_of(30) == module.STRIDE - 1).argmax()
+    assert module.metadata["interval"][-1].startswith("s_")
+    assert scaled.sizes[slack] >= 1e6
+    solution = module.solve(30)
+    assert solution.status == "solved", solution.message
+    # With acceleration 5 m/s^2 over the time s, d = 5 s (30 - s), and twice the momentum is the integral.
+    s = 15 - (15**2 - 600 / 5) ** 0.5
+    assert solution.cost == pytest.approx(2 * 10000 * s, rel=2e-3)
+
+
+def test_a_search_that_goes_on_and_on_in_parts_of_sizes_leaves_iterations_for_others():
+    module = module_of(thrust())
+    minimise, limits = module.minimise, []
+
+    def never_ends(grid, unknowns, tolerance, limit, *others):
+        limits.append(limit)
+        if grid.sizes.size:
+            return "iteration limit", module.evaluate(grid, unknowns), limit
+        return minimise(grid, unknowns, tolerance, limit, *others)
+
+    module.minimise = never_ends
+    solution = module.solve(5, max_iterations=3000)
+    assert limits == [1000, 2000]
+    assert solution.iterations > 1000
+    limits.clear()
+    assert module.solve(5, max_iterations=20).iterations == 20
+    assert limits == [20]
