@@ -1734,7 +1734,7 @@ def is_at_rounding_level(grid, point):
 # What a Newton step promises: the slope of the cost along it.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def slope_of(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along the primal part of a Newton step.
 
@@ -1864,20 +1864,26 @@ def linear_residual(grid, unknowns, diagonal, gradient, step):
     return np.where(free_unknowns(grid), product, 0.0)
 
 
-def inaccuracy(grid, gradient, step, left):
+@njit(cache=True, error_model="numpy")
+def inaccuracy(gradient, step, left, is_multiplier):
     """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
-    Large multipliers, and barriers close to their bounds, take no part in the equations.
+    Large multipliers, and barriers close to their bounds, take no part in the equations. NaN if `left` is not finite.
     """
-    equations, most = grid.is_multiplier, LARGE_STEP * np.abs(gradient).max(initial=0.0)
-    unsolved = relative(left[equations], gradient[equations], step[~equations], most)
-    return max(unsolved, relative(left, gradient, step, most))
-
-
-def relative(left, right, step, most):
-    """The largest of `left`, in parts of the largest of `right` and of `step`, which counts up to `most`."""
-    scale = np.abs(right).max(initial=0.0) + min(np.abs(step).max(initial=0.0), most)
-    return np.abs(left).max(initial=0.0) / max(scale, 1e-300)
+    unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(left.size):
+        if not abs(left[i]) < np.inf:
+            return np.nan
+        if is_multiplier[i]:
+            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
+            multiplier = max(multiplier, abs(step[i]))
+        else:
+            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
+            primal = max(primal, abs(step[i]))
+    most = LARGE_STEP * max(right, slope)
+    of_equations = unsolved / max(right + min(primal, most), 1e-300)
+    scale = max(right, slope) + min(max(primal, multiplier), most)
+    return max(of_equations, max(unsolved, remaining) / max(scale, 1e-300))
 
 
 def refine(grid, unknowns, diagonal, system, gradient, step):
@@ -1889,7 +1895,7 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     zero, corrections, products, errors = np.zeros_like(step), [], [], []
     left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        errors.append(inaccuracy(grid, gradient, step, left))
+        errors.append(inaccuracy(gradient, step, left, grid.is_multiplier))
         if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
         if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
@@ -2124,7 +2130,7 @@ def is_inaccurate(search, iterate, step):
     grid, point = search.grid, iterate.point
     _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
     left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
-    return inaccuracy(grid, step.gradient, step.primal, left) > ACCURATE
+    return inaccuracy(step.gradient, step.primal, left, grid.is_multiplier) > ACCURATE
 
 
 def barely_reduces_residual(point, step, length, trial):
@@ -3973,7 +3979,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_4d51e20393aa44e0"
+_IDENTITY = "codegen_hovercraft_1e15cccc7ad91724"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -89,7 +89,7 @@ class Globalisation:
             trial = moved(search, iterate, step.primal, length)
             if self.is_better(trial, iterate, step, length):
                 if INEQUALITIES:
-                    trial = with_duals(trial, step)
+                    trial = with_duals(search, trial, step)
                 return trial
             if length == step.longest and trial.point.violation >= iterate.point.violation:
                 better = self.second_order_correction(search, iterate, step, trial.point)
@@ -110,9 +110,11 @@ class Globalisation:
         better = self.is_better(trial, began, first, first.longest)
         if not better and (left == 1 or not trial.point.error < np.inf):
             self.length, self.watchdog = 0.0, None
+            if INEQUALITIES:
+                began = began._replace(measured=None)  # it was, before its bounds were relaxed less
             return began
         if INEQUALITIES:
-            trial = with_duals(trial, step)
+            trial = with_duals(search, trial, step)
         self.watchdog = None if better else (began, first, left - 1)
         return trial
 
@@ -141,7 +143,7 @@ class Globalisation:
             trial = moved(search, iterate, correction, length)
             if self.is_better(trial, iterate, step, step.longest):
                 if INEQUALITIES:
-                    trial = with_duals(trial, better)
+                    trial = with_duals(search, trial, better)
                 return trial
             if not trial.point.violation < 0.99 * refused.violation:
                 return None
