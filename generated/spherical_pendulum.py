@@ -70,7 +70,7 @@ import sys
 from functools import lru_cache
 from threading import Lock
 from time import perf_counter
-from contextlib import contextmanager, suppress
+from contextlib import ContextDecorator, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -306,17 +306,17 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-@contextmanager
-def packed_operations():
+class packed_operations(ContextDecorator):
     """Have operations packed in whatever numba compiles while the block runs."""
-    with PACKING["lock"]:
-        if not PACKING["blocks"]:
-            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-            config.SLP_VECTORIZE = 1
-        PACKING["blocks"] += 1
-    try:
-        yield
-    finally:
+
+    def __enter__(self):
+        with PACKING["lock"]:
+            if not PACKING["blocks"]:
+                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+                config.SLP_VECTORIZE = 1
+            PACKING["blocks"] += 1
+
+    def __exit__(self, *error):
         with PACKING["lock"]:
             PACKING["blocks"] -= 1
             if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
@@ -536,7 +536,7 @@ def lagrangian(grid, point):
 
     The error of the Lagrangian's value is of second order.
     """
-    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0) @ point.gradient
+    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0).dot(point.gradient)
 
 
 @njit(cache=True, error_model="numpy")
@@ -1877,10 +1877,15 @@ class Globalisation:
 
     def is_better(self, trial, iterate, step, length):
         """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
-        before = iterate.point.violation, barrier_objective(iterate)
-        after = trial.point.violation, barrier_objective(trial)
-        promised = step.slope, length, self.small_violation
-        return trial.point.error < np.inf and self.filtered.accept(*before, *after, *promised)
+        return trial.point.error < np.inf and self.filtered.accept(
+            iterate.point.violation,
+            barrier_objective(iterate),
+            trial.point.violation,
+            barrier_objective(trial),
+            step.slope,
+            length,
+            self.small_violation,
+        )
 
     def second_order_correction(self, search, iterate, step, refused):
         """The iterate after second-order corrections (27) of a full step that the equations' curvature spoils, or None.
@@ -3227,7 +3232,7 @@ def scaled_grid(grid, unknowns):
         primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
     if not is_scaled:
-        return grid._replace(bounds=bounds)
+        return grid
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
 
 
@@ -3534,7 +3539,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_86059a4cd26ab591"
+_IDENTITY = "codegen_spherical_pendulum_a3fd4b5c927b7772"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

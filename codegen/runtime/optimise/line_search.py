@@ -120,10 +120,15 @@ class Globalisation:
 
     def is_better(self, trial, iterate, step, length):
         """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
-        before = iterate.point.violation, barrier_objective(iterate)
-        after = trial.point.violation, barrier_objective(trial)
-        promised = step.slope, length, self.small_violation
-        return trial.point.error < np.inf and self.filtered.accept(*before, *after, *promised)
+        return trial.point.error < np.inf and self.filtered.accept(
+            iterate.point.violation,
+            barrier_objective(iterate),
+            trial.point.violation,
+            barrier_objective(trial),
+            step.slope,
+            length,
+            self.small_violation,
+        )
 
     def second_order_correction(self, search, iterate, step, refused):
         """The iterate after second-order corrections (27) of a full step that the equations' curvature spoils, or None.
