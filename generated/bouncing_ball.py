@@ -89,7 +89,7 @@ import sys
 from functools import lru_cache
 from threading import Lock
 from time import perf_counter
-from contextlib import contextmanager, suppress
+from contextlib import ContextDecorator, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -685,17 +685,17 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-@contextmanager
-def packed_operations():
+class packed_operations(ContextDecorator):
     """Have operations packed in whatever numba compiles while the block runs."""
-    with PACKING["lock"]:
-        if not PACKING["blocks"]:
-            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-            config.SLP_VECTORIZE = 1
-        PACKING["blocks"] += 1
-    try:
-        yield
-    finally:
+
+    def __enter__(self):
+        with PACKING["lock"]:
+            if not PACKING["blocks"]:
+                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+                config.SLP_VECTORIZE = 1
+            PACKING["blocks"] += 1
+
+    def __exit__(self, *error):
         with PACKING["lock"]:
             PACKING["blocks"] -= 1
             if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
@@ -963,7 +963,7 @@ def lagrangian(grid, point):
 
     The error of the Lagrangian's value is of second order.
     """
-    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0) @ point.gradient
+    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0).dot(point.gradient)
 
 
 @njit(cache=True, error_model="numpy")
@@ -1766,7 +1766,7 @@ def is_at_rounding_level(grid, point):
 # What a Newton step promises: the slope of the cost along it.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def slope_of(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along the primal part of a Newton step.
 
@@ -1894,20 +1894,26 @@ def linear_residual(grid, unknowns, diagonal, gradient, step):
     return np.where(free_unknowns(grid), product, 0.0)
 
 
-def inaccuracy(grid, gradient, step, left):
+@njit(cache=True, error_model="numpy")
+def inaccuracy(gradient, step, left, is_multiplier):
     """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
-    Large multipliers, and barriers close to their bounds, take no part in the equations.
+    Large multipliers, and barriers close to their bounds, take no part in the equations. NaN if `left` is not finite.
     """
-    equations, most = grid.is_multiplier, LARGE_STEP * np.abs(gradient).max(initial=0.0)
-    unsolved = relative(left[equations], gradient[equations], step[~equations], most)
-    return max(unsolved, relative(left, gradient, step, most))
-
-
-def relative(left, right, step, most):
-    """The largest of `left`, in parts of the largest of `right` and of `step`, which counts up to `most`."""
-    scale = np.abs(right).max(initial=0.0) + min(np.abs(step).max(initial=0.0), most)
-    return np.abs(left).max(initial=0.0) / max(scale, 1e-300)
+    unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(left.size):
+        if not abs(left[i]) < np.inf:
+            return np.nan
+        if is_multiplier[i]:
+            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
+            multiplier = max(multiplier, abs(step[i]))
+        else:
+            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
+            primal = max(primal, abs(step[i]))
+    most = LARGE_STEP * max(right, slope)
+    of_equations = unsolved / max(right + min(primal, most), 1e-300)
+    scale = max(right, slope) + min(max(primal, multiplier), most)
+    return max(of_equations, max(unsolved, remaining) / max(scale, 1e-300))
 
 
 def refine(grid, unknowns, diagonal, system, gradient, step):
@@ -1919,7 +1925,7 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     zero, corrections, products, errors = np.zeros_like(step), [], [], []
     left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        errors.append(inaccuracy(grid, gradient, step, left))
+        errors.append(inaccuracy(gradient, step, left, grid.is_multiplier))
         if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
         if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
@@ -2000,12 +2006,22 @@ def move(unknowns, step, length, indices, side, distance, trial, moved):
     """
     for i in range(unknowns.size):
         trial[i] = unknowns[i] + length * step[i]
-    logarithms = 0.0
     for j in range(indices.size):
         d = distance[j] + side[j] * (length * step[indices[j]])
         moved[j] = d if d > 1e-16 * distance[j] else 1e-16 * distance[j]
-        logarithms += np.log(moved[j])
-    return logarithms
+    return sum_of_logarithms(moved)
+
+
+@njit(error_model="numpy")
+def sum_of_logarithms(distance):
+    """The sum of the logarithms of positive numbers, from products of many: a logarithm takes long."""
+    total, product = 0.0, 1.0
+    for j in range(distance.size):
+        product *= distance[j]
+        if not 1e-150 < product < 1e150:
+            total += np.log(product)
+            product = 1.0
+    return total + np.log(product)
 
 
 @njit(cache=True, error_model="numpy")
@@ -2041,8 +2057,9 @@ def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, del
         right[i] = gradient[i]
         diagonal[i] = -delta_c if is_multiplier[i] else delta_w
     for j in range(indices.size):
-        right[indices[j]] -= mu * side[j] / distance[j]
-        diagonal[indices[j]] += duals[j] / distance[j]
+        inverse = 1.0 / distance[j]
+        right[indices[j]] -= mu * side[j] * inverse
+        diagonal[indices[j]] += duals[j] * inverse
 
 
 @njit(cache=True, error_model="numpy")
@@ -2051,23 +2068,39 @@ def measure_step(unknowns, gradient, step, is_multiplier, indices, side, distanc
 
     They keep 1 - tau of every distance and of every dual (15).
     """
-    primal, dual = 1.0, 1.0
+    primal, dual = tau, tau  # the largest parts of a distance, and of a dual, that the step takes away, or tau
     for j in range(indices.size):
-        change = side[j] * step[indices[j]]
-        dual_step[j] = (mu - duals[j] * change) / distance[j] - duals[j]
-        if -change * primal > tau * distance[j]:
-            primal = -tau * distance[j] / change
-        if -dual_step[j] * dual > tau * duals[j]:
-            dual = -tau * duals[j] / dual_step[j]
-    return slope_of(unknowns, gradient, step, is_multiplier), primal, dual
+        change, inverse = side[j] * step[indices[j]], 1.0 / distance[j]
+        dual_step[j] = (mu - duals[j] * change) * inverse - duals[j]
+        primal, dual = max(primal, -change * inverse), max(dual, -dual_step[j] / duals[j])
+    return slope_of(unknowns, gradient, step, is_multiplier), tau / primal, tau / dual
 
 
 @njit(cache=True, error_model="numpy")
-def move_duals(duals, dual_step, length, distance, mu, result):
-    """Fill `result` with duals + length * dual_step, kept within a factor of 1e10 of mu / d (16)."""
+def move_duals(
+    gradient, unknowns, is_multiplier, indices, side, distance, duals, dual_step, length, mu, result
+):  # fmt: skip
+    """Fill `result` with duals + length * dual_step, kept within a factor of 1e10 of mu / d (16), and measure it."""
     for j in range(duals.size):
         centre = mu / distance[j]
         result[j] = max(min(duals[j] + length * dual_step[j], 1e10 * centre), 1e-10 * centre)
+    return measure_optimality(gradient, unknowns, is_multiplier, indices, side, distance, result)
+
+
+@njit(cache=True, error_model="numpy")
+def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
+    """Fill `closer` with the distances to bounds that are `by` nearer, in parts of their magnitudes.
+
+    `unknowns` that are then closer than `least` move inside. Return the sum of logarithms, and whether any moved.
+    """
+    moves = False
+    for j in range(indices.size):
+        closer[j] = distance[j] - by * magnitude[j]
+        missing = least * magnitude[j] - closer[j]
+        if missing > 0.0:
+            unknowns[indices[j]] += side[j] * missing
+            closer[j], moves = least * magnitude[j], True
+    return sum_of_logarithms(closer), moves
 
 
 # Iterates where unknowns have bounds: how they begin, are measured, and follow each other by steps of the barrier.
@@ -2130,7 +2163,8 @@ class Measured(NamedTuple):
 class Iterate(NamedTuple):
     """A point, the barrier's weight mu, and what belongs to the bounds.
 
-    These are the distances of unknowns to them (bounds,), the sum of their logarithms, and the duals (bounds,).
+    These are the distances of unknowns to them (bounds,), the sum of their logarithms, the duals (bounds,), and what is
+    `measured` with them, if it is known.
     """
 
     point: NamedTuple
@@ -2200,19 +2234,26 @@ def with_least_squares_multipliers(search, iterate):
     multipliers = np.where(grid.is_multiplier, step, 0.0)
     if not np.abs(multipliers).max(initial=0.0) <= 1e3:
         return iterate
-    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers))
+    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers), measured=None)
 
 
 def measured_iterate(search, iterate):
     """The iterate with the duals of bounds taking part in its stationarity, and with what is measured."""
+    if iterate.measured is not None:
+        return iterate
     point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
-    measured = measure_optimality(
-        point.gradient, point.unknowns, is_multiplier, bounds.indices, bounds.side, iterate.distance, iterate.duals
-    )
+    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals
+    measured = measure_optimality(point.gradient, point.unknowns, is_multiplier, *barrier)
+    return with_measured(iterate, iterate.duals, measured)
+
+
+def with_measured(iterate, duals, measured):
+    """An iterate with duals, and with what was measured with them."""
+    point = iterate.point
     error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
     # Building the tuples anew takes a third of the time of replacing fields.
     point = Point(point.unknowns, point.gradient, point.cost, point.residual, point.violation, measured[0], error)
-    return Iterate(point, *iterate[1:5], Measured(*measured))
+    return Iterate(point, iterate.mu, iterate.distance, iterate.logarithms, duals, Measured(*measured))
 
 
 def is_optimal(search, iterate, tolerance, acceptable_will_do):
@@ -2270,19 +2311,15 @@ def with_relaxed_bounds(search):
 
 def with_barrier_parameter(search, iterate, mu):
     """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
-    bounds, by = search.bounds, falling_relaxation(search, iterate, mu)
-    iterate = iterate._replace(mu=mu)
+    bounds, by, point = search.bounds, falling_relaxation(search, iterate, mu), iterate.point
     if by == 0.0:
-        return iterate
-    least = 0.1 * relaxation(mu, search.least) * bounds.magnitude
-    distance = iterate.distance - by * bounds.magnitude
-    outside = distance < least
-    if not outside.any():
-        return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
-    unknowns = iterate.point.unknowns.copy()
-    unknowns[bounds.indices[outside]] += bounds.side[outside] * (least - distance)[outside]
-    distance[outside] = least[outside]
-    return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
+        return iterate._replace(mu=mu)
+    unknowns, distance, places = point.unknowns.copy(), np.empty(iterate.distance.size), (bounds.indices, bounds.side)
+    least = 0.1 * relaxation(mu, search.least)
+    logarithms, moves = approach(unknowns, *places, bounds.magnitude, by, least, iterate.distance, distance)
+    if moves:
+        point = evaluate(search.grid, unknowns)
+    return iterate._replace(point=point, mu=mu, distance=distance, logarithms=logarithms)
 
 
 def barrier_curvature(search, iterate):
@@ -2333,17 +2370,21 @@ def moved(search, iterate, primal, length):
     return Iterate(evaluate(search.grid, trial), iterate.mu, distance, logarithms, iterate.duals)
 
 
-def with_duals(trial, step):
-    """A trial iterate with duals after the step's dual part."""
-    duals = np.empty(trial.duals.size)
-    move_duals(trial.duals, step.dual, step.dual_length, trial.distance, trial.mu, duals)
-    return Iterate(*trial[:4], duals)
+def with_duals(search, trial, step):
+    """A trial iterate with duals after the step's dual part, and with what is measured there."""
+    point, bounds, duals = trial.point, search.bounds, np.empty(trial.duals.size)
+    barrier = search.grid.is_multiplier, bounds.indices, bounds.side, trial.distance, trial.duals
+    change = step.dual, step.dual_length, trial.mu
+    measured = move_duals(point.gradient, point.unknowns, *barrier, *change, duals)
+    return with_measured(trial, duals, measured)
 
 
 # Newton's steps: inertia correction, which makes them lead downhill, and how accurately they are solved for.
 #
 # Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
 
+SINGULAR = 1e12  # times the right-hand side: a longer step is one of rounding
+LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
 
 
@@ -2373,11 +2414,13 @@ class AccuracyMonitor:
 def regularised_step(search, iterate, before, damping, careful):
     """A Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step, or None.
 
-    This is algorithm IC; `before` is the correction at the last iterate. With `careful`, what the step leaves of the
-    linear system is measured, and solved for again where that is much. None where the system stays singular.
+    This is algorithm IC; `before` is the correction at the last iterate. Equations that are dependent, as those of a
+    vehicle at rest often are, may have an eigenvalue of zero to which rounding gave a sign, so that the count of
+    negative ones means nothing: a step, or a shift, without end tells of it. With `careful`, what the step leaves of
+    the linear system is measured, and solved for again where that is much. None where the system stays singular.
     """
     grid, system, point = search.grid, search.system, iterate.point
-    primal, singular, delta_c = np.empty(point.unknowns.size), False, 0.0
+    primal, delta_c = np.empty(point.unknowns.size), 0.0
     at_once, least = first_delta_w(before)
     delta_w = max(damping, at_once)
     while delta_w < 1e20:
@@ -2385,15 +2428,19 @@ def regularised_step(search, iterate, before, damping, careful):
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
+            if delta_c == 0.0 and is_of_rounding(primal, gradient):
+                delta_c = dual_regularisation(iterate)
+                continue
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            same = delta_w == before.delta_w == 0.0 and not singular
-            given = before if same else corrected_inertia(before, delta_w, least, singular)
+            same = delta_w == before.delta_w == 0.0 and delta_c == 0.0
+            given = before if same else corrected_inertia(before, delta_w, least, delta_c > 0.0)
             step = step_along(search, iterate, gradient, primal, given, refined)
             if abs(step.slope) < np.inf:
                 return step
-        elif delta_c == 0.0 and (excess is None or excess < 0):
-            delta_c, singular = 1e-8, True  # the equations may be dependent
-            delta_c *= iterate.mu**0.25
+        elif delta_c == 0.0 and (excess is None or excess < 0 or delta_w > LARGE_SHIFT):
+            delta_c = dual_regularisation(iterate)
+            if delta_w > LARGE_SHIFT:
+                delta_w = max(damping, at_once)
             continue
         if delta_w == 0.0:
             delta_w = least
@@ -2402,12 +2449,26 @@ def regularised_step(search, iterate, before, damping, careful):
     return None
 
 
+@njit(cache=True, error_model="numpy")
+def is_of_rounding(primal, gradient):
+    """Whether a step `primal` (n,) is so long beside its right-hand side `gradient` (n,) that rounding made it."""
+    longest = right = 0.0
+    for i in range(primal.size):
+        longest, right = max(longest, abs(primal[i])), max(right, abs(gradient[i]))
+    return longest > SINGULAR * right
+
+
+def dual_regularisation(iterate):
+    """delta_c, for equations that may be dependent."""
+    return 1e-8 * iterate.mu**0.25
+
+
 def is_inaccurate(search, iterate, step):
     """Whether a step leaves so much of its linear system that it has to be refined."""
     grid, point = search.grid, iterate.point
     _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
     left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
-    return inaccuracy(grid, step.gradient, step.primal, left) > ACCURATE
+    return inaccuracy(step.gradient, step.primal, left, grid.is_multiplier) > ACCURATE
 
 
 def barely_reduces_residual(point, step, length, trial):
@@ -2427,6 +2488,7 @@ SHORT = 0.25  # part of a step that is left when it counts as much too long
 SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 LEAST_DAMPING = 1e-5
+IN_VAIN = 20  # full steps in turn that leave the equations as they were: linearised, these contradict each other
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
@@ -2442,6 +2504,11 @@ class Globalisation:
         self.filtered = Filter(attempt.funnel * first)
         self.inertia, self.length, self.damping = InertiaCorrection(), 0.0, 0.0
         self.shortened, self.watchdog, self.monitor = 0, None, AccuracyMonitor()
+        self.in_vain = 0
+
+    def is_contradicted(self, point):
+        """Whether full steps in turn have left the equations as they were, far from holding."""
+        return self.in_vain >= IN_VAIN and point.residual > self.small_violation
 
     def forget(self):
         """Forget what belongs to another barrier problem."""
@@ -2475,6 +2542,8 @@ class Globalisation:
                     trial = self.line_search(search, iterate, step)
                 self.monitor.record(step.refined)
         self.shortened = self.shortened + 1 if trial is None or self.length < step.longest else 0
+        as_before = self.shortened == 0 and trial.point.violation >= 0.999 * iterate.point.violation
+        self.in_vain = self.in_vain + 1 if as_before else 0
         if self.shortened or self.damping > 0.0:
             self.damping = damped(self.damping, step, self.length, self.shortened) if trial is not None else 0.0
         return step, trial
@@ -2486,7 +2555,7 @@ class Globalisation:
             self.length = length
             trial = moved(search, iterate, step.primal, length)
             if self.is_better(trial, iterate, step, length):
-                trial = with_duals(trial, step)
+                trial = with_duals(search, trial, step)
                 return trial
             if length == step.longest and trial.point.violation >= iterate.point.violation:
                 better = self.second_order_correction(search, iterate, step, trial.point)
@@ -2507,17 +2576,23 @@ class Globalisation:
         better = self.is_better(trial, began, first, first.longest)
         if not better and (left == 1 or not trial.point.error < np.inf):
             self.length, self.watchdog = 0.0, None
+            began = began._replace(measured=None)  # it was, before its bounds were relaxed less
             return began
-        trial = with_duals(trial, step)
+        trial = with_duals(search, trial, step)
         self.watchdog = None if better else (began, first, left - 1)
         return trial
 
     def is_better(self, trial, iterate, step, length):
         """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
-        before = iterate.point.violation, barrier_objective(iterate)
-        after = trial.point.violation, barrier_objective(trial)
-        promised = step.slope, length, self.small_violation
-        return trial.point.error < np.inf and self.filtered.accept(*before, *after, *promised)
+        return trial.point.error < np.inf and self.filtered.accept(
+            iterate.point.violation,
+            barrier_objective(iterate),
+            trial.point.violation,
+            barrier_objective(trial),
+            step.slope,
+            length,
+            self.small_violation,
+        )
 
     def second_order_correction(self, search, iterate, step, refused):
         """The iterate after second-order corrections (27) of a full step that the equations' curvature spoils, or None.
@@ -2536,7 +2611,7 @@ class Globalisation:
             length = better.longest
             trial = moved(search, iterate, correction, length)
             if self.is_better(trial, iterate, step, step.longest):
-                trial = with_duals(trial, better)
+                trial = with_duals(search, trial, better)
                 return trial
             if not trial.point.violation < 0.99 * refused.violation:
                 return None
@@ -2652,7 +2727,7 @@ def damped_step(search, current, pull, damping):
             trial = moved(search, current, step, taken.longest)
             expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
             if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
-                trial = with_duals(trial, taken)
+                trial = with_duals(search, trial, taken)
                 return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None
@@ -2723,7 +2798,7 @@ def last_step(search, iterate):
     mu = iterate.duals @ distance / max(1, distance.size)
     iterate = iterate._replace(point=evaluate(grid, unknowns), mu=mu, distance=distance)
     step = regularised_step(search, iterate, InertiaCorrection(), 0.0, True)
-    return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), step)
+    return None if step is None else with_duals(search, moved(search, iterate, step.primal, step.longest), step)
 
 
 # Newton's method with a filter line search; where unknowns have bounds, a primal-dual interior point method.
@@ -2760,6 +2835,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
         if not status and log.is_late():
             status = "time limit"
+        elif not status and course.is_contradicted(iterate.point):
+            status = "infeasible"  # a search that begins elsewhere may find a way
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
         mu = decreased_mu(iterate, LEAST_PART * tolerance)
@@ -2843,7 +2920,7 @@ def restored(search, iterate, reduction, filtered, log):
     The iterate has no multipliers.
     """
     status, found = restore(search, iterate, reduction, filtered, log.is_late)
-    found = found._replace(mu=iterate.mu, duals=central_duals(iterate.mu, found.distance))
+    found = found._replace(mu=iterate.mu, duals=central_duals(iterate.mu, found.distance), measured=None)
     return status, found
 
 
@@ -4112,7 +4189,8 @@ def scaled_grid(grid, unknowns):
         primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
     if not is_scaled:
-        return grid._replace(bounds=bounds)
+        grid = grid._replace(bounds=bounds)
+        return grid
     units = np.where(IS_SLACK[kinds], 1.0, sizes)
     bounds = bounds[0] / units, bounds[1] / units
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
@@ -4485,7 +4563,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_c352d6f4209ea0cc"
+_IDENTITY = "codegen_bouncing_ball_d0dff331fed69cf1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -43,7 +43,7 @@ import os
 import pickletools
 import sys
 from threading import Lock
-from contextlib import contextmanager, suppress
+from contextlib import ContextDecorator, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -566,17 +566,17 @@ def hamiltonian_gradient(z, own, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-@contextmanager
-def packed_operations():
+class packed_operations(ContextDecorator):
     """Have operations packed in whatever numba compiles while the block runs."""
-    with PACKING["lock"]:
-        if not PACKING["blocks"]:
-            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-            config.SLP_VECTORIZE = 1
-        PACKING["blocks"] += 1
-    try:
-        yield
-    finally:
+
+    def __enter__(self):
+        with PACKING["lock"]:
+            if not PACKING["blocks"]:
+                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+                config.SLP_VECTORIZE = 1
+            PACKING["blocks"] += 1
+
+    def __exit__(self, *error):
         with PACKING["lock"]:
             PACKING["blocks"] -= 1
             if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
@@ -2365,7 +2365,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_95a29a5cba6483d6"
+_IDENTITY = "codegen_image_registration_18063485536a5f5c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

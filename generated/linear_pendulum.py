@@ -59,7 +59,7 @@ import sys
 from functools import lru_cache
 from threading import Lock
 from time import perf_counter
-from contextlib import contextmanager, suppress
+from contextlib import ContextDecorator, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -197,17 +197,17 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-@contextmanager
-def packed_operations():
+class packed_operations(ContextDecorator):
     """Have operations packed in whatever numba compiles while the block runs."""
-    with PACKING["lock"]:
-        if not PACKING["blocks"]:
-            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-            config.SLP_VECTORIZE = 1
-        PACKING["blocks"] += 1
-    try:
-        yield
-    finally:
+
+    def __enter__(self):
+        with PACKING["lock"]:
+            if not PACKING["blocks"]:
+                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+                config.SLP_VECTORIZE = 1
+            PACKING["blocks"] += 1
+
+    def __exit__(self, *error):
         with PACKING["lock"]:
             PACKING["blocks"] -= 1
             if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
@@ -424,7 +424,7 @@ def lagrangian(grid, point):
 
     The error of the Lagrangian's value is of second order.
     """
-    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0) @ point.gradient
+    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0).dot(point.gradient)
 
 
 @njit(cache=True, error_model="numpy")
@@ -2194,7 +2194,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_7fbed4b10cb9174b"
+_IDENTITY = "codegen_linear_pendulum_2e37aae0c6290ce6"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -70,7 +70,7 @@ import sys
 from functools import lru_cache
 from threading import Lock
 from time import perf_counter
-from contextlib import contextmanager, suppress
+from contextlib import ContextDecorator, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -306,17 +306,17 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-@contextmanager
-def packed_operations():
+class packed_operations(ContextDecorator):
     """Have operations packed in whatever numba compiles while the block runs."""
-    with PACKING["lock"]:
-        if not PACKING["blocks"]:
-            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-            config.SLP_VECTORIZE = 1
-        PACKING["blocks"] += 1
-    try:
-        yield
-    finally:
+
+    def __enter__(self):
+        with PACKING["lock"]:
+            if not PACKING["blocks"]:
+                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+                config.SLP_VECTORIZE = 1
+            PACKING["blocks"] += 1
+
+    def __exit__(self, *error):
         with PACKING["lock"]:
             PACKING["blocks"] -= 1
             if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
@@ -536,7 +536,7 @@ def lagrangian(grid, point):
 
     The error of the Lagrangian's value is of second order.
     """
-    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0) @ point.gradient
+    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0).dot(point.gradient)
 
 
 @njit(cache=True, error_model="numpy")
@@ -1383,7 +1383,7 @@ def is_at_rounding_level(grid, point):
 # What a Newton step promises: the slope of the cost along it.
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def slope_of(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along the primal part of a Newton step.
 
@@ -1508,20 +1508,26 @@ def linear_residual(grid, unknowns, diagonal, gradient, step):
     return np.where(free_unknowns(grid), product, 0.0)
 
 
-def inaccuracy(grid, gradient, step, left):
+@njit(cache=True, error_model="numpy")
+def inaccuracy(gradient, step, left, is_multiplier):
     """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
-    Large multipliers, and barriers close to their bounds, take no part in the equations.
+    Large multipliers, and barriers close to their bounds, take no part in the equations. NaN if `left` is not finite.
     """
-    equations, most = grid.is_multiplier, LARGE_STEP * np.abs(gradient).max(initial=0.0)
-    unsolved = relative(left[equations], gradient[equations], step[~equations], most)
-    return max(unsolved, relative(left, gradient, step, most))
-
-
-def relative(left, right, step, most):
-    """The largest of `left`, in parts of the largest of `right` and of `step`, which counts up to `most`."""
-    scale = np.abs(right).max(initial=0.0) + min(np.abs(step).max(initial=0.0), most)
-    return np.abs(left).max(initial=0.0) / max(scale, 1e-300)
+    unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(left.size):
+        if not abs(left[i]) < np.inf:
+            return np.nan
+        if is_multiplier[i]:
+            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
+            multiplier = max(multiplier, abs(step[i]))
+        else:
+            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
+            primal = max(primal, abs(step[i]))
+    most = LARGE_STEP * max(right, slope)
+    of_equations = unsolved / max(right + min(primal, most), 1e-300)
+    scale = max(right, slope) + min(max(primal, multiplier), most)
+    return max(of_equations, max(unsolved, remaining) / max(scale, 1e-300))
 
 
 def refine(grid, unknowns, diagonal, system, gradient, step):
@@ -1533,7 +1539,7 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     zero, corrections, products, errors = np.zeros_like(step), [], [], []
     left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        errors.append(inaccuracy(grid, gradient, step, left))
+        errors.append(inaccuracy(gradient, step, left, grid.is_multiplier))
         if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
         if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
@@ -1706,6 +1712,8 @@ def moved(search, iterate, primal, length):
 #
 # Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
 
+SINGULAR = 1e12  # times the right-hand side: a longer step is one of rounding
+LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
 
 
@@ -1735,11 +1743,13 @@ class AccuracyMonitor:
 def regularised_step(search, iterate, before, damping, careful):
     """A Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step, or None.
 
-    This is algorithm IC; `before` is the correction at the last iterate. With `careful`, what the step leaves of the
-    linear system is measured, and solved for again where that is much. None where the system stays singular.
+    This is algorithm IC; `before` is the correction at the last iterate. Equations that are dependent, as those of a
+    vehicle at rest often are, may have an eigenvalue of zero to which rounding gave a sign, so that the count of
+    negative ones means nothing: a step, or a shift, without end tells of it. With `careful`, what the step leaves of
+    the linear system is measured, and solved for again where that is much. None where the system stays singular.
     """
     grid, system, point = search.grid, search.system, iterate.point
-    primal, singular, delta_c = np.empty(point.unknowns.size), False, 0.0
+    primal, delta_c = np.empty(point.unknowns.size), 0.0
     at_once, least = first_delta_w(before)
     delta_w = max(damping, at_once)
     while delta_w < 1e20:
@@ -1747,14 +1757,19 @@ def regularised_step(search, iterate, before, damping, careful):
         excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
         if excess == 0:
             solve_kkt(grid, system, gradient, primal, carried=True)
+            if delta_c == 0.0 and is_of_rounding(primal, gradient):
+                delta_c = dual_regularisation(iterate)
+                continue
             refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
-            same = delta_w == before.delta_w == 0.0 and not singular
-            given = before if same else corrected_inertia(before, delta_w, least, singular)
+            same = delta_w == before.delta_w == 0.0 and delta_c == 0.0
+            given = before if same else corrected_inertia(before, delta_w, least, delta_c > 0.0)
             step = step_along(search, iterate, gradient, primal, given, refined)
             if abs(step.slope) < np.inf:
                 return step
-        elif delta_c == 0.0 and (excess is None or excess < 0):
-            delta_c, singular = 1e-8, True  # the equations may be dependent
+        elif delta_c == 0.0 and (excess is None or excess < 0 or delta_w > LARGE_SHIFT):
+            delta_c = dual_regularisation(iterate)
+            if delta_w > LARGE_SHIFT:
+                delta_w = max(damping, at_once)
             continue
         if delta_w == 0.0:
             delta_w = least
@@ -1763,12 +1778,26 @@ def regularised_step(search, iterate, before, damping, careful):
     return None
 
 
+@njit(cache=True, error_model="numpy")
+def is_of_rounding(primal, gradient):
+    """Whether a step `primal` (n,) is so long beside its right-hand side `gradient` (n,) that rounding made it."""
+    longest = right = 0.0
+    for i in range(primal.size):
+        longest, right = max(longest, abs(primal[i])), max(right, abs(gradient[i]))
+    return longest > SINGULAR * right
+
+
+def dual_regularisation(iterate):
+    """delta_c, for equations that may be dependent."""
+    return 1e-8
+
+
 def is_inaccurate(search, iterate, step):
     """Whether a step leaves so much of its linear system that it has to be refined."""
     grid, point = search.grid, iterate.point
     _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
     left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
-    return inaccuracy(grid, step.gradient, step.primal, left) > ACCURATE
+    return inaccuracy(step.gradient, step.primal, left, grid.is_multiplier) > ACCURATE
 
 
 def barely_reduces_residual(point, step, length, trial):
@@ -1790,6 +1819,7 @@ SHORT = 0.25  # part of a step that is left when it counts as much too long
 SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 LEAST_DAMPING = 1e-5
+IN_VAIN = 20  # full steps in turn that leave the equations as they were: linearised, these contradict each other
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
 
@@ -1805,6 +1835,11 @@ class Globalisation:
         self.filtered = Filter(attempt.funnel * first)
         self.inertia, self.length, self.damping = InertiaCorrection(), 0.0, 0.0
         self.shortened, self.watchdog, self.monitor = 0, None, AccuracyMonitor()
+        self.in_vain = 0
+
+    def is_contradicted(self, point):
+        """Whether full steps in turn have left the equations as they were, far from holding."""
+        return self.in_vain >= IN_VAIN and point.residual > self.small_violation
 
 
     def next_iterate(self, search, iterate):
@@ -1834,6 +1869,8 @@ class Globalisation:
                     trial = self.line_search(search, iterate, step)
                 self.monitor.record(step.refined)
         self.shortened = self.shortened + 1 if trial is None or self.length < step.longest else 0
+        as_before = self.shortened == 0 and trial.point.violation >= 0.999 * iterate.point.violation
+        self.in_vain = self.in_vain + 1 if as_before else 0
         if self.shortened or self.damping > 0.0:
             self.damping = damped(self.damping, step, self.length, self.shortened) if trial is not None else 0.0
         return step, trial
@@ -1871,10 +1908,15 @@ class Globalisation:
 
     def is_better(self, trial, iterate, step, length):
         """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
-        before = iterate.point.violation, barrier_objective(iterate)
-        after = trial.point.violation, barrier_objective(trial)
-        promised = step.slope, length, self.small_violation
-        return trial.point.error < np.inf and self.filtered.accept(*before, *after, *promised)
+        return trial.point.error < np.inf and self.filtered.accept(
+            iterate.point.violation,
+            barrier_objective(iterate),
+            trial.point.violation,
+            barrier_objective(trial),
+            step.slope,
+            length,
+            self.small_violation,
+        )
 
     def second_order_correction(self, search, iterate, step, refused):
         """The iterate after second-order corrections (27) of a full step that the equations' curvature spoils, or None.
@@ -2041,6 +2083,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
         if not status and log.is_late():
             status = "time limit"
+        elif not status and course.is_contradicted(iterate.point):
+            status = "infeasible"  # a search that begins elsewhere may find a way
         if status or iteration == max_iterations:
             return status or "iteration limit", iterate, iteration
         step, trial = course.next_iterate(search, iterate)
@@ -3257,7 +3301,7 @@ def scaled_grid(grid, unknowns):
         primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
     if not is_scaled:
-        return grid._replace(bounds=bounds)
+        return grid
     return grid._replace(sizes=sizes, forces=weight * sizes, weight=weight, bounds=bounds)
 
 
@@ -3564,7 +3608,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_fbad2ea3e37a0175"
+_IDENTITY = "codegen_spherical_pendulum_6dd525262766029d"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

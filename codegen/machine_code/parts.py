@@ -26,6 +26,7 @@ def control_parts(module: Any) -> Calls:
         calls.append(lambda: module.scaled_grid(grid, unknowns))
     if hasattr(module, "linear_residual"):
         calls.append(lambda: module.linear_residual(grid, unknowns, zeros, zeros, step))
+        calls.append(lambda: module.inaccuracy(zeros, step, zeros, grid.is_multiplier))
     if hasattr(module, "is_of_rounding"):
         calls.append(lambda: module.is_of_rounding(step, zeros))
     if hasattr(module, "finite_bounds"):
@@ -48,7 +49,8 @@ def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
         lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *places, duals),
         lambda: module.measure_step(unknowns, gradient, step, *barrier, 0.99, result),
         lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
-        lambda: module.move_duals(duals, duals, 1.0, distance, 1.0, result),
+        lambda: module.move_duals(gradient, unknowns, grid.is_multiplier, *places, duals, duals, 1.0, 1.0, result),
+        lambda: module.approach(unknowns.copy(), *bounds[:1], *bounds[2:], 0.0, 0.0, distance, result),
         lambda: module.move(unknowns, step, 0.0, *places, np.empty_like(step), result),
         lambda: module.push_inside(*module.variable_bounds(grid), unknowns, 0.1),
         lambda: module.prescribed_beyond(grid, unknowns),

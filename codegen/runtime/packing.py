@@ -5,7 +5,7 @@ percent less time. Machine code that is on the disk already is as it was compile
 modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
 """
 
-from contextlib import contextmanager
+from contextlib import ContextDecorator
 from threading import Lock
 from numba import config
 
@@ -13,17 +13,17 @@ from numba import config
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-@contextmanager
-def packed_operations():
+class packed_operations(ContextDecorator):
     """Have operations packed in whatever numba compiles while the block runs."""
-    with PACKING["lock"]:
-        if not PACKING["blocks"]:
-            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-            config.SLP_VECTORIZE = 1
-        PACKING["blocks"] += 1
-    try:
-        yield
-    finally:
+
+    def __enter__(self):
+        with PACKING["lock"]:
+            if not PACKING["blocks"]:
+                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+                config.SLP_VECTORIZE = 1
+            PACKING["blocks"] += 1
+
+    def __exit__(self, *error):
         with PACKING["lock"]:
             PACKING["blocks"] -= 1
             if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:

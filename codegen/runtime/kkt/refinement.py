@@ -69,20 +69,26 @@ def linear_residual(grid, unknowns, diagonal, gradient, step):
     return np.where(free_unknowns(grid), product, 0.0)
 
 
-def inaccuracy(grid, gradient, step, left):
+@njit(cache=True, error_model="numpy")
+def inaccuracy(gradient, step, left, is_multiplier):
     """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
-    Large multipliers, and barriers close to their bounds, take no part in the equations.
+    Large multipliers, and barriers close to their bounds, take no part in the equations. NaN if `left` is not finite.
     """
-    equations, most = grid.is_multiplier, LARGE_STEP * np.abs(gradient).max(initial=0.0)
-    unsolved = relative(left[equations], gradient[equations], step[~equations], most)
-    return max(unsolved, relative(left, gradient, step, most))
-
-
-def relative(left, right, step, most):
-    """The largest of `left`, in parts of the largest of `right` and of `step`, which counts up to `most`."""
-    scale = np.abs(right).max(initial=0.0) + min(np.abs(step).max(initial=0.0), most)
-    return np.abs(left).max(initial=0.0) / max(scale, 1e-300)
+    unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(left.size):
+        if not abs(left[i]) < np.inf:
+            return np.nan
+        if is_multiplier[i]:
+            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
+            multiplier = max(multiplier, abs(step[i]))
+        else:
+            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
+            primal = max(primal, abs(step[i]))
+    most = LARGE_STEP * max(right, slope)
+    of_equations = unsolved / max(right + min(primal, most), 1e-300)
+    scale = max(right, slope) + min(max(primal, multiplier), most)
+    return max(of_equations, max(unsolved, remaining) / max(scale, 1e-300))
 
 
 def refine(grid, unknowns, diagonal, system, gradient, step):
@@ -94,7 +100,7 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     zero, corrections, products, errors = np.zeros_like(step), [], [], []
     left = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        errors.append(inaccuracy(grid, gradient, step, left))
+        errors.append(inaccuracy(gradient, step, left, grid.is_multiplier))
         if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
         if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:

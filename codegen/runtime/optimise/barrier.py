@@ -72,12 +72,22 @@ def move(unknowns, step, length, indices, side, distance, trial, moved):
     """
     for i in range(unknowns.size):
         trial[i] = unknowns[i] + length * step[i]
-    logarithms = 0.0
     for j in range(indices.size):
         d = distance[j] + side[j] * (length * step[indices[j]])
         moved[j] = d if d > 1e-16 * distance[j] else 1e-16 * distance[j]
-        logarithms += np.log(moved[j])
-    return logarithms
+    return sum_of_logarithms(moved)
+
+
+@njit(error_model="numpy")
+def sum_of_logarithms(distance):
+    """The sum of the logarithms of positive numbers, from products of many: a logarithm takes long."""
+    total, product = 0.0, 1.0
+    for j in range(distance.size):
+        product *= distance[j]
+        if not 1e-150 < product < 1e150:
+            total += np.log(product)
+            product = 1.0
+    return total + np.log(product)
 
 
 @njit(cache=True, error_model="numpy")
@@ -113,8 +123,9 @@ def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, del
         right[i] = gradient[i]
         diagonal[i] = -delta_c if is_multiplier[i] else delta_w
     for j in range(indices.size):
-        right[indices[j]] -= mu * side[j] / distance[j]
-        diagonal[indices[j]] += duals[j] / distance[j]
+        inverse = 1.0 / distance[j]
+        right[indices[j]] -= mu * side[j] * inverse
+        diagonal[indices[j]] += duals[j] * inverse
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,20 +134,36 @@ def measure_step(unknowns, gradient, step, is_multiplier, indices, side, distanc
 
     They keep 1 - tau of every distance and of every dual (15).
     """
-    primal, dual = 1.0, 1.0
+    primal, dual = tau, tau  # the largest parts of a distance, and of a dual, that the step takes away, or tau
     for j in range(indices.size):
-        change = side[j] * step[indices[j]]
-        dual_step[j] = (mu - duals[j] * change) / distance[j] - duals[j]
-        if -change * primal > tau * distance[j]:
-            primal = -tau * distance[j] / change
-        if -dual_step[j] * dual > tau * duals[j]:
-            dual = -tau * duals[j] / dual_step[j]
-    return slope_of(unknowns, gradient, step, is_multiplier), primal, dual
+        change, inverse = side[j] * step[indices[j]], 1.0 / distance[j]
+        dual_step[j] = (mu - duals[j] * change) * inverse - duals[j]
+        primal, dual = max(primal, -change * inverse), max(dual, -dual_step[j] / duals[j])
+    return slope_of(unknowns, gradient, step, is_multiplier), tau / primal, tau / dual
 
 
 @njit(cache=True, error_model="numpy")
-def move_duals(duals, dual_step, length, distance, mu, result):
-    """Fill `result` with duals + length * dual_step, kept within a factor of 1e10 of mu / d (16)."""
+def move_duals(
+    gradient, unknowns, is_multiplier, indices, side, distance, duals, dual_step, length, mu, result
+):  # fmt: skip
+    """Fill `result` with duals + length * dual_step, kept within a factor of 1e10 of mu / d (16), and measure it."""
     for j in range(duals.size):
         centre = mu / distance[j]
         result[j] = max(min(duals[j] + length * dual_step[j], 1e10 * centre), 1e-10 * centre)
+    return measure_optimality(gradient, unknowns, is_multiplier, indices, side, distance, result)
+
+
+@njit(cache=True, error_model="numpy")
+def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
+    """Fill `closer` with the distances to bounds that are `by` nearer, in parts of their magnitudes.
+
+    `unknowns` that are then closer than `least` move inside. Return the sum of logarithms, and whether any moved.
+    """
+    moves = False
+    for j in range(indices.size):
+        closer[j] = distance[j] - by * magnitude[j]
+        missing = least * magnitude[j] - closer[j]
+        if missing > 0.0:
+            unknowns[indices[j]] += side[j] * missing
+            closer[j], moves = least * magnitude[j], True
+    return sum_of_logarithms(closer), moves

@@ -14,6 +14,7 @@ from codegen.runtime.optimise.barrier import (
     LEAST_RELAXED,
     RELAXED,
     add_barrier,
+    approach,
     finite_bounds,
     measure_optimality,
     measure_step,
@@ -84,7 +85,8 @@ class Measured(NamedTuple):
 class Iterate(NamedTuple):
     """A point, the barrier's weight mu, and what belongs to the bounds.
 
-    These are the distances of unknowns to them (bounds,), the sum of their logarithms, and the duals (bounds,).
+    These are the distances of unknowns to them (bounds,), the sum of their logarithms, the duals (bounds,), and what is
+    `measured` with them, if it is known.
     """
 
     point: NamedTuple
@@ -156,19 +158,26 @@ def with_least_squares_multipliers(search, iterate):
     multipliers = np.where(grid.is_multiplier, step, 0.0)
     if not np.abs(multipliers).max(initial=0.0) <= 1e3:
         return iterate
-    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers))
+    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers), measured=None)
 
 
 def measured_iterate(search, iterate):
     """The iterate with the duals of bounds taking part in its stationarity, and with what is measured."""
+    if iterate.measured is not None:
+        return iterate
     point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
-    measured = measure_optimality(
-        point.gradient, point.unknowns, is_multiplier, bounds.indices, bounds.side, iterate.distance, iterate.duals
-    )
+    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals
+    measured = measure_optimality(point.gradient, point.unknowns, is_multiplier, *barrier)
+    return with_measured(iterate, iterate.duals, measured)
+
+
+def with_measured(iterate, duals, measured):
+    """An iterate with duals, and with what was measured with them."""
+    point = iterate.point
     error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
     # Building the tuples anew takes a third of the time of replacing fields.
     point = Point(point.unknowns, point.gradient, point.cost, point.residual, point.violation, measured[0], error)
-    return Iterate(point, *iterate[1:5], Measured(*measured))
+    return Iterate(point, iterate.mu, iterate.distance, iterate.logarithms, duals, Measured(*measured))
 
 
 def is_optimal(search, iterate, tolerance, acceptable_will_do):
@@ -226,21 +235,17 @@ def with_relaxed_bounds(search):
 
 def with_barrier_parameter(search, iterate, mu):
     """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
-    bounds, by = search.bounds, falling_relaxation(search, iterate, mu)
-    iterate = iterate._replace(mu=mu)
+    bounds, by, point = search.bounds, falling_relaxation(search, iterate, mu), iterate.point
     if by == 0.0:
-        return iterate
-    least = 0.1 * relaxation(mu, search.least) * bounds.magnitude
-    distance = iterate.distance - by * bounds.magnitude
-    outside = distance < least
-    if not outside.any():
-        return iterate._replace(distance=distance, logarithms=np.log(distance).sum())
-    unknowns = iterate.point.unknowns.copy()
-    unknowns[bounds.indices[outside]] += bounds.side[outside] * (least - distance)[outside]
-    distance[outside] = least[outside]
-    if TIED:
-        unknowns = with_tied_values(search.grid, unknowns)
-    return iterate._replace(point=evaluate(search.grid, unknowns), distance=distance, logarithms=np.log(distance).sum())
+        return iterate._replace(mu=mu)
+    unknowns, distance, places = point.unknowns.copy(), np.empty(iterate.distance.size), (bounds.indices, bounds.side)
+    least = 0.1 * relaxation(mu, search.least)
+    logarithms, moves = approach(unknowns, *places, bounds.magnitude, by, least, iterate.distance, distance)
+    if moves:
+        if TIED:
+            unknowns = with_tied_values(search.grid, unknowns)
+        point = evaluate(search.grid, unknowns)
+    return iterate._replace(point=point, mu=mu, distance=distance, logarithms=logarithms)
 
 
 def barrier_curvature(search, iterate):
@@ -291,8 +296,10 @@ def moved(search, iterate, primal, length):
     return Iterate(evaluate(search.grid, trial), iterate.mu, distance, logarithms, iterate.duals)
 
 
-def with_duals(trial, step):
-    """A trial iterate with duals after the step's dual part."""
-    duals = np.empty(trial.duals.size)
-    move_duals(trial.duals, step.dual, step.dual_length, trial.distance, trial.mu, duals)
-    return Iterate(*trial[:4], duals)
+def with_duals(search, trial, step):
+    """A trial iterate with duals after the step's dual part, and with what is measured there."""
+    point, bounds, duals = trial.point, search.bounds, np.empty(trial.duals.size)
+    barrier = search.grid.is_multiplier, bounds.indices, bounds.side, trial.distance, trial.duals
+    change = step.dual, step.dual_length, trial.mu
+    measured = move_duals(point.gradient, point.unknowns, *barrier, *change, duals)
+    return with_measured(trial, duals, measured)

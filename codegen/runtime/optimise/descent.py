@@ -3,7 +3,7 @@
 from numba import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def slope_of(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along the primal part of a Newton step.
 

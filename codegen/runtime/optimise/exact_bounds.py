@@ -64,4 +64,4 @@ def last_step(search, iterate):
     mu = iterate.duals @ distance / max(1, distance.size)
     iterate = iterate._replace(point=evaluate(grid, unknowns), mu=mu, distance=distance)
     step = regularised_step(search, iterate, InertiaCorrection(), 0.0, True)
-    return None if step is None else with_duals(moved(search, iterate, step.primal, step.longest), step)
+    return None if step is None else with_duals(search, moved(search, iterate, step.primal, step.longest), step)

@@ -97,7 +97,7 @@ class Globalisation:
             trial = moved(search, iterate, step.primal, length)
             if self.is_better(trial, iterate, step, length):
                 if INEQUALITIES:
-                    trial = with_duals(trial, step)
+                    trial = with_duals(search, trial, step)
                 return trial
             if length == step.longest and trial.point.violation >= iterate.point.violation:
                 better = self.second_order_correction(search, iterate, step, trial.point)
@@ -118,18 +118,25 @@ class Globalisation:
         better = self.is_better(trial, began, first, first.longest)
         if not better and (left == 1 or not trial.point.error < np.inf):
             self.length, self.watchdog = 0.0, None
+            if INEQUALITIES:
+                began = began._replace(measured=None)  # it was, before its bounds were relaxed less
             return began
         if INEQUALITIES:
-            trial = with_duals(trial, step)
+            trial = with_duals(search, trial, step)
         self.watchdog = None if better else (began, first, left - 1)
         return trial
 
     def is_better(self, trial, iterate, step, length):
         """Whether a trial may follow an iterate, from which a step of some length was to lead to it."""
-        before = iterate.point.violation, barrier_objective(iterate)
-        after = trial.point.violation, barrier_objective(trial)
-        promised = step.slope, length, self.small_violation
-        return trial.point.error < np.inf and self.filtered.accept(*before, *after, *promised)
+        return trial.point.error < np.inf and self.filtered.accept(
+            iterate.point.violation,
+            barrier_objective(iterate),
+            trial.point.violation,
+            barrier_objective(trial),
+            step.slope,
+            length,
+            self.small_violation,
+        )
 
     def second_order_correction(self, search, iterate, step, refused):
         """The iterate after second-order corrections (27) of a full step that the equations' curvature spoils, or None.
@@ -149,7 +156,7 @@ class Globalisation:
             trial = moved(search, iterate, correction, length)
             if self.is_better(trial, iterate, step, step.longest):
                 if INEQUALITIES:
-                    trial = with_duals(trial, better)
+                    trial = with_duals(search, trial, better)
                 return trial
             if not trial.point.violation < 0.99 * refused.violation:
                 return None

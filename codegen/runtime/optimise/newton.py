@@ -152,5 +152,5 @@ def restored(search, iterate, reduction, filtered, log):
     """
     status, found = restore(search, iterate, reduction, filtered, log.is_late)
     if INEQUALITIES:
-        found = found._replace(mu=iterate.mu, duals=central_duals(iterate.mu, found.distance))
+        found = found._replace(mu=iterate.mu, duals=central_duals(iterate.mu, found.distance), measured=None)
     return status, found

@@ -104,7 +104,7 @@ def is_inaccurate(search, iterate, step):
     grid, point = search.grid, iterate.point
     _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
     left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
-    return inaccuracy(grid, step.gradient, step.primal, left) > ACCURATE
+    return inaccuracy(step.gradient, step.primal, left, grid.is_multiplier) > ACCURATE
 
 
 def barely_reduces_residual(point, step, length, trial):

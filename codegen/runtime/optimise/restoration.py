@@ -119,7 +119,7 @@ def damped_step(search, current, pull, damping):
             expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
             if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
                 if INEQUALITIES:
-                    trial = with_duals(trial, taken)
+                    trial = with_duals(search, trial, taken)
                 return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None

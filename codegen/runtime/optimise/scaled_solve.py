@@ -125,7 +125,9 @@ def scaled_grid(grid, unknowns):
         primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
     if not is_scaled:
-        return grid._replace(bounds=bounds)
+        if INEQUALITIES:
+            grid = grid._replace(bounds=bounds)
+        return grid
     if INEQUALITIES:
         # Bounds of slacks below zero, by rounding or where equations determine them, are numbers without a unit.
         units = np.where(IS_SLACK[kinds], 1.0, sizes)

@@ -77,7 +77,7 @@ def lagrangian(grid, point):
 
     The error of the Lagrangian's value is of second order.
     """
-    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0) @ point.gradient
+    return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0).dot(point.gradient)
 
 
 @njit(cache=True, error_model="numpy")
