@@ -42,6 +42,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("INEQUALITIES", int(program.has_inequalities)),
         ("UNBOUNDED", int(not program.has_inequalities)),
         ("SCALED", int(not derivatives.linear_quadratic)),
+        ("BACKWARD", int(sweeps_backward(program))),
         ("CARRIED", int(carries_right_hand_side(program, derivatives))),
         ("TABLED", sum(table.shape.count for table in tables_of(program.model))),
     )
@@ -51,8 +52,18 @@ def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivat
     """Whether the rows of an element matrix, which are as long as a multiple of four, have room for one more column."""
     node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
     block = node + inside - derivatives.condensed
-    border = node + block - len(_pinned(program.start)) + len(program.shared)  # node k + 1, block 0, shared unknowns
+    first = program.end if sweeps_backward(program) else program.start
+    border = node + block - len(_pinned(first)) + len(program.shared)  # the next node, block 0, shared unknowns
     return (block + border) % 4 > 0 and border % 4 > 0
+
+
+def sweeps_backward(program: ControlProgram) -> bool:
+    """Whether elimination goes from the last interval to the first.
+
+    Where equations are those of intervals, each then goes with the state at its end, which it determines: the other
+    way the elimination would integrate backward in time, and dissipative dynamics would make rounding grow without end.
+    """
+    return program.method != "variational"
 
 
 def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
@@ -274,6 +285,7 @@ def _size_lines(program: ControlProgram, derivatives: ControlDerivatives) -> lis
         Line("SHARED", str(number["SHARED"]), f"with those of the whole problem: {_names(program.shared)}"),
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
         Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"),
+        Line("BACKWARD", str(number["BACKWARD"]), "whether elimination goes from the last interval to the first"),
         Line("CARRIED", str(number["CARRIED"]), "columns of right-hand sides that take part in the elimination"),
     ]
 

@@ -9,7 +9,7 @@ from codegen.runtime.unknowns.coupling import add_coupling_matrix
 from codegen.runtime.kkt.elements import BLOCK, padded
 from codegen.runtime.unknowns.tied_ends import copy_shared_to_tied, add_tied_to_shared
 from codegen.runtime.stand_ins.example import (
-    BODIES, CARRIED, COUPLINGS, ELEMENT, NODE, ROOT, SCALED, SHARED, STRIDE, TIED,
+    BACKWARD, BODIES, CARRIED, COUPLINGS, ELEMENT, NODE, ROOT, SCALED, SHARED, STRIDE, TIED,
 )  # fmt: skip
 from codegen.runtime.kkt.frontal import LAST, LAST_WIDTH, allocate_factors, eliminate_body, fill_parts
 from codegen.runtime.unknowns.layout import multiplier_unknowns
@@ -75,6 +75,14 @@ def factor(
     return found >= 0, negative + found - equations
 
 
+if TIED:
+
+    @njit(error_model="numpy")
+    def ends_of(steps):
+        """Where the first and the last node begin among the unknowns of a body's blocks."""
+        return (steps * BLOCK, 0) if BACKWARD else (0, steps * BLOCK)
+
+
 if COUPLINGS:
 
     @njit(error_model="numpy")
@@ -107,7 +115,8 @@ def substitute(
             slopes = gradient[body * chain : (body + 1) * chain]
             condense(slopes, inverses[body], couplings[body], steps, right[body])
             if TIED:
-                add_tied_to_shared(right[body], 0, steps * BLOCK, body, shared)
+                start, end = ends_of(steps)
+                add_tied_to_shared(right[body], start, end, body, shared)
             forward(upper[body], inverse[body], order[body], steps, right[body], last[body])
             for i in range(SHARED):
                 shared[root_index(body, i)] += right[body, steps * BLOCK + NODE + i] + last[body, LAST + i]
@@ -124,5 +133,6 @@ def substitute(
             last[body, LAST + SHARED] = -1.0 if carried else 0.0
         backward(upper[body], order[body], steps, carried, last[body], right[body])
         if TIED:
-            copy_shared_to_tied(right[body], 0, steps * BLOCK, body, shared)
+            start, end = ends_of(steps)
+            copy_shared_to_tied(right[body], start, end, body, shared)
         recover_condensed(slopes, inverses[body], couplings[body], steps, right[body], solution)

@@ -3,12 +3,14 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kkt.elements import BORDER, TAIL
-from codegen.runtime.stand_ins.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS
+from codegen.runtime.kkt.elements import BLOCK, LEFT_NODE, RIGHT_NODE, ROWS, TAIL, unknown_of
+from codegen.runtime.stand_ins.example import BODIES, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE
 
-# Indices without a sign need no test for what counts from the end.
-ELEMENT_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER).astype(np.uint64)
-ELEMENT_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER).astype(np.uint64)
+# Rows of an element matrix for its unknowns; indices without a sign need no test for what counts from the end.
+PLACES = np.concatenate(
+    [LEFT_NODE + np.arange(NODE), np.arange(NODE, BLOCK), RIGHT_NODE + np.arange(NODE), np.arange(TAIL, ROWS)]
+).astype(np.uint64)
+ELEMENT_ROWS, ELEMENT_COLUMNS = PLACES[HESSIAN_ROWS], PLACES[HESSIAN_COLUMNS]
 
 
 def allocate_condensed(grid):
@@ -33,12 +35,14 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
 @njit(error_model="numpy")
 def condense(gradient, inverses, couplings, steps, right):
     """Fill a body's `right` (N STRIDE + NODE + SHARED,) with -`gradient` (N STRIDE + NODE,)."""
-    for i in range(gradient.size):
-        right[i] = -gradient[i]
+    for block in range(steps + 1):
+        for i in range(BLOCK if block < steps else NODE):
+            right[block * BLOCK + i] = -gradient[unknown_of(block, i, steps)]
 
 
 @njit(error_model="numpy")
 def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with what was `solved` for, which is all there is."""
-    for i in range(step.size):
-        step[i] = solved[i]
+    for block in range(steps + 1):
+        for i in range(BLOCK if block < steps else NODE):
+            step[unknown_of(block, i, steps)] = solved[block * BLOCK + i]

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    CARRIED, CONDENSED, END_PINNED, END_SHARED, END_TIED, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE,
+    BACKWARD, CARRIED, CONDENSED, END_PINNED, END_SHARED, END_TIED, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE,
     ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED, START_TIED,
     STRIDE, TIED,
 )  # fmt: skip
@@ -27,7 +27,9 @@ INNER = BLOCK - ONLY_AT_ENDS.size
 if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
     INNER = BLOCK
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
-FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
+LEFT_NODE, RIGHT_NODE = (BLOCK, 0) if BACKWARD else (0, BLOCK)  # rows of an element matrix where its nodes begin
+FIRST_PINNED, LAST_PINNED = (END_PINNED, START_PINNED) if BACKWARD else (START_PINNED, END_PINNED)
+FIRST = np.setdiff1d(np.arange(BLOCK), FIRST_PINNED)  # what is not given of block 0
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
@@ -43,25 +45,50 @@ IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN
 IS_LACKING = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] & (HESSIAN_ROWS == HESSIAN_COLUMNS)
 
 
+if BACKWARD:
+
+    @njit(error_model="numpy", inline="always")
+    def interval_of(block, steps):
+        """The interval of a block: the one before its node."""
+        return steps - 1 - block
+
+    @njit(error_model="numpy", inline="always")
+    def unknown_of(block, i, steps):
+        """The index, among a body's unknowns, of unknown i of a block; block N is the first node."""
+        return (steps - block - (i >= NODE)) * STRIDE + i
+
+else:
+
+    @njit(error_model="numpy", inline="always")
+    def interval_of(block, steps):
+        """The interval of a block: the one after its node."""
+        return block
+
+    @njit(error_model="numpy", inline="always")
+    def unknown_of(block, i, steps):
+        """The index, among a body's unknowns, of unknown i of a block; block N is the last node."""
+        return block * STRIDE + i
+
+
 @njit(error_model="numpy")
 def pin_ends(k, steps, diagonal, element):
-    """Add the last node's share of `diagonal` (N STRIDE + NODE,), and pin what is given at the ends.
+    """Add the share of `diagonal` (N STRIDE + NODE,) of the node that comes last, and pin what is given at the ends.
 
     The row and column of `element` (ROWS, WIDTH) for what a boundary condition gives are those of the unit matrix.
     """
-    if k == steps - 1:
+    if k == interval_of(steps - 1, steps):
         for i in range(NODE):
-            element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
+            element[BLOCK + i, BLOCK + i] += diagonal[unknown_of(steps, i, steps)]
     if k == 0:
         if TIED:
-            add_tied_rows_to_shared(START_TIED, START_SHARED, 0, TAIL, element)
+            add_tied_rows_to_shared(START_TIED, START_SHARED, LEFT_NODE, TAIL, element)
         for i in START_PINNED:
-            pin(i, element)
+            pin(LEFT_NODE + i, element)
     if k == steps - 1:
         if TIED:
-            add_tied_rows_to_shared(END_TIED, END_SHARED, BLOCK, TAIL, element)
+            add_tied_rows_to_shared(END_TIED, END_SHARED, RIGHT_NODE, TAIL, element)
         for i in END_PINNED:
-            pin(BLOCK + i, element)
+            pin(RIGHT_NODE + i, element)
 
 
 @njit(error_model="numpy")

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
-from codegen.runtime.kkt.elements import BLOCK, LOCAL_IS_MULTIPLIER, TAIL, pin_ends
+from codegen.runtime.kkt.elements import LEFT_NODE, LOCAL_IS_MULTIPLIER, RIGHT_NODE, TAIL, pin_ends
 from codegen.runtime.stand_ins.example import (
     BODIES, ELEMENT, END_HESSIAN_COLUMNS, END_HESSIAN_ROWS, NODE, ROOT, SCALED, SHARED, START_HESSIAN_COLUMNS,
     START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
@@ -24,11 +24,11 @@ def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, 
     if k == 0:
         entries = zero_vector(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[:NODE], 0.0, parameters, entries)
-        add_end_hessian(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, 0, weight, parts, element)
+        add_end_hessian(entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, LEFT_NODE, weight, parts, element)
     if k == steps - 1:
         entries = zero_vector(END_HESSIAN_ROWS.size)
         end_hessian(unknowns[steps * STRIDE : steps * STRIDE + NODE], steps * h, parameters, entries)
-        add_end_hessian(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, BLOCK, weight, parts, element)
+        add_end_hessian(entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, RIGHT_NODE, weight, parts, element)
     pin_ends(k, steps, diagonal, element)
 
 

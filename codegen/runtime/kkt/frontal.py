@@ -21,7 +21,7 @@ from codegen.runtime.arrays import clear, copy_part, zero_matrix, zero_vector
 from codegen.runtime.kkt.element_condensed import add_element, allocate_condensed, prepare_condensed
 from codegen.runtime.kkt.elements import (
     BLOCK, BORDER, COLUMNS, FIRST, INNER, IS_CURVATURE, IS_LACKING, LOCAL_IS_MULTIPLIER, RIGHT, ROWS, SIZE, TAIL,
-    WIDTH, padded,
+    WIDTH, interval_of, padded, unknown_of,
 )  # fmt: skip
 from codegen.runtime.kkt.ends_linear import apply_boundary_conditions
 from codegen.runtime.stand_ins.example import (
@@ -73,8 +73,8 @@ def eliminate_body(
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
     local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
-    for k in range(steps):
-        first, behind = k * BLOCK, (k + 1) * BLOCK
+    for block in range(steps):
+        k, first, behind = interval_of(block, steps), block * BLOCK, (block + 1) * BLOCK
         copy_part(unknowns, k * STRIDE, local)
         t, length = span(nodes, k, h)
         interval_hessian(local, t, length, parameters, hessian)
@@ -85,12 +85,12 @@ def eliminate_body(
         if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
-            element[i, i] += diagonal[k * STRIDE + i]
+            element[i, i] += diagonal[unknown_of(block, i, steps)]
         if CARRIED:
-            add_right_hand_side(gradient, k, steps, element)
+            add_right_hand_side(gradient, block, steps, element)
         if k == 0 or k == steps - 1:
             apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
-        if k == 0:
+        if block == 0:
             begin_front(element, rest)
             continue
         move_front(element, rest)
@@ -99,8 +99,8 @@ def eliminate_body(
             return False, 0, 0
         negative += found
         # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
-        if negative > k * MULTIPLIERS + ENDING + COMMON:
-            return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
+        if negative > block * MULTIPLIERS + ENDING + COMMON:
+            return True, negative, negative - (block * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last)
     first = steps * BLOCK
@@ -115,13 +115,13 @@ def eliminate_body(
 if CARRIED:
 
     @njit(error_model="numpy", inline="always")
-    def add_right_hand_side(slopes, k, steps, element):
-        """Subtract `slopes` (N STRIDE + NODE,) by block k, and by the last node, from the column carried along."""
+    def add_right_hand_side(slopes, block, steps, element):
+        """Subtract `slopes` (N STRIDE + NODE,) by a block, and by the node after all, from the column carried along."""
         for i in range(BLOCK):
-            element[i, RIGHT] -= slopes[k * STRIDE + i]
-        if k == steps - 1:
+            element[i, RIGHT] -= slopes[unknown_of(block, i, steps)]
+        if block == steps - 1:
             for i in range(NODE):
-                element[BLOCK + i, RIGHT] -= slopes[steps * STRIDE + i]
+                element[BLOCK + i, RIGHT] -= slopes[unknown_of(steps, i, steps)]
 
 
 @njit(error_model="numpy")

@@ -4,7 +4,9 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
-from codegen.runtime.kkt.elements import BLOCK, COLUMNS, RIGHT, ROWS, SIZE, TAIL
+from codegen.runtime.kkt.elements import (
+    BLOCK, COLUMNS, LEFT_NODE, RIGHT, RIGHT_NODE, ROWS, SIZE, TAIL, interval_of, unknown_of,
+)  # fmt: skip
 from codegen.runtime.stand_ins.example import (
     CARRIED, CONDENSED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, NODE, SHARED, STRIDE,
 )  # fmt: skip
@@ -18,7 +20,8 @@ def sort_entries():
     element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT + SHARED) >= BLOCK) & (np.arange(ELEMENT + SHARED) < STRIDE)
-    index = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
+    left, right, kept = LEFT_NODE + np.arange(NODE), RIGHT_NODE + np.arange(NODE), np.arange(NODE, BLOCK)
+    index = np.concatenate([left, kept, np.arange(CONDENSED), right, np.arange(TAIL, ROWS)])
     kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
     rows = index[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
@@ -67,17 +70,18 @@ def subtract_schur_complement(coupling, inverse, element):
 def condense(gradient, inverses, couplings, steps, right):
     """Fill a body's `right` (N BLOCK + NODE + SHARED,), -(g - B' inverse(C) g_u); `gradient` (N STRIDE + NODE,)."""
     for i in range(NODE):
-        right[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
-    for k in range(steps - 1, -1, -1):
+        right[steps * BLOCK + i] = -gradient[unknown_of(steps, i, steps)]
+    for block in range(steps - 1, -1, -1):
+        k = interval_of(block, steps)
         inverse = inverses[min(k + 1, inverses.shape[0] - 1)]
         for i in range(BLOCK):
-            right[k * BLOCK + i] = -gradient[k * STRIDE + i]
+            right[block * BLOCK + i] = -gradient[unknown_of(block, i, steps)]
         for a in range(CONDENSED):
             weighted = 0.0
             for b in range(CONDENSED):
                 weighted += inverse[a, b] * gradient[k * STRIDE + BLOCK + b]
             for i in range(SIZE):
-                right[k * BLOCK + i] += couplings[k, a, i] * weighted
+                right[block * BLOCK + i] += couplings[k, a, i] * weighted
             for i in range(SHARED):
                 right[steps * BLOCK + NODE + i] += couplings[k, a, TAIL + i] * weighted
 
@@ -87,15 +91,16 @@ def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):
-        step[steps * STRIDE + i] = solved[steps * BLOCK + i]
-    for k in range(steps):
+        step[unknown_of(steps, i, steps)] = solved[steps * BLOCK + i]
+    for block in range(steps):
+        k = interval_of(block, steps)
         inverse = inverses[min(k + 1, inverses.shape[0] - 1)]
         for i in range(BLOCK):
-            step[k * STRIDE + i] = solved[k * BLOCK + i]
+            step[unknown_of(block, i, steps)] = solved[block * BLOCK + i]
         for b in range(CONDENSED):
             forcing[b] = gradient[k * STRIDE + BLOCK + b]
             for i in range(SIZE):
-                forcing[b] += couplings[k, b, i] * solved[k * BLOCK + i]
+                forcing[b] += couplings[k, b, i] * solved[block * BLOCK + i]
             for i in range(SHARED):
                 forcing[b] += couplings[k, b, TAIL + i] * solved[steps * BLOCK + NODE + i]
         for a in range(CONDENSED):

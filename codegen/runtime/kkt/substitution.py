@@ -7,8 +7,10 @@ the way back, as if it belonged to one more unknown, with the value -1.
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
-from codegen.runtime.kkt.elements import BLOCK, BORDER, COLUMNS, FIRST, INNER, RIGHT, SIZE, TAIL, WIDTH
-from codegen.runtime.stand_ins.example import CARRIED, END_PINNED, NODE, SHARED, START_PINNED
+from codegen.runtime.kkt.elements import (
+    BLOCK, BORDER, COLUMNS, FIRST, FIRST_PINNED, INNER, LAST_PINNED, RIGHT, SIZE, TAIL, WIDTH,
+)  # fmt: skip
+from codegen.runtime.stand_ins.example import CARRIED, NODE, SHARED
 from codegen.runtime.kkt.frontal import LAST
 from codegen.runtime.kkt.symmetric import solve_backward, solve_forward, solve_pivots
 
@@ -20,9 +22,9 @@ def forward(upper, inverse, order, steps, right, last):
     `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `right` (N BLOCK + NODE + SHARED,), `last` (LAST_WIDTH,).
     """
     front = zero_vector(WIDTH)
-    for i in START_PINNED:
+    for i in FIRST_PINNED:
         right[i] = 0.0
-    for i in END_PINNED:
+    for i in LAST_PINNED:
         right[steps * BLOCK + i] = 0.0
     for k in range(1, steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
