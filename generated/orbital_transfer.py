@@ -3196,13 +3196,18 @@ def lacks_sizes(size, bound):
 
 @njit(error_model="numpy")
 def displaced(primal, lower, upper, kinds, size):
-    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it."""
+    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it.
+
+    A guess outside its bounds, such as a temperature of zero, counts as the bound.
+    """
     beside = primal.copy()
     for i in range(kinds.size):
         if not KIND_IS_MULTIPLIER[kinds[i]]:
             by = BESIDE * size[kinds[i]]
-            if lower.size and primal[i] + by > upper[i]:
-                by = max(-by, lower[i] - primal[i])
+            if lower.size:
+                beside[i] = min(max(beside[i], lower[i]), upper[i])
+                if beside[i] + by > upper[i]:
+                    by = max(-by, lower[i] - beside[i])
             beside[i] += by
     return beside
 
@@ -3636,7 +3641,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_f715b7d858fc4f4b"
+_IDENTITY = "codegen_orbital_transfer_4889c860c961bbe8"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

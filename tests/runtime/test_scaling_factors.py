@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from interpreted import as_machine_code, text_of
 from sympy import exp
 
-from codegen import Control, controls, free_parameter, parameter, states, time
+from codegen import Control, control, controls, free_parameter, parameter, solving, states, time
 from codegen.author.problem import Phases
 
 FIRST, SECOND = 2e-5, 1e-5  # rates of the reactions, 1/s
@@ -51,6 +52,24 @@ def thrust() -> Control:
     )
 
 
+def batch() -> Control:
+    """A becomes B, and B becomes C, in a batch whose temperature, in kelvin, is guessed to be zero.
+
+    PROPT, batchReactor: 0.610775 of B at the end.
+    """
+    a, b = states("a b")
+    T = control("T")
+    first, second = 4000 * exp(-2500 / T), 6.2e5 * exp(-5000 / T)
+    return Control(
+        dynamics={a: -first * a**2, b: first * a**2 - second * b},
+        terminal_maximise=b,
+        duration=1,
+        start={a: 1, b: 0},
+        bounds={T: (298, 398)},
+        steps=40,
+    )
+
+
 def module_of(problem: Control | Phases):
     return as_machine_code(text_of(problem))
 
@@ -79,6 +98,18 @@ def test_a_slack_has_the_size_of_its_condition_beside_the_guess():
     # With acceleration 5 m/s^2 over the time s, d = 5 s (30 - s), and twice the momentum is the integral.
     s = 15 - (15**2 - 600 / 5) ** 0.5
     assert solution.cost == pytest.approx(2 * 10000 * s, rel=2e-3)
+
+
+def test_a_guess_outside_its_bounds_counts_as_the_bound():
+    """Rates at absolute zero have no size."""
+    module = module_of(batch())
+    grid = module.make_grid(40)
+    with np.errstate(all="ignore"):  # of the guess, as machine code does
+        scaled = module.scaled_grid(grid, module.initial_guess(grid))
+        result = solving.solve(module)
+    assert scaled.sizes.size == 0 or scaled.sizes.min() >= 1e-6
+    assert result.status == "solved", result.message
+    assert -result.cost == pytest.approx(0.610775, rel=1e-3)
 
 
 def test_a_search_that_goes_on_and_on_in_parts_of_sizes_leaves_iterations_for_others():
