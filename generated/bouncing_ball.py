@@ -141,6 +141,7 @@ OWN = 0  # shared unknowns of a body: none
 SHARED = 3  # with those of the whole problem: nu_1, T_1, T_2
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 3  # unknowns that no node owns, with the conditions' multipliers
+BACKWARD = 0  # whether elimination goes from the last interval to the first
 CARRIED = 1  # columns of right-hand sides that take part in the elimination
 IS_MULTIPLIER = np.array([False, False, True, True, False, False, True, True, False, False])  # of node and interval
 SHARED_IS_MULTIPLIER = np.array([True, False, False])  # of shared unknowns
@@ -998,7 +999,9 @@ INNER = BLOCK - ONLY_AT_ENDS.size
 if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
     INNER = BLOCK
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
-FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
+LEFT_NODE, RIGHT_NODE = (BLOCK, 0) if BACKWARD else (0, BLOCK)  # rows of an element matrix where its nodes begin
+FIRST_PINNED, LAST_PINNED = (END_PINNED, START_PINNED) if BACKWARD else (START_PINNED, END_PINNED)
+FIRST = np.setdiff1d(np.arange(BLOCK), FIRST_PINNED)  # what is not given of block 0
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
@@ -1012,21 +1015,32 @@ IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN
 IS_LACKING = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] & (HESSIAN_ROWS == HESSIAN_COLUMNS)
 
 
+@njit(error_model="numpy", inline="always")
+def interval_of(block, steps):
+    """The interval of a block: the one after its node."""
+    return block
+
+@njit(error_model="numpy", inline="always")
+def unknown_of(block, i, steps):
+    """The index, among a body's unknowns, of unknown i of a block; block N is the last node."""
+    return block * STRIDE + i
+
+
 @njit(error_model="numpy")
 def pin_ends(k, steps, diagonal, element):
-    """Add the last node's share of `diagonal` (N STRIDE + NODE,), and pin what is given at the ends.
+    """Add the share of `diagonal` (N STRIDE + NODE,) of the node that comes last, and pin what is given at the ends.
 
     The row and column of `element` (ROWS, WIDTH) for what a boundary condition gives are those of the unit matrix.
     """
-    if k == steps - 1:
+    if k == interval_of(steps - 1, steps):
         for i in range(NODE):
-            element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
+            element[BLOCK + i, BLOCK + i] += diagonal[unknown_of(steps, i, steps)]
     if k == 0:
         for i in START_PINNED:
-            pin(i, element)
+            pin(LEFT_NODE + i, element)
     if k == steps - 1:
         for i in END_PINNED:
-            pin(BLOCK + i, element)
+            pin(RIGHT_NODE + i, element)
 
 
 @njit(error_model="numpy")
@@ -1265,9 +1279,11 @@ def solve_backward(upper, order, count, width, values):
 
 # An interval's element matrix, with all its unknowns kept: none can be eliminated beforehand.
 
-# Indices without a sign need no test for what counts from the end.
-ELEMENT_ROWS = np.where(HESSIAN_ROWS < TAIL - BORDER, HESSIAN_ROWS, HESSIAN_ROWS + BORDER).astype(np.uint64)
-ELEMENT_COLUMNS = np.where(HESSIAN_COLUMNS < TAIL - BORDER, HESSIAN_COLUMNS, HESSIAN_COLUMNS + BORDER).astype(np.uint64)
+# Rows of an element matrix for its unknowns; indices without a sign need no test for what counts from the end.
+PLACES = np.concatenate(
+    [LEFT_NODE + np.arange(NODE), np.arange(NODE, BLOCK), RIGHT_NODE + np.arange(NODE), np.arange(TAIL, ROWS)]
+).astype(np.uint64)
+ELEMENT_ROWS, ELEMENT_COLUMNS = PLACES[HESSIAN_ROWS], PLACES[HESSIAN_COLUMNS]
 
 
 def allocate_condensed(grid):
@@ -1292,15 +1308,17 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
 @njit(error_model="numpy")
 def condense(gradient, inverses, couplings, steps, right):
     """Fill a body's `right` (N STRIDE + NODE + SHARED,) with -`gradient` (N STRIDE + NODE,)."""
-    for i in range(gradient.size):
-        right[i] = -gradient[i]
+    for block in range(steps + 1):
+        for i in range(BLOCK if block < steps else NODE):
+            right[block * BLOCK + i] = -gradient[unknown_of(block, i, steps)]
 
 
 @njit(error_model="numpy")
 def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with what was `solved` for, which is all there is."""
-    for i in range(step.size):
-        step[i] = solved[i]
+    for block in range(steps + 1):
+        for i in range(BLOCK if block < steps else NODE):
+            step[unknown_of(block, i, steps)] = solved[block * BLOCK + i]
 
 
 # Frontal factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete, count inertia.
@@ -1359,8 +1377,8 @@ def eliminate_body(
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
     local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
-    for k in range(steps):
-        first, behind = k * BLOCK, (k + 1) * BLOCK
+    for block in range(steps):
+        k, first, behind = interval_of(block, steps), block * BLOCK, (block + 1) * BLOCK
         copy_part(unknowns, k * STRIDE, local)
         t, length = span(nodes, k, h)
         interval_hessian(local, t, length, parameters, hessian)
@@ -1371,11 +1389,11 @@ def eliminate_body(
         if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
-            element[i, i] += diagonal[k * STRIDE + i]
-        add_right_hand_side(gradient, k, steps, element)
+            element[i, i] += diagonal[unknown_of(block, i, steps)]
+        add_right_hand_side(gradient, block, steps, element)
         if k == 0 or k == steps - 1:
             apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
-        if k == 0:
+        if block == 0:
             begin_front(element, rest)
             continue
         move_front(element, rest)
@@ -1384,8 +1402,8 @@ def eliminate_body(
             return False, 0, 0
         negative += found
         # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
-        if negative > k * MULTIPLIERS + ENDING + COMMON:
-            return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
+        if negative > block * MULTIPLIERS + ENDING + COMMON:
+            return True, negative, negative - (block * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last)
     first = steps * BLOCK
@@ -1398,13 +1416,13 @@ def eliminate_body(
 
 
 @njit(error_model="numpy", inline="always")
-def add_right_hand_side(slopes, k, steps, element):
-    """Subtract `slopes` (N STRIDE + NODE,) by block k, and by the last node, from the column carried along."""
+def add_right_hand_side(slopes, block, steps, element):
+    """Subtract `slopes` (N STRIDE + NODE,) by a block, and by the node after all, from the column carried along."""
     for i in range(BLOCK):
-        element[i, RIGHT] -= slopes[k * STRIDE + i]
-    if k == steps - 1:
+        element[i, RIGHT] -= slopes[unknown_of(block, i, steps)]
+    if block == steps - 1:
         for i in range(NODE):
-            element[BLOCK + i, RIGHT] -= slopes[steps * STRIDE + i]
+            element[BLOCK + i, RIGHT] -= slopes[unknown_of(steps, i, steps)]
 
 
 @njit(error_model="numpy")
@@ -1505,9 +1523,9 @@ def forward(upper, inverse, order, steps, right, last):
     `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `right` (N BLOCK + NODE + SHARED,), `last` (LAST_WIDTH,).
     """
     front = zero_vector(WIDTH)
-    for i in START_PINNED:
+    for i in FIRST_PINNED:
         right[i] = 0.0
-    for i in END_PINNED:
+    for i in LAST_PINNED:
         right[steps * BLOCK + i] = 0.0
     for k in range(1, steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
@@ -4568,7 +4586,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_a11cc83be2f06144"
+_IDENTITY = "codegen_bouncing_ball_859b743bf0635fa1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

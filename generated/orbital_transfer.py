@@ -114,6 +114,7 @@ BODIES = 1  # bodies, each with a chain of nodes and intervals
 SHARED = 0  # with those of the whole problem: none
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 0  # unknowns that no node owns, with the conditions' multipliers
+BACKWARD = 0  # whether elimination goes from the last interval to the first
 CARRIED = 1  # columns of right-hand sides that take part in the elimination
 IS_MULTIPLIER = np.array([False, False, True, True, False])  # of node and interval
 START_PINNED = np.array([0, 1], dtype=np.int64)  # unknowns of the first node that are given
@@ -573,7 +574,9 @@ INNER = BLOCK - ONLY_AT_ENDS.size
 if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
     INNER = BLOCK
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
-FIRST = np.setdiff1d(np.arange(BLOCK), START_PINNED)  # what is not given of block 0
+LEFT_NODE, RIGHT_NODE = (BLOCK, 0) if BACKWARD else (0, BLOCK)  # rows of an element matrix where its nodes begin
+FIRST_PINNED, LAST_PINNED = (END_PINNED, START_PINNED) if BACKWARD else (START_PINNED, END_PINNED)
+FIRST = np.setdiff1d(np.arange(BLOCK), FIRST_PINNED)  # what is not given of block 0
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL  # of an element matrix
@@ -586,21 +589,32 @@ IS_CURVATURE = ~(LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] | LOCAL_IS_MULTIPLIER[HESSIAN
 IS_LACKING = LOCAL_IS_MULTIPLIER[HESSIAN_ROWS] & (HESSIAN_ROWS == HESSIAN_COLUMNS)
 
 
+@njit(error_model="numpy", inline="always")
+def interval_of(block, steps):
+    """The interval of a block: the one after its node."""
+    return block
+
+@njit(error_model="numpy", inline="always")
+def unknown_of(block, i, steps):
+    """The index, among a body's unknowns, of unknown i of a block; block N is the last node."""
+    return block * STRIDE + i
+
+
 @njit(error_model="numpy")
 def pin_ends(k, steps, diagonal, element):
-    """Add the last node's share of `diagonal` (N STRIDE + NODE,), and pin what is given at the ends.
+    """Add the share of `diagonal` (N STRIDE + NODE,) of the node that comes last, and pin what is given at the ends.
 
     The row and column of `element` (ROWS, WIDTH) for what a boundary condition gives are those of the unit matrix.
     """
-    if k == steps - 1:
+    if k == interval_of(steps - 1, steps):
         for i in range(NODE):
-            element[BLOCK + i, BLOCK + i] += diagonal[steps * STRIDE + i]
+            element[BLOCK + i, BLOCK + i] += diagonal[unknown_of(steps, i, steps)]
     if k == 0:
         for i in START_PINNED:
-            pin(i, element)
+            pin(LEFT_NODE + i, element)
     if k == steps - 1:
         for i in END_PINNED:
-            pin(BLOCK + i, element)
+            pin(RIGHT_NODE + i, element)
 
 
 @njit(error_model="numpy")
@@ -869,7 +883,8 @@ def sort_entries():
     element matrix, or counted among the unknowns that are eliminated.
     """
     eliminated = (np.arange(ELEMENT) >= BLOCK) & (np.arange(ELEMENT) < STRIDE)
-    index = np.concatenate([np.arange(BLOCK), np.arange(CONDENSED), np.arange(BLOCK, SIZE), np.arange(TAIL, ROWS)])
+    left, right, kept = LEFT_NODE + np.arange(NODE), RIGHT_NODE + np.arange(NODE), np.arange(NODE, BLOCK)
+    index = np.concatenate([left, kept, np.arange(CONDENSED), right, np.arange(TAIL, ROWS)])
     kinds = eliminated[HESSIAN_ROWS].astype(int) + eliminated[HESSIAN_COLUMNS]
     swapped = eliminated[HESSIAN_COLUMNS] & ~eliminated[HESSIAN_ROWS]
     rows = index[np.where(swapped, HESSIAN_COLUMNS, HESSIAN_ROWS)]
@@ -917,17 +932,18 @@ def subtract_schur_complement(coupling, inverse, element):
 def condense(gradient, inverses, couplings, steps, right):
     """Fill a body's `right` (N BLOCK + NODE + SHARED,), -(g - B' inverse(C) g_u); `gradient` (N STRIDE + NODE,)."""
     for i in range(NODE):
-        right[steps * BLOCK + i] = -gradient[steps * STRIDE + i]
-    for k in range(steps - 1, -1, -1):
+        right[steps * BLOCK + i] = -gradient[unknown_of(steps, i, steps)]
+    for block in range(steps - 1, -1, -1):
+        k = interval_of(block, steps)
         inverse = inverses[min(k + 1, inverses.shape[0] - 1)]
         for i in range(BLOCK):
-            right[k * BLOCK + i] = -gradient[k * STRIDE + i]
+            right[block * BLOCK + i] = -gradient[unknown_of(block, i, steps)]
         for a in range(CONDENSED):
             weighted = 0.0
             for b in range(CONDENSED):
                 weighted += inverse[a, b] * gradient[k * STRIDE + BLOCK + b]
             for i in range(SIZE):
-                right[k * BLOCK + i] += couplings[k, a, i] * weighted
+                right[block * BLOCK + i] += couplings[k, a, i] * weighted
 
 
 @njit(error_model="numpy")
@@ -935,15 +951,16 @@ def recover_condensed(gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N STRIDE + NODE,) with `solved`, like `right`, and -inverse(C) (g_u + B d) of intervals."""
     forcing = zero_vector(CONDENSED)
     for i in range(NODE):
-        step[steps * STRIDE + i] = solved[steps * BLOCK + i]
-    for k in range(steps):
+        step[unknown_of(steps, i, steps)] = solved[steps * BLOCK + i]
+    for block in range(steps):
+        k = interval_of(block, steps)
         inverse = inverses[min(k + 1, inverses.shape[0] - 1)]
         for i in range(BLOCK):
-            step[k * STRIDE + i] = solved[k * BLOCK + i]
+            step[unknown_of(block, i, steps)] = solved[block * BLOCK + i]
         for b in range(CONDENSED):
             forcing[b] = gradient[k * STRIDE + BLOCK + b]
             for i in range(SIZE):
-                forcing[b] += couplings[k, b, i] * solved[k * BLOCK + i]
+                forcing[b] += couplings[k, b, i] * solved[block * BLOCK + i]
         for a in range(CONDENSED):
             value = 0.0
             for b in range(CONDENSED):
@@ -1048,8 +1065,8 @@ def eliminate_body(
     negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
     is_weighted = fill_factors(weight, parts, factors)
     local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
-    for k in range(steps):
-        first, behind = k * BLOCK, (k + 1) * BLOCK
+    for block in range(steps):
+        k, first, behind = interval_of(block, steps), block * BLOCK, (block + 1) * BLOCK
         copy_part(unknowns, k * STRIDE, local)
         t, length = span(nodes, k, h)
         interval_hessian(local, t, length, parameters, hessian)
@@ -1060,11 +1077,11 @@ def eliminate_body(
         if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
             return False, 0, 0
         for i in range(BLOCK):
-            element[i, i] += diagonal[k * STRIDE + i]
-        add_right_hand_side(gradient, k, steps, element)
+            element[i, i] += diagonal[unknown_of(block, i, steps)]
+        add_right_hand_side(gradient, block, steps, element)
         if k == 0 or k == steps - 1:
             apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
-        if k == 0:
+        if block == 0:
             begin_front(element, rest)
             continue
         move_front(element, rest)
@@ -1073,8 +1090,8 @@ def eliminate_body(
             return False, 0, 0
         negative += found
         # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
-        if negative > k * MULTIPLIERS + ENDING + COMMON:
-            return True, negative, negative - (k * MULTIPLIERS + ENDING + COMMON)
+        if negative > block * MULTIPLIERS + ENDING + COMMON:
+            return True, negative, negative - (block * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
     end_front(rest, last)
     first = steps * BLOCK
@@ -1087,13 +1104,13 @@ def eliminate_body(
 
 
 @njit(error_model="numpy", inline="always")
-def add_right_hand_side(slopes, k, steps, element):
-    """Subtract `slopes` (N STRIDE + NODE,) by block k, and by the last node, from the column carried along."""
+def add_right_hand_side(slopes, block, steps, element):
+    """Subtract `slopes` (N STRIDE + NODE,) by a block, and by the node after all, from the column carried along."""
     for i in range(BLOCK):
-        element[i, RIGHT] -= slopes[k * STRIDE + i]
-    if k == steps - 1:
+        element[i, RIGHT] -= slopes[unknown_of(block, i, steps)]
+    if block == steps - 1:
         for i in range(NODE):
-            element[BLOCK + i, RIGHT] -= slopes[steps * STRIDE + i]
+            element[BLOCK + i, RIGHT] -= slopes[unknown_of(steps, i, steps)]
 
 
 @njit(error_model="numpy")
@@ -1188,9 +1205,9 @@ def forward(upper, inverse, order, steps, right, last):
     `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `right` (N BLOCK + NODE + SHARED,), `last` (LAST_WIDTH,).
     """
     front = zero_vector(WIDTH)
-    for i in START_PINNED:
+    for i in FIRST_PINNED:
         right[i] = 0.0
-    for i in END_PINNED:
+    for i in LAST_PINNED:
         right[steps * BLOCK + i] = 0.0
     for k in range(1, steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
@@ -3641,7 +3658,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_4889c860c961bbe8"
+_IDENTITY = "codegen_orbital_transfer_4a21a8887785b193"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
