@@ -62,8 +62,11 @@ def sweeps_backward(program: ControlProgram) -> bool:
 
     Where equations are those of intervals, each then goes with the state at its end, which it determines: the other
     way the elimination would integrate backward in time, and dissipative dynamics would make rounding grow without end.
+    Equations of states at nodes, which controls before the last interval may decide, want the other way all the same:
+    they are eliminated with the interval after their node, not with the one before it, which may leave them no choice.
     """
-    return program.method != "variational"
+    own = (u for i, u in enumerate(program.node) if i not in program.only_at_ends)
+    return program.method != "variational" and not any(u.multiplier for u in own)
 
 
 def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
