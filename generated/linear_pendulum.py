@@ -883,17 +883,17 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
 
 # Frontal factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete, count inertia.
 #
-# The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Block k holds
-# the unknowns of node k and of the interval after it; with BACKWARD, blocks are counted from the end, and each holds those
-# of a node and of the interval before it. Blocks 1, 2, ... are eliminated in this order, with pivoting inside each; that
-# is the sweep of a Riccati recursion. BACKWARD eliminates the equations of an interval with the state at its end, which
-# they determine: with that at its start, rounding would grow as dissipative dynamics do backward in time. Block 0 is
-# singular by itself where its node is given, because its equations are matched by later unknowns, so it borders the front
-# to the end and is eliminated with the last node. Shared unknowns border all fronts of all bodies; what elimination
-# leaves of them is the Schur complement that ties bodies together, a dense matrix. The pivots' signs give the inertia of
-# the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program for finite element analysis; Haynsworth
-# (1968), Determination of the inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings (1998), Application of
-# interior-point methods to model predictive control, for the Riccati view.
+# The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Block k
+# holds the unknowns of node k and of the interval after it; with BACKWARD, blocks are counted from the end, and each
+# holds those of a node and of the interval before it. Blocks 1, 2, ... are eliminated in this order, with pivoting
+# inside each; that is the sweep of a Riccati recursion. BACKWARD eliminates the equations of an interval with the state
+# at its end, which they determine: with that at its start, rounding would grow as dissipative dynamics do backward in
+# time. Block 0 is singular by itself where its node is given, because its equations are matched by later unknowns, so it
+# borders the front to the end and is eliminated with the last node. Shared unknowns border all fronts of all bodies;
+# what elimination leaves of them is the Schur complement that ties bodies together, a dense matrix. The pivots' signs
+# give the inertia of the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program for finite element
+# analysis; Haynsworth (1968), Determination of the inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings
+# (1998), Application of interior-point methods to model predictive control, for the Riccati view.
 #
 # Too many negative pivots show before the end. At a minimum, the rows that are eliminated and the multipliers of all
 # equations that reach into them make a matrix with one negative eigenvalue for every multiplier; without the multipliers
@@ -2214,7 +2214,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_9aa8d81e7def852a"
+_IDENTITY = "codegen_linear_pendulum_f8b829b296c7a4cf"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
