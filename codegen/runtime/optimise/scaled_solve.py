@@ -78,14 +78,14 @@ def refined(grid, start, point, tolerance, max_iterations, log):
             break
         begin = scaled_unknowns(finer, unknowns)
         same = evaluate(finer, begin)
-        if is_solved(finer, same, tolerance) or error_of(finer, same) <= tolerance:
+        slope = slope_beside_bounds(finer, same)
+        same = same._replace(stationarity=slope, error=max(same.residual, slope))
+        if is_solved(finer, same, tolerance) or same.error <= tolerance:
             return "solved", finer, begin, same, total
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            found = (
-                ("solved", grid, start, point) if error_of(finer, same) <= VIOLATED else (status, finer, begin, better)
-            )
+            found = ("solved", grid, start, point) if same.error <= VIOLATED else (status, finer, begin, better)
             return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
@@ -93,14 +93,14 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
-def error_of(grid, point):
-    """The largest residual, or slope that no bound holds beside multipliers: of bounds the duals are missing."""
+def slope_beside_bounds(grid, point):
+    """The largest slope that no bound holds, beside multipliers: of bounds the duals are missing."""
     slope = np.where(grid.is_multiplier, 0.0, point.gradient)
     if INEQUALITIES:
         lower, upper = bounds_of(grid)
         slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
     mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
-    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY))
+    return float(np.abs(slope).max() / max(1.0, mean / WEIGHTY))
 
 
 def has_larger_derivatives(finer, grid):
