@@ -6,9 +6,9 @@ from math import sin as sine
 import pytest
 from interpreted import of_problem
 from scipy.optimize import brentq
-from sympy import cos, exp, pi, sin, tan
+from sympy import Eq, cos, exp, pi, sin, sqrt, tan, tanh
 
-from codegen import Control, control, controls, free_parameter, states
+from codegen import Control, Phases, control, controls, coordinates, free_parameter, states
 
 HILL = 8.33032459938
 """IPOPT 3.14 from y = sin(pi t), at a tolerance of 1e-10, on the program of `around_a_hill`."""
@@ -115,3 +115,62 @@ def test_equations_that_contradict_each_other_at_the_guess():
     assert solution.status == "solved"
     assert exact <= solution.cost <= 1.02 * exact
     assert solution.iterations <= 200
+
+
+def swing_up_with_friction():
+    """A cart-pole whose bearings have Coulomb friction, smooth within a hundredth of a metre per second."""
+    (x, theta), (v, w) = coordinates("x theta")
+    u = control("u")
+    kinetic = 1.3 * v**2 / 2 + 0.15 * v * w * cos(theta) + 0.075 * w**2 / 2
+    return Control(
+        lagrangian=kinetic + 0.15 * 9.81 * cos(theta),
+        force={x: u - 0.8 * tanh(v / 0.01), theta: -0.02 * tanh(w / 0.01)},
+        cost=u**2,
+        duration=2,
+        start={x: 0, theta: 0, v: 0, w: 0},
+        end={x: 1, theta: pi, v: 0, w: 0},
+        bounds={u: (-20, 20), x: (-2, 2)},
+        steps=20,
+    )
+
+
+def hopper():
+    """A runner on a spring of 20 kN/m: flight, stance with a force along the leg, and flight to the next apex."""
+    (x, y), (dx, dy) = coordinates("x y")
+    force = control("F")
+    times = [free_parameter(f"T{i}", 0.3, lower=0.05, upper=1) for i in (1, 2, 3)]
+    mass, stiffness, foot = 80, 20000, 0.7
+    leg = sqrt((x - foot) ** 2 + y**2)
+    ballistic = mass / 2 * (dx**2 + dy**2) - mass * 9.81 * y
+    touches = Eq((x - foot) ** 2 + y**2, 1)
+    return Phases(
+        Control(
+            lagrangian=ballistic,
+            duration=times[0],
+            start={x: 0, y: 1.1, dx: 2, dy: 0},
+            end_conditions=[touches],
+            steps=10,
+        ),
+        Control(
+            lagrangian=ballistic - stiffness / 2 * (leg - 1) ** 2,
+            force={x: force * (x - foot) / leg, y: force * y / leg},
+            cost=1e-6 * force**2,
+            duration=times[1],
+            bounds={force: (-1000, 1000)},
+            end_conditions=[touches, dy >= 0.1],
+            steps=10,
+        ),
+        Control(lagrangian=ballistic, duration=times[2], end={x: 1.4, y: 1.1, dx: 2, dy: 0}, steps=10),
+    )
+
+
+IN_CYCLES = [(swing_up_with_friction, 72.39460461959129, 32), (hopper, 0.11495889247830338, 14)]
+"""Problems whose steps might go round in circles; cost and iterations of IPOPT 3.14 on the same program."""
+
+
+@pytest.mark.parametrize(("problem", "cost", "iterations"), IN_CYCLES)
+def test_steps_do_not_go_round_in_circles(problem, cost, iterations):
+    solution = of_problem(problem()).solve()
+    assert solution.status == "solved", solution.message
+    assert solution.cost == pytest.approx(cost, rel=1e-9)
+    assert solution.iterations <= 2 * iterations
