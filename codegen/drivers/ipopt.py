@@ -50,10 +50,10 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
         options = {
             "print_level": 0,
             "sb": "yes",
-            "tol": tolerance,
+            "tol": float(tolerance),
             "max_iter": run.max_iterations or MAX_ITERATIONS,
             "honor_original_bounds": "yes",
-            "max_cpu_time": min(run.time_limit, LONGEST),
+            "max_cpu_time": float(min(run.time_limit, LONGEST)),
         }
         for name, value in options.items():
             program.add_option(name, value)

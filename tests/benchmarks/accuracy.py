@@ -1,12 +1,14 @@
 """Accuracy on request: twelve problems beside references that closed forms, scipy or other people's programs give.
 
-    python tests/benchmarks/accuracy.py [--accuracy E ...] [--uniform] [--time-limit S] [PROBLEM ...]
+    python tests/benchmarks/accuracy.py [--accuracy E ...] [--uniform] [--ipopt] [--time-limit S] [PROBLEM ...]
 
 For each problem and request: status, relative error of the cost, the estimate that `codegen solve --accuracy` gives of
 states and cost, intervals, pairs of grids and seconds. `--uniform` adds, for problems with layers or switches, on how
-many equal intervals the same scheme has the same error of the cost, or that it has not on fifty times as many. A
-reference with few digits cannot show smaller errors than its own, which stands beside. Ends with exit status 1 if a
-solution that claims an accuracy has an error above three times the request.
+many equal intervals the same scheme has the same error of the cost, or that it has not on fifty times as many.
+`--ipopt` adds the same refinement of the same scheme with IPOPT to solve each grid, by the module's compiled
+derivatives and from the same guesses: status, grids, seconds, and how many times as long that took. A reference with
+few digits cannot show smaller errors than its own, which stands beside. Ends with exit status 1 if a solution that
+claims an accuracy has an error above three times the request.
 """
 
 import os
@@ -70,6 +72,7 @@ def main() -> int:
     parser.add_argument("problems", nargs="*", help="names of problems, all by default")
     parser.add_argument("--accuracy", type=float, nargs="+", default=[1e-4, 1e-6, 1e-8])
     parser.add_argument("--uniform", action="store_true", help="compare with equal intervals where there are layers")
+    parser.add_argument("--ipopt", action="store_true", help="compare with IPOPT on the grids of the same refinement")
     parser.add_argument("--folder", type=Path, help="where modules are kept for another run")
     parser.add_argument("--time-limit", type=float, default=60.0, help="seconds of each solve")
     arguments = parser.parse_args()
@@ -80,6 +83,7 @@ def main() -> int:
 def compare(arguments: argparse.Namespace, folder: Path) -> int:
     """Solve all that is asked for; return the exit status."""
     lies, below, claims = 0, 0, 0
+    ratios: list[float] = []
     for name in arguments.problems or CASES:
         case = CASES[name]
         exact = case.reference()
@@ -92,24 +96,43 @@ def compare(arguments: argparse.Namespace, folder: Path) -> int:
             print(line(name, request, result, error, case.uncertain), flush=True)
             if arguments.uniform and case.has_layers and result.solved:
                 print(f"{'':26s}{uniform(case, exact, error, result, folder)}", flush=True)
+            if arguments.ipopt:
+                peer = solved(case, request, arguments.time_limit, folder, "ipopt")
+                ratio = seconds_of(peer) / seconds_of(result)
+                if peer.solved and result.solved:
+                    ratios.append(ratio)
+                print(f"{'':26s}IPOPT: {outcome(peer)}, {ratio:.1f} times as long", flush=True)
+    if ratios:
+        print(f"IPOPT took {math.exp(sum(map(math.log, ratios)) / len(ratios)):.1f} times as long as ours, on average")
     print(f"{claims} claims, {below} of them below the request, {lies} above three times the request")
     return int(lies > 0)
 
 
-def solved(case: Case, request: float, limit: float, folder: Path) -> Any:
+def solved(case: Case, request: float, limit: float, folder: Path, driver: str = "newton") -> Any:
     """The result of a request."""
     file = PROBLEMS / f"{case.file}.py"
-    return codegen.solve(file, arguments=case.arguments, accuracy=request, time_limit=limit, out=folder)
+    options = {"accuracy": request, "time_limit": limit, "driver": driver, "out": folder}
+    return codegen.solve(file, arguments=case.arguments, **options)
+
+
+def seconds_of(result: Any) -> float:
+    """The sum of all grids' solves, without compilation."""
+    return float(sum(level.seconds for level in result.accuracy.levels))
+
+
+def outcome(result: Any) -> str:
+    """Status, last grid, number of grids and seconds."""
+    grids = f"{result.t.size - 1:6d} intervals  {len(result.accuracy.levels):2d} grids"
+    return f"{result.status:22s} {grids} {seconds_of(result):7.2f} s"
 
 
 def line(name: str, request: float, result: Any, error: float, uncertain: float) -> str:
     """What came of it, in one line."""
     found = result.accuracy
-    seconds = sum(level.seconds for level in found.levels)
     shown = f"{error:8.1e}" if error > uncertain else f"< {uncertain:.0e}"
     return (
         f"{name:26s}{request:7.0e}  {result.status:22s} error {shown:>8s}  estimate {found.estimate:7.1e} of "
-        f"{found.quantity}  {result.t.size - 1:6d} intervals  {len(found.levels):2d} grids {seconds:7.2f} s"
+        f"{found.quantity}  {result.t.size - 1:6d} intervals  {len(found.levels):2d} grids {seconds_of(result):7.2f} s"
     )
 
 
