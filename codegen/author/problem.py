@@ -110,10 +110,10 @@ class Control(Problem):
     from them.
 
     `guess` maps coordinates, states and controls to expressions of parameters and time, or to tables of one input,
-    which is time then; or it is a Trajectory, which reads them from a file. From there the solver starts;
-    without it coordinates are interpolated linearly between their end values and controls are zero. Free parameters
-    have their first guess there. `scale` maps coordinates, momenta, states, controls and free parameters to their
-    typical size, a positive number, where the solver is not to find it by itself.
+    which is time then; or it is a Trajectory, which reads them from a file. From there the solver starts; without it
+    coordinates are interpolated linearly between their end values, or between measurements of them, and controls are
+    zero. Free parameters have their first guess there. `scale` maps coordinates, momenta, states, controls and free
+    parameters to their typical size, a positive number, where the solver is not to find it by itself.
     """
 
     task: ClassVar[str] = "control"

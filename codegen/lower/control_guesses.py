@@ -20,7 +20,9 @@ def guesses(program: ControlProgram) -> dict[str, Any]:
     """Guesses as code over arrays of time, and what they read."""
     at_nodes = [replace(line, target=f"nodes[:, :, {line.target}]") for line in _node_guess(program)]
     inside = [replace(line, target=f"intervals[:, :, {line.target}]") for line in _interval_guess(program)]
-    at_nodes += _through_inner_times(program)
+    measured, between = _through_samples(program)
+    at_nodes += [*measured, *_through_inner_times(program)]
+    inside = [line for line in inside if line.target not in {other.target for other in between}] + between
     nodes = (Line("t", "duration * grid.nodes / grid.steps"),)
     middles = (Line("t", "duration * (0.5 * (grid.nodes[:-1] + grid.nodes[1:])) / grid.steps"),)
     lines = [*(nodes if _read("t", at_nodes) else ()), *at_nodes, *(middles if _read("t", inside) else ()), *inside]
@@ -42,6 +44,20 @@ def _through_inner_times(program: ControlProgram) -> list[Line]:
         call = f"through_inner_times(grid, {target}, {numbers}, [{codes}], {at_start}, {at_end})"
         lines.append(Line(target, call))
     return lines
+
+
+def _through_samples(program: ControlProgram) -> tuple[list[Line], list[Line]]:
+    """Lines that lead guesses through what was measured, at nodes and, on straight lines, inside intervals."""
+    at_nodes, inside = [], []
+    told = [{index for index, *_ in (*end.pins, *end.shared)} for end in (program.start, program.end)]
+    for index, column in program.sample.guess if program.sample else ():
+        name, target = program.node[index].name, f"nodes[:, :, {index}]"
+        call = f"through_samples(grid, {target}, {column}, {index in told[0]}, {index in told[1]})"
+        at_nodes.append(Line(target, call, f"{name}, as measured"))
+        stages = [j for j, stage in enumerate(program.interval) if stage.name.rpartition("_")[0] == name]
+        mean = f"0.5 * (nodes[:, :-1, {index}] + nodes[:, 1:, {index}])"
+        inside += [Line(f"intervals[:, :, {j}]", mean, program.interval[j].name) for j in stages]
+    return at_nodes, inside
 
 
 def _read(name: str, lines: Sequence[Line]) -> bool:

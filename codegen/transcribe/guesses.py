@@ -59,3 +59,14 @@ def inner_guess(model: Model) -> tuple[tuple[int, tuple[tuple[int, Expr], ...]],
         if values and q not in given:
             found.append((i, values))
     return tuple(found)
+
+
+def measured_guess(model: Model) -> tuple[tuple[int, int], ...]:
+    """Coordinates, by index, that a column of measurements holds, and its index, unless the author has a guess.
+
+    Near what was measured the parameters that fit it are nearly those of a linear problem, wherever a motion with other
+    parameters may lead. Source: Bock (1983), Recent advances in parameter identification techniques for O.D.E.
+    """
+    given, columns = dict(model.guess), [observed.expression for observed in model.observed]
+    measured = [(i, q) for i, q in enumerate(model.coordinates) if q in columns and q not in given]
+    return tuple((i, columns.index(q)) for i, q in measured)

@@ -141,7 +141,8 @@ class SampleElement:
     """What one sample adds to the share of the interval in which it lies: the losses of all its values.
 
     `observed` is what the motion has there, `fraction` says where in the interval it lies, `values` are what was
-    measured, and `weights` the inverses of their standard deviations, zero where nothing was measured.
+    measured, and `weights` the inverses of their standard deviations, zero where nothing was measured. `guess` pairs
+    unknowns of nodes, by index, with the index of what measures them.
     """
 
     element: Expr
@@ -149,6 +150,7 @@ class SampleElement:
     fraction: Symbol
     values: tuple[Symbol, ...]
     weights: tuple[Symbol, ...]
+    guess: tuple[tuple[int, int], ...]
 
     @property
     def symbols(self) -> tuple[Symbol, ...]:

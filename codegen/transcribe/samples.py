@@ -8,6 +8,7 @@ from sympy import Add, Expr, Piecewise, Symbol, sqrt
 
 from codegen.discretise import FRACTION
 from codegen.model import Model
+from codegen.transcribe.guesses import measured_guess
 from codegen.transcribe.names import Names
 from codegen.transcribe.program import SampleElement
 
@@ -21,7 +22,8 @@ def sample_element(model: Model, observed: Sequence[Expr], names: Names) -> Samp
     weights = tuple(Symbol(names.numbered("weight"), nonnegative=True) for _ in observed)
     inside = [value.xreplace({FRACTION: fraction}) for value in observed]
     errors = (w * (x - z) for w, x, z in zip(weights, inside, values, strict=True))
-    return SampleElement(Add(*map(_LOSSES[model.loss], errors)), tuple(inside), fraction, values, weights)
+    loss = Add(*map(_LOSSES[model.loss], errors))
+    return SampleElement(loss, tuple(inside), fraction, values, weights, measured_guess(model))
 
 
 def _square(error: Expr) -> Expr:

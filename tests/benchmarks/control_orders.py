@@ -90,7 +90,7 @@ def measured(name: str, case: Case, scheme: str, controls: str, exact: float) ->
     while steps <= last:
         result = solved(name, case, scheme, controls, steps)
         error = abs(result.cost - exact) / abs(exact)
-        found.append((steps, error, 1e3 * result.seconds["solve"]))
+        found.append((steps, error, 1e3 * result.seconds_solve))
         if error < ROUNDING:
             break
         steps *= 2

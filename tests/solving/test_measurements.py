@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from measured_decay import NOISE, TIMES, VALUES, decay, interpreted, write, write_decay
+from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit, least_squares
 
 import codegen
@@ -199,6 +200,66 @@ def test_experiments_share_parameters(folder):
     other = codegen.solve(module, observations=swapped)
     best, _ = curve_fit(motion, (1 - both[0], both[1]), np.concatenate([2 * z_1, z_2 / 2]), [1])
     assert other.summary["k"] == pytest.approx(best[0], rel=1e-6)
+
+
+def test_coordinates_start_where_they_were_measured(folder):
+    gaps = np.where(np.arange(TIMES.size) == 4, np.nan, VALUES)
+    module = interpreted(write_decay(folder, t=TIMES, z=gaps), scheme="hermite-simpson")
+    grid = module.make_grid(12)
+    _, q, *_ = module.unpack(grid, module.initial_guess(grid))
+    known = ~np.isnan(gaps)
+    at = np.unique(TIMES[known])
+    expected = np.interp(np.linspace(0, 3, 13), at, [gaps[known & (t == TIMES)].mean() for t in at])
+    assert q[:, 0] == pytest.approx(expected, rel=1e-12)
+    guessed = write_decay(folder).read_text().replace("steps=30", "guess={x: 5}, steps=30")
+    (folder / "decay.py").write_text(guessed)
+    module = interpreted(folder / "decay.py")
+    grid = module.make_grid(12)
+    assert (module.unpack(grid, module.initial_guess(grid))[1] == 5.0).all(), "authors know better"
+
+
+def test_predators_are_not_fitted_by_another_optimum():
+    """From straight lines this ended at 6.67, 240 times the least."""
+    path = Path(__file__).parents[2] / "problems" / "published" / "predator_prey.py"
+    solution = interpreted(path, scheme="hermite-simpson").solve(200)
+    assert solution.status == "solved"
+    assert solution.cost == pytest.approx(0.02753637162, rel=1e-9)  # IPOPT 3.14 on the same program
+    assert solution.iterations <= 12
+
+
+_LORENZ = '''"""Fit the rates of a Lorenz system."""
+
+from codegen import Control, Measurements, free_parameter, states
+
+
+def problem() -> Control:
+    x, y, z = states("x y z")
+    s, r, b = free_parameter("s", 8), free_parameter("r", 24), free_parameter("b", 2)
+    return Control(
+        dynamics={x: s * (y - x), y: x * (r - z) - y, z: x * y - b * z},
+        observations=Measurements("lorenz.csv", values={x: "x", y: "y", z: "z"}),
+        duration=4,
+        steps=80,
+    )
+'''
+
+
+def test_a_chaotic_motion_is_fitted(folder):
+    """Rates are found to within their standard errors from guesses with which the motion would soon be another."""
+    times = np.linspace(0, 4, 81)
+
+    def rates(t, q):
+        return [10 * (q[1] - q[0]), q[0] * (28 - q[2]) - q[1], q[0] * q[1] - 8 / 3 * q[2]]
+
+    motion = solve_ivp(rates, (0, 4), [-8, 7, 27], t_eval=times, rtol=1e-10, atol=1e-10).y
+    x, y, z = motion + 0.2 * np.random.default_rng(2).standard_normal(motion.shape)
+    write(folder, "lorenz.csv", t=times, x=x, y=y, z=z)
+    (folder / "lorenz.py").write_text(_LORENZ)
+    result = codegen.solve(interpreted(folder / "lorenz.py", scheme="gauss-4"))
+    assert result.status == "solved", result.message
+    assert result.iterations <= 10
+    errors = np.abs(result.estimates.values - [10, 28, 8 / 3]) / result.estimates.standard_errors
+    assert errors.max() < 3.0
 
 
 def test_published_optimum_of_gas_oil():

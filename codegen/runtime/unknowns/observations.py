@@ -3,7 +3,7 @@
 import numpy as np
 
 from codegen.runtime.stand_ins.example import BODIES
-from codegen.runtime.stand_ins.example_samples import OBSERVATIONS, SAMPLE, metadata
+from codegen.runtime.stand_ins.example_samples import FIRST_SAMPLE, OBSERVATIONS, SAMPLE, metadata
 
 TIME_ROUNDING = 1e-9  # parts of the duration by which a time may be outside
 
@@ -53,3 +53,25 @@ def samples_of(grid, rows):
             np.where(missing, 0.0, 1.0 / np.where(missing, 1.0, sigmas)),
         ]
     )
+
+
+def through_samples(grid, values, column, at_start, at_end):
+    """Values (BODIES, N + 1) at nodes, on straight lines between what was measured in a column, or means of that.
+
+    They stay as they are `at_start` and `at_end`, where that is true, and in bodies of which it was not measured.
+    """
+    times, led = grid.nodes * grid.h, values.copy()
+    for body in range(BODIES):
+        samples = grid.parameters[body, FIRST_SAMPLE:].reshape(-1, SAMPLE)
+        samples = samples[samples[:, 2 + column + (SAMPLE - 2) // 2] > 0.0]  # with a weight of their own
+        samples = samples[np.isfinite(samples[:, 0])]
+        if samples.size:
+            k = np.searchsorted(times, samples[:, 0]) - 1
+            at, index = np.unique(times[k] + samples[:, 1] * (times[k + 1] - times[k]), return_inverse=True)
+            measured = np.bincount(index, samples[:, 2 + column]) / np.bincount(index)
+            led[body] = np.interp(times, at, measured)
+        if at_start:
+            led[body, 0] = values[body, 0]
+        if at_end:
+            led[body, -1] = values[body, -1]
+    return led
