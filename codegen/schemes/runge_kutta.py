@@ -104,6 +104,9 @@ HERMITE_SIMPSON = RungeKutta(
     weights=_table("1/6 2/3 1/6")[0], positions=_LOBATTO_IIIA, momenta=_LOBATTO_IIIA,
 )  # fmt: skip
 
-SCHEMES = {"hamiltonian": (GAUSS_4, GAUSS_6, LOBATTO_4, RK4), FIRST_ORDER: (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4)}
+SCHEMES = {
+    "hamiltonian": (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, LOBATTO_4, RK4),
+    FIRST_ORDER: (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4),
+}
 OF_PARTICLES = (RK4, BUTCHER_6)
 """Those for particles, whose steps are explicit."""

@@ -144,6 +144,7 @@ LIMITS = {
     "rk4": math.sqrt(8.0),
     "gauss-4": math.inf,
     "gauss-6": math.inf,
+    "hermite-simpson": math.inf,
     "lobatto-4": math.sqrt(8.0),
     "yoshida-4": 1.5734,
     "suzuki-4": 2.7210,

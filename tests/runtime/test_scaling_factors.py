@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import PROBLEMS
 from interpreted import as_machine_code, text_of
 from sympy import exp
 
 from codegen import Control, control, controls, free_parameter, parameter, solving, states, time
 from codegen.author.problem import Phases
+from codegen.compiler import build
 
 FIRST, SECOND = 2e-5, 1e-5  # rates of the reactions, 1/s
+POISON = 1.093664682973  # IPOPT 3.14 on the same program
 
 
 def reactions() -> Control:
@@ -110,6 +113,51 @@ def test_a_guess_outside_its_bounds_counts_as_the_bound():
     assert scaled.sizes.size == 0 or scaled.sizes.min() >= 1e-6
     assert result.status == "solved", result.message
     assert -result.cost == pytest.approx(0.610775, rel=1e-3)
+
+
+def poisoned(nuclei: float, flux: float) -> Control:
+    """Shut a reactor down with the least peak of xenon, in other units; the peak is above X at the start as well."""
+    iodine, xenon = states("I X")
+    phi, peak = control("phi"), free_parameter("peak", 0.6 * nuclei)
+    i_0 = 0.061 * 14.4 / 0.10332
+    x_0 = 0.064 * 14.4 / (0.07524 + 0.972)
+    made, decays = 14.4 * nuclei / flux * phi, 0.10332 * iodine
+    return Control(
+        dynamics={
+            iodine: 0.061 * made - decays,
+            xenon: 0.003 * made + decays - 0.07524 * xenon - 0.972 / flux * xenon * phi,
+        },
+        terminal_cost=peak,
+        duration=40,
+        start={iodine: i_0 * nuclei, xenon: x_0 * nuclei},
+        path=[xenon <= peak],
+        bounds={phi: (0, flux)},
+        end_conditions=[iodine <= 0.3 * i_0 * nuclei],
+        steps=60,
+    )
+
+
+def test_unknowns_of_the_start_alone_do_not_weigh_in_the_cost():
+    """In large numbers the weight was 1e-30, and 200 times the least peak was called solved."""
+    ordinary, large = (module_of(poisoned(nuclei, flux)).solve() for nuclei, flux in ((1.0, 1.0), (1e16, 1e14)))
+    assert (ordinary.status, large.status) == ("solved", "solved")
+    assert ordinary.cost == pytest.approx(POISON, rel=1e-6)
+    assert large.cost == pytest.approx(1e16 * ordinary.cost, rel=1e-6)
+
+
+def test_a_guess_out_of_bounds_does_not_tell_sizes():
+    """Drag at a tenth of the radius below the ground is e^50 of that above; so measured, rockets left for infinity."""
+    module = as_machine_code(build(PROBLEMS / "goddard_rocket.py").path.read_text())
+    grid = module.make_grid(20)
+    guess = module.initial_guess(grid)
+    noise = np.random.default_rng(0).standard_normal(guess.size)
+    free = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
+    guess[free] += 0.1 * noise[free] * (np.abs(guess[free]) + 0.1)
+    own, noisy = (module.scaled_grid(grid, unknowns) for unknowns in (module.initial_guess(grid), guess))
+    assert own.sizes.size == noisy.sizes.size == 0
+    solution = module.solve(20, guess=guess)
+    assert solution.status == "solved", solution.message
+    assert solution.cost == pytest.approx(module.solve(20).cost, rel=1e-8)
 
 
 def test_a_search_that_goes_on_and_on_in_parts_of_sizes_leaves_iterations_for_others():

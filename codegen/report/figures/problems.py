@@ -19,7 +19,7 @@ COLOURS = {
     "rk4": DARK, "gauss-4": SKY, "gauss-6": "#084594", "lobatto-4": "#6A3D9A", "yoshida-4": "#B3A100",
     "yoshida-6": "#8C6D31", "yoshida-8": "#637939", "suzuki-4": "#E7969C", "kahan-li-6": "#843C39",
     "kahan-li-8": "#C2185B", "mclachlan-4": GREY, "blanes-moan-4": "#31A354", "blanes-moan-6": "#393B79",
-    "position-verlet": "#D6616B",
+    "position-verlet": "#D6616B", "hermite-simpson": "#54278F",
 }  # fmt: skip
 """Colours of schemes; those that are not here take the spare ones in the order of their names."""
 _SPARE = ("#393B79", "#D6616B", "#31A354", "#756BB1", "#636363", "#E6550D")

@@ -6,12 +6,14 @@ from numba import njit
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.elements import LEFT_NODE, LOCAL_IS_MULTIPLIER, RIGHT_NODE, TAIL, pin_ends
 from codegen.runtime.stand_ins.example import (
-    BODIES, ELEMENT, END_HESSIAN_COLUMNS, END_HESSIAN_ROWS, NODE, ROOT, SCALED, SHARED, START_HESSIAN_COLUMNS,
-    START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
+    BODIES, ELEMENT, END_HESSIAN_COLUMNS, END_HESSIAN_ROWS, NODE, ONLY_AT_ENDS, ROOT, SCALED, SHARED,
+    START_HESSIAN_COLUMNS, START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import global_index, root_index
 from codegen.runtime.optimise.derivative_magnitudes import add_entry
 
+# Unknowns of the start alone: intervals have ones on their diagonal, which the start's share takes back.
+IS_FILLED = np.isin(np.arange(NODE + SHARED), ONLY_AT_ENDS)
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
 
 
@@ -64,7 +66,9 @@ if SCALED:
         entries = zero_vector(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[first : first + NODE], 0.0, parameters[body], entries)
         for j in range(entries.size):
-            add_entry(end_kind(START_HESSIAN_ROWS[j]), end_kind(START_HESSIAN_COLUMNS[j]), abs(entries[j]), tables)
+            row, column = START_HESSIAN_ROWS[j], START_HESSIAN_COLUMNS[j]
+            value = entries[j] + 1.0 if row == column and IS_FILLED[row] else entries[j]
+            add_entry(end_kind(row), end_kind(column), abs(value), tables)
         entries = zero_vector(END_HESSIAN_ROWS.size)
         end_hessian(unknowns[last : last + NODE], steps * h, parameters[body], entries)
         for j in range(entries.size):

@@ -237,18 +237,13 @@ def lacks_sizes(size, bound):
 
 @njit(error_model="numpy")
 def displaced(primal, lower, upper, kinds, size):
-    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it.
-
-    A guess outside its bounds, such as a temperature of zero, counts as the bound.
-    """
+    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it."""
     beside = primal.copy()
     for i in range(kinds.size):
         if not KIND_IS_MULTIPLIER[kinds[i]]:
             by = BESIDE * size[kinds[i]]
-            if lower.size:
-                beside[i] = min(max(beside[i], lower[i]), upper[i])
-                if beside[i] + by > upper[i]:
-                    by = max(-by, lower[i] - beside[i])
+            if lower.size and beside[i] + by > upper[i]:
+                by = max(-by, lower[i] - beside[i])
             beside[i] += by
     return beside
 
