@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import sympy
+from sympy import Symbol, cos, sin
 
 from codegen import schemes
 from codegen.derive import ControlDerivatives
 from codegen.lower.control_layout import carries_right_hand_side, has_nonlinear_ends
 from codegen.lower.kernels import Kernel
+from codegen.model import Model
 from codegen.transcribe.program import ControlProgram
 
 
@@ -79,10 +82,32 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("inequalities", repr(program.has_inequalities)),
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
-        *((("scale", repr({s.name: size for s, size in model.scales})),) if model.scales else ()),
+        *((("scale", repr(_by_unknown(program, dict(model.scales)))),) if model.scales else ()),
+        *((("angles", repr(angles)),) if (angles := _by_unknown(program, _angles(model))) else ()),
         *((("stage_abscissae", repr(_stage_abscissae(program))),) if program.controlled == "stages" else ()),
         *(_of_phases(program) if program.phases else ()),
     ]
+
+
+def _by_unknown(program: ControlProgram, sizes: Mapping[Symbol, float]) -> dict[str, float]:
+    """Sizes of quantities by the names of their unknowns: at stages and other inner points as well as themselves."""
+    by_name = {symbol.name: size for symbol, size in sizes.items()}
+    inner = (unknown.name for unknown in (*program.interval, *program.controls))
+    found = {name: by_name.get(name.rpartition("_")[0]) for name in inner}
+    return by_name | {name: size for name, size in found.items() if size is not None and name not in by_name}
+
+
+def _angles(model: Model) -> dict[Symbol, float]:
+    """What one radian is of coordinates and controls that are arguments of sines and cosines."""
+    found: dict[Symbol, float] = {}
+    for part in model.phases or (model,):
+        written = (part.function, *part.dynamics, *part.force, *((part.cost,) if part.cost is not None else ()))
+        for call in set().union(*(expression.atoms(sin, cos) for expression in written)):
+            for symbol in call.args[0].free_symbols & {*part.coordinates, *part.controls}:
+                slope = call.args[0].diff(symbol)
+                if slope.is_number and slope != 0:
+                    found[symbol] = min(found.get(symbol, math.inf), abs(1.0 / float(slope)))
+    return dict(sorted(found.items(), key=lambda pair: pair[0].name))
 
 
 def _stage_abscissae(program: ControlProgram) -> tuple[float, ...]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import PROBLEMS
 from interpreted import as_machine_code, text_of
-from sympy import exp
+from sympy import cos, exp, sin
 
 from codegen import Control, control, controls, free_parameter, parameter, solving, states, time
 from codegen.author.problem import Phases
@@ -143,6 +143,35 @@ def test_unknowns_of_the_start_alone_do_not_weigh_in_the_cost():
     assert (ordinary.status, large.status) == ("solved", "solved")
     assert ordinary.cost == pytest.approx(POISON, rel=1e-6)
     assert large.cost == pytest.approx(1e16 * ordinary.cost, rel=1e-6)
+
+
+def spiral() -> Control:
+    """Leave the earth's orbit for that of Mars in SI units; the direction of a thrust of zero has no effect."""
+    r, th, vr, vt, m = states("r th vr vt m")
+    f, a = controls("f a")
+    mu, c, r_0, r_1 = 1.32712e20, 29420, 1.496e11, 2.28e11
+    radial, along = f * sin(2 * a) / m, f * cos(2 * a) / m
+    return Control(
+        dynamics={r: vr, th: vt / r, vr: vt**2 / r - mu / r**2 + radial, vt: -vr * vt / r + along, m: -f / c},
+        terminal_maximise=m,
+        duration=500 * 86400,
+        start={r: r_0, th: 0, vr: 0, vt: (mu / r_0) ** 0.5, m: 1000},
+        end={r: r_1, vr: 0, vt: (mu / r_1) ** 0.5},
+        bounds={f: (0, 0.3)},
+        steps=30,
+    )
+
+
+@pytest.mark.parametrize("choices", [{}, {"scheme": "gauss-4", "controls": "stages"}])
+def test_an_angle_is_one_radian_at_most(choices):
+    """Balancing gravity took it for hundreds."""
+    module = as_machine_code(text_of(spiral(), **choices))
+    grid = module.make_grid(30)
+    scaled = module.scaled_grid(grid, module.initial_guess(grid))
+    angles = [i for i, name in enumerate((*module.metadata["node"], *module.metadata["interval"])) if name[0] == "a"]
+    assert angles
+    assert scaled.sizes[angles] == pytest.approx(1.0)
+    assert set(module.metadata["angles"].values()) == {0.5}
 
 
 def test_a_guess_out_of_bounds_does_not_tell_sizes():

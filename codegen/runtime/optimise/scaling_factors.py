@@ -4,10 +4,11 @@ Every kind of unknown (a coordinate at all nodes, a control on all intervals, ..
 which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
 matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
 constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
-duration. What has no effect on any equation at the guess, such as the rate of a reaction between substances that are
-not there yet, or the slack of a condition in squares, is looked at beside it, where all that has a size differs by a
-part of it. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
-at most when all unknowns of one kind change by their size.
+duration. An angle so found is one radian at most: a sine tells no more apart. What has no effect on any equation at the
+guess, such as the rate of a reaction between substances that are not there yet, or the slack of a condition in squares,
+is looked at beside it, where all that has a size differs by a part of it. Equations are divided by the largest product
+of a derivative and a size, and the cost by how much it changes at most when all unknowns of one kind change by their
+size.
 
 Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
 them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
@@ -46,6 +47,8 @@ NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata
 NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
 SCALE = metadata.get("scale", {})
 GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
+# One radian of an angle, which is all that a sine tells apart, and infinity for all else.
+RADIAN = np.array([metadata.get("angles", {}).get(name, np.inf) for name in NAMES])
 # Which kinds are a single unknown, such as a free duration, that no node equals.
 IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
 if TIED:
@@ -79,9 +82,11 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
             size[j] = GIVEN[j]
+    is_known = size > 0.0
     for j in range(KINDS):
-        bound[j] = bound[j] if size[j] == 0.0 else 0.0
+        bound[j] = 0.0 if is_known[j] else bound[j]
     balance_sizes(size, rest, tables[1])
+    limit_angles(size, is_known)
     for _ in range(ROUNDS):
         if not lacks_sizes(size, bound):
             break
@@ -90,6 +95,7 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
         if not np.isfinite(away[1]).all():
             break
         balance_sizes(size, rest, away[1])
+        limit_angles(size, is_known)
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     if TIED:
@@ -227,6 +233,14 @@ def balance_sizes(size, rest, effect):
         for j in range(KINDS):
             if size[j] == 0.0:
                 size[j] = found[j]
+
+
+@njit(error_model="numpy")
+def limit_angles(size, is_known):
+    """Let sizes that were found, and not known, be one radian at most."""
+    for j in range(KINDS):
+        if not is_known[j]:
+            size[j] = min(size[j], RADIAN[j])
 
 
 @njit(error_model="numpy")
