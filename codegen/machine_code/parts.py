@@ -13,12 +13,11 @@ Calls = list[Callable[[], Any]]
 
 
 def control_parts(module: Any) -> Calls:
-    """Calls for a module that optimises; the factorisation comes first, and what needs its parts after it."""
+    """Calls for a module that optimises; the linear system comes first, and what needs its parts after it."""
     grid = module.make_grid(few_steps(module, 2))
-    unknowns, system = module.initial_guess(grid), module.allocate_system(grid)
+    unknowns = module.initial_guess(grid)
     step, zeros = np.zeros_like(unknowns), np.zeros_like(unknowns)
     calls = [
-        lambda: module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), system),
         lambda: module.solve_kkt(grid, module.allocate_system(grid), zeros, step),  # its factors are zeros
         lambda: module.evaluate(grid, unknowns),
     ]

@@ -66,8 +66,9 @@ def allocate_system(grid: Dense) -> list[Any]:
 
 
 def factor_kkt(
-    grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any], gradient: Vector | None = None
-) -> int | None:
+    grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any], gradient: Vector | None = None,
+    step: Vector | None = None,
+) -> int | None:  # fmt: skip
     """Excess of negative eigenvalues, or None; rows and columns are scaled alike for it, which keeps their signs."""
     matrix = kkt_matrix(grid, unknowns)
     primal = ~grid.is_multiplier
@@ -78,12 +79,14 @@ def factor_kkt(
     system[0], system[1], index = dgetrf(matrix)
     if index:
         return None
+    if gradient is not None and step is not None:
+        solve_kkt(grid, system, gradient, step)
     scale = 1.0 / np.sqrt(np.abs(matrix).max(axis=0))
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(scale, scale))
     return int(np.count_nonzero(eigenvalues < 0.0) - np.count_nonzero(grid.is_multiplier & grid.free))
 
 
-def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector, carried: bool = False) -> None:
+def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
 

@@ -17,6 +17,28 @@ def allocate_system(grid):
 
 
 @njit(cache=True, error_model="numpy")
+def solve_system(
+    is_new, unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
+    order, inverses, couplings, step,
+):  # fmt: skip
+    """Factor a matrix that `is_new`; with its factors, fill `step` (n,) unless that is empty, or they are incomplete.
+
+    Arrays are those of `factor`, and so is what is returned. Python calls this alone, and once for both.
+    """
+    regular, excess, carried = True, 0, False
+    if CARRIED:
+        carried = is_new
+    if is_new:
+        regular, excess = factor(
+            unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper,
+            inverse, order, inverses, couplings,
+        )  # fmt: skip
+    if step.size and regular and excess <= 0:
+        substitute(gradient, carried, steps, upper, inverse, order, inverses, couplings, step)
+    return regular, excess
+
+
+@njit(error_model="numpy")
 def factor(
     unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
     order, inverses, couplings,
@@ -42,7 +64,7 @@ def factor(
     return True, negative - equations
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def substitute(gradient, carried, steps, upper, inverse, order, inverses, couplings, step):
     """Solve with the factors, forward, unless `carried`: elimination has done that, and backward to `step` (n,)."""
     chain = steps * STRIDE + NODE

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.kkt.unbordered import allocate_system
-from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.barrier import (
     LEAST_RELAXED,
     RELAXED,
@@ -152,9 +152,8 @@ def with_least_squares_multipliers(search, iterate):
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
     np.subtract.at(gradient, bounds.indices, bounds.side * iterate.duals)
     diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient)):
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient, step)):
         return iterate
-    solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
     if not np.abs(multipliers).max(initial=0.0) <= 1e3:
         return iterate

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.kkt.refinement import ACCURATE, inaccuracy, linear_residual, refine
-from codegen.runtime.kkt.system import factor_kkt, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt
 from codegen.runtime.optimise.bounded import (
     corrected_inertia,
     first_delta_w,
@@ -58,9 +58,8 @@ def regularised_step(search, iterate, before, damping, careful):
     delta_w = max(damping, at_once)
     while delta_w < 1e20:
         gradient, diagonal = newton_system(search, iterate, point.gradient, delta_w, delta_c)
-        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
+        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient, primal)
         if excess == 0:
-            solve_kkt(grid, system, gradient, primal, carried=True)
             if delta_c == 0.0 and is_of_rounding(primal, gradient):
                 delta_c = dual_regularisation(iterate)
                 continue

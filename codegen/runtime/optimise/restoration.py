@@ -8,7 +8,7 @@ Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), se
 
 import numpy as np
 
-from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.bounded import (
     InertiaCorrection,
     central_duals,
@@ -111,8 +111,7 @@ def damped_step(search, current, pull, damping):
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
-            solve_kkt(grid, search.system, right, step, carried=True)
+        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right, step)):
             step[grid.is_multiplier] = 0.0
             taken = step_along(search, current, slopes, step, InertiaCorrection(), False)
             trial = moved(search, current, step, taken.longest)

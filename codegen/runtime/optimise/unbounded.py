@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.kkt.unbordered import allocate_system
-from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.descent import slope_of
 from codegen.runtime.unknowns.layout import layout, multiplier_unknowns
 from codegen.runtime.unknowns.point import evaluate
@@ -98,9 +98,9 @@ def with_least_squares_multipliers(search, iterate):
     if point.stationarity == 0.0:
         return iterate
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, regularisation(grid, 1.0, 1e-12), system, gradient)):
+    diagonal = regularisation(grid, 1.0, 1e-12)
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient, step)):
         return iterate
-    solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
     return Iterate(evaluate(grid, point.unknowns + multipliers)) if np.abs(multipliers).max() <= 1e3 else iterate
 
