@@ -36,11 +36,11 @@ def test_newton_steps_of_random_problems(problems, data, seed):
         return
     assert np.count_nonzero(np.linalg.eigvalsh(inner) < 0.0) == module.multiplier_unknowns(grid).size
     module.solve_kkt(grid, system, gradient, step)
-    for step in (step, carried):
-        scale = np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max()
-        assert np.abs((matrix @ step + gradient)[free]).max() <= 1e-8 * scale
-        moved = module.with_pinned_values(grid, unknowns + step)
-        np.testing.assert_allclose(moved, unknowns + step, rtol=0.0, atol=1e-12 * (1.0 + np.abs(step).max()))
+    for found in (carried, step):
+        scale = np.abs(matrix).max() * np.abs(found).max() + np.abs(gradient).max()
+        assert np.abs((matrix @ found + gradient)[free]).max() <= 1e-8 * scale
+        moved = module.with_pinned_values(grid, unknowns + found)
+        np.testing.assert_allclose(moved, unknowns + found, rtol=0.0, atol=1e-12 * (1.0 + np.abs(found).max()))
     # The matrix is the derivative of the gradient.
     ahead, behind = (module.with_pinned_values(grid, unknowns + sign * 1e-6 * step) for sign in (1, -1))
     change = (module.evaluate(grid, ahead).gradient - module.evaluate(grid, behind).gradient) / 2e-6
