@@ -13,12 +13,11 @@ Calls = list[Callable[[], Any]]
 
 
 def control_parts(module: Any) -> Calls:
-    """Calls for a module that optimises; the factorisation comes first, and what needs its parts after it."""
+    """Calls for a module that optimises; the linear system comes first, and what needs its parts after it."""
     grid = module.make_grid(few_steps(module, 2))
-    unknowns, system = module.initial_guess(grid), module.allocate_system(grid)
+    unknowns = module.initial_guess(grid)
     step, zeros = np.zeros_like(unknowns), np.zeros_like(unknowns)
     calls = [
-        lambda: module.factor_kkt(grid, unknowns, 1.0, np.zeros_like(unknowns), system),
         lambda: module.solve_kkt(grid, module.allocate_system(grid), zeros, step),  # its factors are zeros
         lambda: module.evaluate(grid, unknowns),
     ]
@@ -27,8 +26,6 @@ def control_parts(module: Any) -> Calls:
     if hasattr(module, "linear_residual"):
         calls.append(lambda: module.linear_residual(grid, unknowns, zeros, zeros, step))
         calls.append(lambda: module.inaccuracy(zeros, step, zeros, grid.is_multiplier))
-    if hasattr(module, "is_of_rounding"):
-        calls.append(lambda: module.is_of_rounding(step, zeros))
     if hasattr(module, "finite_bounds"):
         calls += _barrier_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
@@ -44,14 +41,16 @@ def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
     distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
     duals, result = np.ones(distance.size), np.empty(distance.size)
     places = bounds.indices, bounds.side, distance
+    search, point = module.search_on(grid), module.Point(unknowns, gradient, *[0.0] * 5)
+    iterate = module.Iterate(point, 1.0, distance, 0.0, duals)
+    taken = module.Step(step, duals, step, 0.0, False, 1.0, 1.0, None)
     barrier = grid.is_multiplier, *places, duals, 1.0
     return [
         lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *places, duals),
         lambda: module.measure_step(unknowns, gradient, step, *barrier, 0.99, result),
         lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
-        lambda: module.move_duals(gradient, unknowns, grid.is_multiplier, *places, duals, duals, 1.0, 1.0, result),
+        lambda: module.moved(search, iterate, taken, 0.0),
         lambda: module.approach(unknowns.copy(), *bounds[:1], *bounds[2:], 0.0, 0.0, distance, result),
-        lambda: module.move(unknowns, step, 0.0, *places, np.empty_like(step), result),
         lambda: module.push_inside(*module.variable_bounds(grid), unknowns, 0.1),
         lambda: module.prescribed_beyond(grid, unknowns),
         lambda: module.remaining_gap(unknowns, gradient, *module.variable_bounds(grid)),

@@ -14,6 +14,8 @@ import sympy
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgetrf, dgetrs
 
+from codegen.runtime.optimise import barrier, bounded
+
 Vector = NDArray[np.float64]
 INFINITY = float("inf")
 
@@ -66,8 +68,9 @@ def allocate_system(grid: Dense) -> list[Any]:
 
 
 def factor_kkt(
-    grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any], gradient: Vector | None = None
-) -> int | None:
+    grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any], gradient: Vector | None = None,
+    step: Vector | None = None,
+) -> int | None:  # fmt: skip
     """Excess of negative eigenvalues, or None; rows and columns are scaled alike for it, which keeps their signs."""
     matrix = kkt_matrix(grid, unknowns)
     primal = ~grid.is_multiplier
@@ -78,12 +81,29 @@ def factor_kkt(
     system[0], system[1], index = dgetrf(matrix)
     if index:
         return None
+    if gradient is not None and step is not None:
+        solve_kkt(grid, system, gradient, step)
     scale = 1.0 / np.sqrt(np.abs(matrix).max(axis=0))
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(scale, scale))
     return int(np.count_nonzero(eigenvalues < 0.0) - np.count_nonzero(grid.is_multiplier & grid.free))
 
 
-def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector, carried: bool = False) -> None:
+def moved(search: Any, iterate: Any, step: Any, length: float) -> bounded.Iterate:
+    """As in bounded.py, by the functions that make its one compiled call."""
+    grid, (indices, _, side, _), duals = search.grid, search.bounds, np.empty(iterate.duals.size)
+    trial, distance = np.empty(grid.guess.size), np.empty(duals.size)
+    places = indices, side, iterate.distance
+    logarithms = barrier.move(iterate.point.unknowns, step.primal, length, *places, trial, distance)
+    unknowns, gradient, *evaluated = evaluate(grid, trial)
+    measured = barrier.move_duals(
+        gradient, trial, grid.is_multiplier, indices, side, distance, iterate.duals, step.dual, step.dual_length,
+        iterate.mu, duals,
+    )  # fmt: skip
+    point = bounded.with_duals(unknowns, gradient, evaluated, measured)
+    return bounded.Iterate(point, iterate.mu, distance, logarithms, duals, bounded.Measured(*measured))
+
+
+def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
 

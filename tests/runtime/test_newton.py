@@ -48,6 +48,8 @@ def dense_linear_algebra() -> Iterator[None]:
             for name in set(vars(module)) & LINEAR_ALGEBRA:
                 patch.setattr(module, name, getattr(dense_problem, name))
         patch.setattr(unbounded, "regularisation", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))
+        for module in (line_search, restoration, exact_bounds):
+            patch.setattr(module, "moved", dense_problem.moved)
         for module in loop:
             patch.setattr(module, "INEQUALITIES", 1)
         for module in (cascade, newton_steps):
@@ -265,7 +267,7 @@ def test_start_is_pushed_inside() -> None:
 
 def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
     """Steps of a sixteenth, a few and then more in turn: only these count; a whole step lowers the shift again."""
-    whole = bounded.Step(*[np.empty(0)] * 3, -1.0, 1.0, 1.0, bounded.InertiaCorrection(1e-3), False)
+    whole = bounded.Step(*[np.empty(0)] * 3, -1.0, False, 1.0, 1.0, bounded.InertiaCorrection(1e-3))
     assert line_search.damped(0.0, whole, 1 / 16, 1) == 0.0
     shifts = [0.0]
     for in_turn in (line_search.SHORT_IN_TURN, line_search.SHORT_IN_TURN + 1):

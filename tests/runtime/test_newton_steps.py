@@ -21,17 +21,14 @@ def tried(monkeypatch):
     """The shifts tried since the list was emptied; the system, a number, is the least curvature, or None."""
     shifts: list[float] = []
 
-    def factor_kkt(grid, unknowns, weight, diagonal, curvature, gradient):
+    def factor_kkt(grid, unknowns, weight, diagonal, curvature, gradient, step):
         shifts.append(float(diagonal[0]))
+        step[:] = -gradient
         if curvature is None:  # singular unless the multipliers' diagonal is shifted, too
             return 0 if diagonal[1] < 0.0 else None
         return 0 if curvature + diagonal[0] > 0.0 else 1
 
-    def solve_kkt(grid, system, gradient, step, carried):
-        step[:] = -gradient
-
     monkeypatch.setattr(newton_steps, "factor_kkt", factor_kkt)
-    monkeypatch.setattr(newton_steps, "solve_kkt", solve_kkt)
     monkeypatch.setattr(newton_steps, "INEQUALITIES", 0)
     for name in ("corrected_inertia", "newton_system", "first_delta_w", "step_along"):
         monkeypatch.setattr(newton_steps, name, getattr(unbounded, name))

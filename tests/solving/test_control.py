@@ -157,9 +157,10 @@ def test_structured_step_solves_the_dense_system(interpreted, name, text, choice
     keep = np.flatnonzero(module.free_unknowns(grid))
     gradient = module.evaluate(grid, unknowns).gradient
     system, excess = module.allocate_system(grid), 1
+    step, carried = np.empty_like(unknowns), np.empty_like(unknowns)
     while excess is not None and excess > 0:  # the elimination stops early where the Hessian is not convex
         diagonal = shifts(module, grid, shift, 1e-3)
-        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient)
+        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient, carried)
         shift = max(1e-2, 10.0 * shift)
     matrix = dense_kkt(module, grid, unknowns) + np.diag(diagonal)
     if excess is None:
@@ -167,8 +168,6 @@ def test_structured_step_solves_the_dense_system(interpreted, name, text, choice
             module, grid, matrix
         )
         return
-    step, carried = np.empty_like(unknowns), np.empty_like(unknowns)
-    module.solve_kkt(grid, system, gradient, carried, carried=True)
     module.solve_kkt(grid, system, gradient, step)
     np.testing.assert_allclose(carried, step, rtol=1e-9, atol=1e-9 * np.abs(step).max())
     scale = np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max()

@@ -23,9 +23,10 @@ def test_newton_steps_of_random_problems(problems, data, seed):
     assert np.isfinite(gradient).all()
     free = module.free_unknowns(grid)
     system, excess, shift = module.allocate_system(grid), 1, 0.3
+    step, carried = np.empty_like(unknowns), np.empty_like(unknowns)
     while excess is not None and excess > 0:
         diagonal = shifts(module, grid, shift, 1e-3)
-        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient)
+        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient, carried)
         shift *= 10.0
     hessian = dense_kkt(module, grid, unknowns)
     matrix = hessian + np.diag(diagonal)
@@ -34,13 +35,12 @@ def test_newton_steps_of_random_problems(problems, data, seed):
         assert np.linalg.cond(inner) > 1e8 or not eliminated_blocks_are_positive(module, grid, matrix)
         return
     assert np.count_nonzero(np.linalg.eigvalsh(inner) < 0.0) == module.multiplier_unknowns(grid).size
-    for carried in (False, True):
-        step = np.empty_like(unknowns)
-        module.solve_kkt(grid, system, gradient, step, carried=carried)
-        scale = np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max()
-        assert np.abs((matrix @ step + gradient)[free]).max() <= 1e-8 * scale
-        moved = module.with_pinned_values(grid, unknowns + step)
-        np.testing.assert_allclose(moved, unknowns + step, rtol=0.0, atol=1e-12 * (1.0 + np.abs(step).max()))
+    module.solve_kkt(grid, system, gradient, step)
+    for found in (carried, step):
+        scale = np.abs(matrix).max() * np.abs(found).max() + np.abs(gradient).max()
+        assert np.abs((matrix @ found + gradient)[free]).max() <= 1e-8 * scale
+        moved = module.with_pinned_values(grid, unknowns + found)
+        np.testing.assert_allclose(moved, unknowns + found, rtol=0.0, atol=1e-12 * (1.0 + np.abs(found).max()))
     # The matrix is the derivative of the gradient.
     ahead, behind = (module.with_pinned_values(grid, unknowns + sign * 1e-6 * step) for sign in (1, -1))
     change = (module.evaluate(grid, ahead).gradient - module.evaluate(grid, behind).gradient) / 2e-6

@@ -17,7 +17,7 @@ from codegen.runtime.unknowns.shared import read_shared, root_index
 from codegen.runtime.kkt.substitution import backward, forward
 from codegen.runtime.kkt.symmetric import eliminate_rows, solve_backward, solve_forward, solve_pivots, subtract_products
 
-SHARED_WIDTH, ROOT_WIDTH = padded(SHARED + CARRIED), padded(ROOT)
+SHARED_WIDTH, ROOT_WIDTH, PARTS = padded(SHARED + CARRIED), padded(ROOT), ELEMENT + SHARED
 
 
 def allocate_system(grid):
@@ -32,47 +32,68 @@ def allocate_system(grid):
 
 
 @njit(cache=True, error_model="numpy")
-def factor(
-    unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
-    order, inverses, couplings, root_upper, root_inverse, root_order, root_right,
+def solve_system(
+    is_new, unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
+    order, inverses, couplings, root_upper, root_inverse, root_order, root_right, step,
 ):  # fmt: skip
-    """Eliminate all bodies, then the shared unknowns; whether that was possible, and the excess of negative pivots.
+    """Factor the matrix if it `is_new`, bodies and then the shared unknowns, and solve for `step` unless that is empty.
 
-    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `nodes` (N + 1,), `parameters` (BODIES, P + SHARED); the
-    factors are those of `allocate_system`.
+    `unknowns`, `gradient`, `sizes`, `forces`, `diagonal`, `step` (n,), `nodes` (N + 1,), `parameters` (BODIES,
+    P + SHARED); the factors are those of `allocate_system`. Return whether that was possible, and the excess of
+    negative pivots: where there is one, elimination has stopped, and there is no step.
     """
-    negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST + SHARED, LAST_WIDTH)
-    root, left = zero_matrix(ROOT, ROOT_WIDTH), zero_matrix(SHARED, SHARED_WIDTH)
-    parts = zero_vector(ELEMENT + SHARED)
-    fill_parts(sizes, forces, parts)
-    for i in range(ROOT):
-        root_right[i] = -gradient[gradient.size - ROOT + i]
-    for body in range(BODIES):
-        first, behind = body * chain, (body + 1) * chain
-        read_shared(unknowns, body, parameters)
-        regular, found, excess = eliminate_body(
-            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
-            parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body], couplings[body],
-            last,
+    excess, chain, carried = 0, steps * STRIDE + NODE, False
+    if CARRIED:
+        carried = is_new
+    if is_new:
+        last, root, parts = zero_matrix(LAST + SHARED, LAST_WIDTH), zero_matrix(ROOT, ROOT_WIDTH), zero_vector(PARTS)
+        fill_parts(sizes, forces, parts)
+        for i in range(ROOT):
+            root_right[i] = -gradient[gradient.size - ROOT + i]
+        for body in range(BODIES):
+            first, behind = body * chain, (body + 1) * chain
+            read_shared(unknowns, body, parameters)
+            regular, negative, beyond = eliminate_body(
+                unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
+                parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body],
+                couplings[body], last,
+            )  # fmt: skip
+            if not regular or beyond > 0:
+                return regular, beyond
+            excess += negative
+            add_to_root(body, upper[body, steps * BLOCK :], last, root, root_right)
+        for i in range(ROOT):
+            root[i, i] += diagonal[diagonal.size - ROOT + i]
+        if COUPLINGS:
+            add_conditions(unknowns, sizes, forces, parameters[0], weight, root)
+        negative = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
+        if negative < 0:
+            return False, 0
+        excess += negative - equations
+    if step.size and excess <= 0:
+        substitute(
+            gradient, carried, steps, upper, inverse, order, inverses, couplings, root_upper, root_inverse, root_order,
+            root_right, step,
         )  # fmt: skip
-        if not regular or excess > 0:
-            return regular, excess
-        negative += found
-        for i in range(SHARED):
-            for j in range(SHARED + CARRIED):
-                left[i, j] = last[LAST + i, LAST + j]
-        subtract_products(upper[body, steps * BLOCK :], last, LAST, LAST, SHARED, SHARED_WIDTH, left)
-        for i in range(SHARED):
-            for j in range(SHARED):
-                root[root_index(body, i), root_index(body, j)] += left[min(i, j), max(i, j)]
-            if CARRIED:
-                root_right[root_index(body, i)] += left[i, SHARED]
-    for i in range(ROOT):
-        root[i, i] += diagonal[diagonal.size - ROOT + i]
-    if COUPLINGS:
-        add_conditions(unknowns, sizes, forces, parameters[0], weight, root)
-    found = eliminate_rows(root, *root.shape, root_upper, root_inverse, root_order)
-    return found >= 0, negative + found - equations
+    return True, excess
+
+
+@njit(error_model="numpy")
+def add_to_root(body, upper, last, root, root_right):
+    """Add what the elimination of a body leaves of the shared unknowns, in `last` (LAST + SHARED, LAST_WIDTH).
+
+    `upper` (LAST, WIDTH) are the factors of its last node; `root` (ROOT, ROOT_WIDTH), `root_right` (ROOT,).
+    """
+    left = zero_matrix(SHARED, SHARED_WIDTH)
+    for i in range(SHARED):
+        for j in range(SHARED + CARRIED):
+            left[i, j] = last[LAST + i, LAST + j]
+    subtract_products(upper, last, LAST, LAST, SHARED, SHARED_WIDTH, left)
+    for i in range(SHARED):
+        for j in range(SHARED):
+            root[root_index(body, i), root_index(body, j)] += left[min(i, j), max(i, j)]
+        if CARRIED:
+            root_right[root_index(body, i)] += left[i, SHARED]
 
 
 if TIED:
@@ -99,7 +120,7 @@ if COUPLINGS:
             add_coupling_matrix(unknowns, parameters, weight, root)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def substitute(
     gradient, carried, steps, upper, inverse, order, inverses, couplings, root_upper, root_inverse, root_order,
     root_right, step,

@@ -31,18 +31,15 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
             paired = False
             continue
         # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
-        row, position = order[c], c
-        own, beside = abs(matrix[row, row]), 0.0
-        for k in range(c + 1, count):
-            if abs(matrix[row, order[k]]) > beside:
-                beside, position = abs(matrix[row, order[k]]), k
+        row, position = order[c], c + 1
+        own, beside = abs(matrix[row, row]), largest_beside(matrix, row, count)
         if not 0.0 < max(own, beside) < np.inf:
             return -1
         if own < BALANCE * beside:
-            other, largest = order[position], 0.0
-            for k in range(c, count):
-                if k != position:
-                    largest = max(largest, abs(matrix[other, order[k]]))
+            while abs(matrix[row, order[position]]) != beside:
+                position += 1
+            other = order[position]
+            largest = largest_beside(matrix, other, count)
             if own * largest < BALANCE * beside * beside:
                 paired = abs(matrix[other, other]) < BALANCE * largest
                 to = c + 1 if paired else c
@@ -59,6 +56,19 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 
 @njit(error_model="numpy", forceinline=True)
+def largest_beside(matrix, row, count):
+    """The largest modulus beside the diagonal of a row, in `count` columns, which are zero where they are eliminated.
+
+    In the order of memory, and with indices that have no sign, it takes half the time of a look at what is left alone.
+    """
+    largest = 0.0
+    for j in range(np.uint64(count)):
+        if j != row and abs(matrix[row, j]) > largest:
+            largest = abs(matrix[row, j])
+    return largest
+
+
+@njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
     """Eliminate the row at position c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
@@ -66,9 +76,8 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
     for k in range(c + 1, count):
         i = order[k]
-        multiple = matrix[i, p] * reciprocal
-        if multiple != 0.0:  # most entries of an element matrix are zeros
-            subtract_row(multiple, matrix, p, width, matrix, i)
+        if matrix[i, p] != 0.0:  # most entries of an element matrix are zeros
+            subtract_row(matrix[i, p] * reciprocal, matrix, p, width, matrix, i)
             matrix[i, p] = 0.0
     for j in range(0, width, 4):
         one, two = matrix[p, j] * reciprocal, matrix[p, j + 1] * reciprocal
@@ -178,7 +187,7 @@ def solve_backward(upper, order, count, width, values):
     """Overwrite the first `count` of `values` (width,) by the solution with U, in which the rest is known.
 
     What is known goes to the right-hand sides first, so that only the short sums over the other unknowns have to wait
-    for one another.
+    for one another; and these begin with what has been known longest, so that they wait for one product alone.
     """
     fours = (count + 3) // 4 * 4
     for p in range(count):
@@ -193,6 +202,6 @@ def solve_backward(upper, order, count, width, values):
         values[p] -= (one + two) + (three + four)
     for c in range(count - 2, -1, -1):
         value = values[order[c]]
-        for k in range(c + 1, count):
+        for k in range(count - 1, c, -1):
             value -= upper[order[c], order[k]] * values[order[k]]
         values[order[c]] = value

@@ -17,32 +17,39 @@ def allocate_system(grid):
 
 
 @njit(cache=True, error_model="numpy")
-def factor(
-    unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
-    order, inverses, couplings,
+def solve_system(
+    is_new, unknowns, gradient, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, upper, inverse,
+    order, inverses, couplings, step,
 ):  # fmt: skip
-    """Eliminate all bodies; whether that was possible, and the excess of negative pivots.
+    """Factor the matrix if it `is_new`, by eliminating all bodies, and solve for `step` (n,) unless that is empty.
 
     `unknowns`, `gradient`, `sizes`, `forces`, `diagonal` (n,), `nodes` (N + 1,), `parameters` (BODIES, P); the
-    factors are those of `allocate_factors`.
+    factors are those of `allocate_factors`. Return whether that was possible, and the excess of negative pivots: where
+    there is one, elimination has stopped, and there is no step.
     """
-    parts = zero_vector(ELEMENT)
-    fill_parts(sizes, forces, parts)
-    negative, chain, last = 0, steps * STRIDE + NODE, zero_matrix(LAST, LAST_WIDTH)
-    for body in range(BODIES):
-        first, behind = body * chain, (body + 1) * chain
-        regular, found, excess = eliminate_body(
-            unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
-            parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body], couplings[body],
-            last,
-        )  # fmt: skip
-        if not regular or excess > 0:
-            return regular, excess
-        negative += found
-    return True, negative - equations
+    excess, chain, carried = 0, steps * STRIDE + NODE, False
+    if CARRIED:
+        carried = is_new
+    if is_new:
+        parts, last = zero_vector(ELEMENT), zero_matrix(LAST, LAST_WIDTH)
+        fill_parts(sizes, forces, parts)
+        for body in range(BODIES):
+            first, behind = body * chain, (body + 1) * chain
+            regular, negative, beyond = eliminate_body(
+                unknowns[first:behind], gradient[first:behind], diagonal[first:behind], steps, h, nodes,
+                parameters[body], weight, parts, upper[body], inverse[body], order[body], inverses[body],
+                couplings[body], last,
+            )  # fmt: skip
+            if not regular or beyond > 0:
+                return regular, beyond
+            excess += negative
+        excess -= equations
+    if step.size and excess <= 0:
+        substitute(gradient, carried, steps, upper, inverse, order, inverses, couplings, step)
+    return True, excess
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def substitute(gradient, carried, steps, upper, inverse, order, inverses, couplings, step):
     """Solve with the factors, forward, unless `carried`: elimination has done that, and backward to `step` (n,)."""
     chain = steps * STRIDE + NODE

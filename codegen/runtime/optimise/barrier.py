@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.optimise.descent import slope_of
+from codegen.runtime.unknowns.point import measured_gradient
 
 
 RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
@@ -65,6 +66,24 @@ def push_inside(lower, upper, unknowns, push):
 
 
 @njit(cache=True, error_model="numpy")
+def follow(
+    unknowns, step, length, indices, side, distance, duals, dual_step, dual_length, mu, sizes, weight, steps, h, nodes,
+    parameters, is_multiplier, trial, moved, moved_duals, gradient,
+):  # fmt: skip
+    """Move unknowns and duals by parts of their steps, and evaluate and measure there what belongs to an iterate.
+
+    Fills `trial`, its distances `moved`, `moved_duals` and the `gradient`; returns the sum of logarithms of distances,
+    what `measured_gradient` returns and what `measure_optimality` does. It is one function, because that of a short
+    motion is over before Python has called another three.
+    """
+    logarithms = move(unknowns, step, length, indices, side, distance, trial, moved)
+    evaluated = measured_gradient(trial, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient)
+    places = is_multiplier, indices, side, moved
+    measured = move_duals(gradient, trial, *places, duals, dual_step, dual_length, mu, moved_duals)
+    return logarithms, evaluated, measured
+
+
+@njit(error_model="numpy")
 def move(unknowns, step, length, indices, side, distance, trial, moved):
     """Fill `trial` with unknowns + length * step, and `moved` with its distances; return the sum of their logarithms.
 
@@ -130,7 +149,7 @@ def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, del
 
 @njit(cache=True, error_model="numpy")
 def measure_step(unknowns, gradient, step, is_multiplier, indices, side, distance, duals, mu, tau, dual_step):
-    """Fill `dual_step`; return the slope along the step, and its longest primal and dual lengths.
+    """Fill `dual_step`; return what `slope_of` does of the step, and its longest primal and dual lengths.
 
     They keep 1 - tau of every distance and of every dual (15).
     """
@@ -139,10 +158,11 @@ def measure_step(unknowns, gradient, step, is_multiplier, indices, side, distanc
         change, inverse = side[j] * step[indices[j]], 1.0 / distance[j]
         dual_step[j] = (mu - duals[j] * change) * inverse - duals[j]
         primal, dual = max(primal, -change * inverse), max(dual, -dual_step[j] / duals[j])
-    return slope_of(unknowns, gradient, step, is_multiplier), tau / primal, tau / dual
+    slope, is_of_rounding = slope_of(unknowns, gradient, step, is_multiplier)
+    return slope, is_of_rounding, tau / primal, tau / dual
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def move_duals(
     gradient, unknowns, is_multiplier, indices, side, distance, duals, dual_step, length, mu, result
 ):  # fmt: skip

@@ -9,17 +9,16 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.kkt.unbordered import allocate_system
-from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.barrier import (
     LEAST_RELAXED,
     RELAXED,
     add_barrier,
     approach,
     finite_bounds,
+    follow,
     measure_optimality,
     measure_step,
-    move,
-    move_duals,
     push_inside,
     relaxation,
 )
@@ -107,17 +106,19 @@ class InertiaCorrection(NamedTuple):
 class Step(NamedTuple):
     """A Newton step: its barrier gradient, slope, longest primal and dual lengths, and the Hessian's shift.
 
-    `refined` says that the linear system was not solved accurately at once.
+    `is_of_rounding` says that the linear system is singular but for rounding, which made the step; `refined` says that
+    it was not solved accurately at once.
     """
 
     primal: np.ndarray
     dual: np.ndarray
     gradient: np.ndarray
     slope: float
+    is_of_rounding: bool
     longest: float
     dual_length: float
     inertia: NamedTuple
-    refined: bool
+    refined: bool = False
 
 
 def search_on(grid):
@@ -152,9 +153,8 @@ def with_least_squares_multipliers(search, iterate):
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
     np.subtract.at(gradient, bounds.indices, bounds.side * iterate.duals)
     diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient)):
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient, step)):
         return iterate
-    solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
     if not np.abs(multipliers).max(initial=0.0) <= 1e3:
         return iterate
@@ -168,16 +168,17 @@ def measured_iterate(search, iterate):
     point, bounds, is_multiplier = iterate.point, search.bounds, search.grid.is_multiplier
     barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals
     measured = measure_optimality(point.gradient, point.unknowns, is_multiplier, *barrier)
-    return with_measured(iterate, iterate.duals, measured)
-
-
-def with_measured(iterate, duals, measured):
-    """An iterate with duals, and with what was measured with them."""
-    point = iterate.point
-    error = max(point.residual, measured[0]) if point.error < np.inf else np.inf
     # Building the tuples anew takes a third of the time of replacing fields.
-    point = Point(point.unknowns, point.gradient, point.cost, point.residual, point.violation, measured[0], error)
-    return Iterate(point, iterate.mu, iterate.distance, iterate.logarithms, duals, Measured(*measured))
+    unknowns, gradient, *evaluated = point
+    point = with_duals(unknowns, gradient, evaluated, measured)
+    return Iterate(point, iterate.mu, iterate.distance, iterate.logarithms, iterate.duals, Measured(*measured))
+
+
+def with_duals(unknowns, gradient, evaluated, measured):
+    """The point with what was evaluated there, in the stationarity of which duals of bounds take part."""
+    cost, residual, violation, _, error = evaluated
+    error = max(residual, measured[0]) if error < np.inf else np.inf
+    return Point(unknowns, gradient, cost, residual, violation, measured[0], error)
 
 
 def is_optimal(search, iterate, tolerance, acceptable_will_do):
@@ -200,21 +201,16 @@ def is_closed(search, iterate, tolerance):
     return iterate.measured.gap <= tolerance * search.bounds.indices.size
 
 
-def barrier_error(point, measured, mu):
-    """Error of the optimality conditions of the barrier problem, scaled where multipliers are large (5)."""
-    off_centre = max(measured.highest - mu, mu - measured.lowest)
-    scale, dual_scale = max(100.0, measured.mean) / 100.0, max(100.0, measured.mean_dual) / 100.0
-    return max(measured.stationarity / scale, point.residual, off_centre / dual_scale)
-
-
 def decreased_mu(iterate, least):
-    """The weight for the next step: lower where the barrier problem is solved well enough (7).
+    """The weight for the next step: lower where the barrier problem is solved well enough (7), in the error (5).
 
     The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
     hardly active, as on singular arcs.
     """
+    stationarity, _, lowest, highest, mean, mean_dual, _ = iterate.measured
+    error, dual_scale = max(stationarity / max(1.0, mean / 100.0), iterate.point.residual), max(1.0, mean_dual / 100.0)
     mu = iterate.mu
-    while mu > least and barrier_error(iterate.point, iterate.measured, mu) <= 10.0 * mu:
+    while mu > least and error <= 10.0 * mu and max(highest - mu, mu - lowest) / dual_scale <= 10.0 * mu:
         mu = max(least, min(0.2 * mu, mu**1.5))
     return mu
 
@@ -273,14 +269,14 @@ def corrected_inertia(before, delta_w, least, singular):
     return InertiaCorrection(delta_w, delta_w or before.last)
 
 
-def step_along(search, iterate, gradient, primal, inertia, refined):
+def step_along(search, iterate, gradient, primal, inertia):
     """The step with a primal part, a barrier gradient and a shift: its dual part, slope and longest lengths."""
     bounds, dual = search.bounds, np.empty(iterate.duals.size)
     barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
     measured = measure_step(
         iterate.point.unknowns, gradient, primal, search.grid.is_multiplier, *barrier, max(0.99, 1.0 - iterate.mu), dual
     )
-    return Step(primal, dual, gradient, *measured, inertia, refined)
+    return Step(primal, dual, gradient, *measured, inertia)
 
 
 def barrier_objective(iterate):
@@ -288,18 +284,15 @@ def barrier_objective(iterate):
     return iterate.point.cost - iterate.mu * iterate.logarithms
 
 
-def moved(search, iterate, primal, length):
-    """The iterate after a primal step of some length, with the duals where they were."""
-    unknowns, bounds = iterate.point.unknowns, search.bounds
-    trial, distance = np.empty(unknowns.size), np.empty(bounds.indices.size)
-    logarithms = move(unknowns, primal, length, bounds.indices, bounds.side, iterate.distance, trial, distance)
-    return Iterate(evaluate(search.grid, trial), iterate.mu, distance, logarithms, iterate.duals)
-
-
-def with_duals(search, trial, step):
-    """A trial iterate with duals after the step's dual part, and with what is measured there."""
-    point, bounds, duals = trial.point, search.bounds, np.empty(trial.duals.size)
-    barrier = search.grid.is_multiplier, bounds.indices, bounds.side, trial.distance, trial.duals
-    change = step.dual, step.dual_length, trial.mu
-    measured = move_duals(point.gradient, point.unknowns, *barrier, *change, duals)
-    return with_measured(trial, duals, measured)
+def moved(search, iterate, step, length):
+    """The iterate after a length of a step's primal part and the longest of its dual part, measured there."""
+    grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns
+    trial, gradient = np.empty(unknowns.size), np.empty(unknowns.size)
+    distance, duals = np.empty(iterate.duals.size), np.empty(iterate.duals.size)
+    logarithms, evaluated, measured = follow(
+        unknowns, step.primal, length, bounds.indices, bounds.side, iterate.distance, iterate.duals, step.dual,
+        step.dual_length, iterate.mu, grid.sizes, grid.weight, grid.steps, grid.h, grid.nodes, grid.parameters,
+        grid.is_multiplier, trial, distance, duals, gradient,
+    )  # fmt: skip
+    point = with_duals(trial, gradient, evaluated, measured)
+    return Iterate(point, iterate.mu, distance, logarithms, duals, Measured(*measured))

@@ -8,7 +8,7 @@ relaxed then lead back to its optimum.
 import numpy as np
 
 from codegen.runtime.optimise.barrier import measure_optimality
-from codegen.runtime.optimise.bounded import InertiaCorrection, moved, with_duals
+from codegen.runtime.optimise.bounded import InertiaCorrection, moved
 from codegen.runtime.optimise.newton_steps import regularised_step
 from codegen.runtime.stand_ins.example import TIED
 from codegen.runtime.unknowns.point import evaluate
@@ -64,4 +64,4 @@ def last_step(search, iterate):
     mu = iterate.duals @ distance / max(1, distance.size)
     iterate = iterate._replace(point=evaluate(grid, unknowns), mu=mu, distance=distance)
     step = regularised_step(search, iterate, InertiaCorrection(), 0.0, True)
-    return None if step is None else with_duals(search, moved(search, iterate, step.primal, step.longest), step)
+    return None if step is None else moved(search, iterate, step, step.longest)

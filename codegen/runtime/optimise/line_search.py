@@ -11,7 +11,6 @@ from codegen.runtime.optimise.bounded import (
     barrier_objective,
     moved,
     step_along,
-    with_duals,
 )
 from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.optimise.newton_steps import (
@@ -94,10 +93,8 @@ class Globalisation:
         length = step.longest
         while length > self.shortest:
             self.length = length
-            trial = moved(search, iterate, step.primal, length)
+            trial = moved(search, iterate, step, length)
             if self.is_better(trial, iterate, step, length):
-                if INEQUALITIES:
-                    trial = with_duals(search, trial, step)
                 return trial
             if length == step.longest and trial.point.violation >= iterate.point.violation:
                 better = self.second_order_correction(search, iterate, step, trial.point)
@@ -114,15 +111,13 @@ class Globalisation:
         be better after all. If none is, all goes on from where they began. Source: section 3.2.
         """
         began, first, left = self.watchdog
-        trial, self.length = moved(search, iterate, step.primal, step.longest), step.longest
+        trial, self.length = moved(search, iterate, step, step.longest), step.longest
         better = self.is_better(trial, began, first, first.longest)
         if not better and (left == 1 or not trial.point.error < np.inf):
             self.length, self.watchdog = 0.0, None
             if INEQUALITIES:
                 began = began._replace(measured=None)  # it was, before its bounds were relaxed less
             return began
-        if INEQUALITIES:
-            trial = with_duals(search, trial, step)
         self.watchdog = None if better else (began, first, left - 1)
         return trial
 
@@ -151,12 +146,10 @@ class Globalisation:
             right[grid.is_multiplier] = residual
             correction = np.empty_like(step.primal)
             solve_kkt(grid, search.system, right, correction)
-            better = step_along(search, iterate, right, correction, step.inertia, False)
+            better = step_along(search, iterate, right, correction, step.inertia)
             length = better.longest
-            trial = moved(search, iterate, correction, length)
+            trial = moved(search, iterate, better, length)
             if self.is_better(trial, iterate, step, step.longest):
-                if INEQUALITIES:
-                    trial = with_duals(search, trial, better)
                 return trial
             if not trial.point.violation < 0.99 * refused.violation:
                 return None

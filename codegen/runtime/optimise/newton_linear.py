@@ -20,9 +20,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     appended to `log` at every iterate.
     """
     system = allocate_system(grid)
-    none = np.zeros(unknowns.size)
+    none, step = np.zeros(unknowns.size), np.empty(unknowns.size)
     point = evaluate(grid, unknowns)
-    excess = factor_kkt(grid, unknowns, 1.0, none, system, point.gradient)
+    excess = factor_kkt(grid, unknowns, 1.0, none, system, point.gradient, step)
     for iteration in range(4):
         log.append(grid, point, 0.0, float(iteration > 0))
         if not point.error < np.inf:
@@ -31,8 +31,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
             return *without_minimum(grid, point, system), iteration
         if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance, ROUNDINGS):
             return "solved", point, iteration
-        step = np.empty_like(unknowns)
-        solve_kkt(grid, system, point.gradient, step, carried=iteration == 0)
+        if iteration > 0:
+            solve_kkt(grid, system, point.gradient, step)
         point = evaluate(grid, point.unknowns + step)
     return "stalled", point, 3
 
@@ -56,10 +56,9 @@ def least_violation(grid, point, system):
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
     for _ in range(5):
         gradient = np.where(grid.is_multiplier, point.gradient, 0.0)
-        excess = factor_kkt(grid, point.unknowns, 0.0, np.where(grid.is_multiplier, -FLAT, 1.0), system, gradient)
-        if not is_factored(excess):
+        diagonal = np.where(grid.is_multiplier, -FLAT, 1.0)
+        if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient, step)):
             return point
-        solve_kkt(grid, system, gradient, step, carried=True)
         step[grid.is_multiplier] = 0.0
         point = evaluate(grid, point.unknowns + step)
     return point

@@ -4,10 +4,9 @@ Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
 """
 
 import numpy as np
-from numba import njit
 
 from codegen.runtime.kkt.refinement import ACCURATE, inaccuracy, linear_residual, refine
-from codegen.runtime.kkt.system import factor_kkt, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt
 from codegen.runtime.optimise.bounded import (
     corrected_inertia,
     first_delta_w,
@@ -16,7 +15,6 @@ from codegen.runtime.optimise.bounded import (
 )
 from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 
-SINGULAR = 1e12  # times the right-hand side: a longer step is one of rounding
 LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
 
@@ -58,16 +56,16 @@ def regularised_step(search, iterate, before, damping, careful):
     delta_w = max(damping, at_once)
     while delta_w < 1e20:
         gradient, diagonal = newton_system(search, iterate, point.gradient, delta_w, delta_c)
-        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient)
+        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, gradient, primal)
         if excess == 0:
-            solve_kkt(grid, system, gradient, primal, carried=True)
-            if delta_c == 0.0 and is_of_rounding(primal, gradient):
-                delta_c = dual_regularisation(iterate)
-                continue
-            refined = careful and refine(grid, point.unknowns, diagonal, system, gradient, primal)
             same = delta_w == before.delta_w == 0.0 and delta_c == 0.0
             given = before if same else corrected_inertia(before, delta_w, least, delta_c > 0.0)
-            step = step_along(search, iterate, gradient, primal, given, refined)
+            step = step_along(search, iterate, gradient, primal, given)
+            if delta_c == 0.0 and step.is_of_rounding:
+                delta_c = dual_regularisation(iterate)
+                continue
+            if careful and refine(grid, point.unknowns, diagonal, system, gradient, primal):
+                step = step_along(search, iterate, gradient, primal, given)._replace(refined=True)
             if abs(step.slope) < np.inf:
                 return step
         elif delta_c == 0.0 and (excess is None or excess < 0 or delta_w > LARGE_SHIFT):
@@ -80,15 +78,6 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
-
-
-@njit(cache=True, error_model="numpy")
-def is_of_rounding(primal, gradient):
-    """Whether a step `primal` (n,) is so long beside its right-hand side `gradient` (n,) that rounding made it."""
-    longest = right = 0.0
-    for i in range(primal.size):
-        longest, right = max(longest, abs(primal[i])), max(right, abs(gradient[i]))
-    return longest > SINGULAR * right
 
 
 def dual_regularisation(iterate):

@@ -8,7 +8,7 @@ Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), se
 
 import numpy as np
 
-from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.bounded import (
     InertiaCorrection,
     central_duals,
@@ -16,7 +16,6 @@ from codegen.runtime.optimise.bounded import (
     moved,
     newton_system,
     step_along,
-    with_duals,
 )
 from codegen.runtime.stand_ins.example import INEQUALITIES
 from codegen.runtime.unknowns.point import evaluate
@@ -111,15 +110,12 @@ def damped_step(search, current, pull, damping):
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right)):
-            solve_kkt(grid, search.system, right, step, carried=True)
+        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right, step)):
             step[grid.is_multiplier] = 0.0
-            taken = step_along(search, current, slopes, step, InertiaCorrection(), False)
-            trial = moved(search, current, step, taken.longest)
+            taken = step_along(search, current, slopes, step, InertiaCorrection())
+            trial = moved(search, current, taken, taken.longest)
             expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
             if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
-                if INEQUALITIES:
-                    trial = with_duals(search, trial, taken)
                 return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None

@@ -3,7 +3,7 @@
 import numpy as np
 
 from codegen.runtime.kkt.unbordered import allocate_system
-from codegen.runtime.kkt.system import factor_kkt, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt
 from codegen.runtime.optimise.callbacks import hessian, jacobian
 from codegen.runtime.stand_ins.example import INEQUALITIES, ROOT, SHARED
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
@@ -93,7 +93,6 @@ def newton_step(grid, point):
     system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
     if INEQUALITIES:
         shift[at_bounds(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
-    if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient) != 0:
+    if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient, step) != 0:
         return np.full(step.size, np.inf)
-    solve_kkt(grid, system, point.gradient, step, carried=True)
     return step

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from codegen.runtime.kkt.unbordered import allocate_system
-from codegen.runtime.kkt.system import factor_kkt, is_factored, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.descent import slope_of
 from codegen.runtime.unknowns.layout import layout, multiplier_unknowns
 from codegen.runtime.unknowns.point import evaluate
@@ -68,15 +68,17 @@ class InertiaCorrection(NamedTuple):
 class Step(NamedTuple):
     """A Newton step: the gradient that it was solved for, slope, greatest length, and the Hessian's shift.
 
-    `refined` says that the linear system was not solved accurately at once.
+    `is_of_rounding` says that the linear system is singular but for rounding, which made the step; `refined` says that
+    it was not solved accurately at once.
     """
 
     primal: np.ndarray
     gradient: np.ndarray
     slope: float
+    is_of_rounding: bool
     longest: float
     inertia: NamedTuple
-    refined: bool
+    refined: bool = False
 
 
 def search_on(grid):
@@ -98,9 +100,9 @@ def with_least_squares_multipliers(search, iterate):
     if point.stationarity == 0.0:
         return iterate
     gradient = np.where(grid.is_multiplier, 0.0, point.gradient)
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, regularisation(grid, 1.0, 1e-12), system, gradient)):
+    diagonal = regularisation(grid, 1.0, 1e-12)
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient, step)):
         return iterate
-    solve_kkt(grid, system, gradient, step, carried=True)
     multipliers = np.where(grid.is_multiplier, step, 0.0)
     return Iterate(evaluate(grid, point.unknowns + multipliers)) if np.abs(multipliers).max() <= 1e3 else iterate
 
@@ -147,10 +149,10 @@ def corrected_inertia(before, delta_w, least, singular):
     return InertiaCorrection(delta_w, delta_w or before.last, lowered, singular)
 
 
-def step_along(search, iterate, gradient, primal, inertia, refined):
+def step_along(search, iterate, gradient, primal, inertia):
     """The step with a primal part, the gradient that it was solved for and a shift, and with its slope."""
     slope = slope_of(iterate.point.unknowns, gradient, primal, search.grid.is_multiplier)
-    return Step(primal, gradient, slope, 1.0, inertia, refined)
+    return Step(primal, gradient, *slope, 1.0, inertia)
 
 
 def barrier_objective(iterate):
@@ -158,6 +160,7 @@ def barrier_objective(iterate):
     return iterate.point.cost
 
 
-def moved(search, iterate, primal, length):
-    """The iterate after a step of some length."""
+def moved(search, iterate, step, length):
+    """The iterate after a part of a step."""
+    primal = step.primal
     return Iterate(evaluate(search.grid, iterate.point.unknowns + (primal if length == 1.0 else length * primal)))

@@ -55,21 +55,9 @@ class Point(NamedTuple):
 def evaluate(grid, unknowns):
     """Evaluate cost, gradient and norms at `unknowns` (n,)."""
     gradient = np.empty(unknowns.size)
-    return Point(
-        unknowns,
-        gradient,
-        *measured_gradient(
-            unknowns,
-            grid.sizes,
-            grid.weight,
-            grid.steps,
-            grid.h,
-            grid.nodes,
-            grid.parameters,
-            grid.is_multiplier,
-            gradient,
-        ),
-    )
+    steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = grid  # by name it takes four times as long
+    measured = measured_gradient(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient)
+    return Point(unknowns, gradient, *measured)
 
 
 def lagrangian(grid, point):
