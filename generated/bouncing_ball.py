@@ -3921,10 +3921,11 @@ def is_lacking(local, k, steps):
 # which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
 # matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
 # constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
-# duration. What has no effect on any equation at the guess, such as the rate of a reaction between substances that are
-# not there yet, or the slack of a condition in squares, is looked at beside it, where all that has a size differs by a
-# part of it. Equations are divided by the largest product of a derivative and a size, and the cost by how much it changes
-# at most when all unknowns of one kind change by their size.
+# duration. An angle so found is one radian at most: a sine tells no more apart. What has no effect on any equation at the
+# guess, such as the rate of a reaction between substances that are not there yet, or the slack of a condition in squares,
+# is looked at beside it, where all that has a size differs by a part of it. Equations are divided by the largest product
+# of a derivative and a size, and the cost by how much it changes at most when all unknowns of one kind change by their
+# size.
 #
 # Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
 # them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
@@ -3943,6 +3944,8 @@ NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata
 NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
 SCALE = metadata.get("scale", {})
 GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
+# One radian of an angle, which is all that a sine tells apart, and infinity for all else.
+RADIAN = np.array([metadata.get("angles", {}).get(name, np.inf) for name in NAMES])
 # Which kinds are a single unknown, such as a free duration, that no node equals.
 IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
 IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") for name in NAMES])
@@ -3966,9 +3969,11 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
             size[j] = GIVEN[j]
+    is_known = size > 0.0
     for j in range(KINDS):
-        bound[j] = bound[j] if size[j] == 0.0 else 0.0
+        bound[j] = 0.0 if is_known[j] else bound[j]
     balance_sizes(size, rest, tables[1])
+    limit_angles(size, is_known)
     for _ in range(ROUNDS):
         if not lacks_sizes(size, bound):
             break
@@ -3977,6 +3982,7 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
         if not np.isfinite(away[1]).all():
             break
         balance_sizes(size, rest, away[1])
+        limit_angles(size, is_known)
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), 6.0, False)
@@ -4096,6 +4102,14 @@ def balance_sizes(size, rest, effect):
 
 
 @njit(error_model="numpy")
+def limit_angles(size, is_known):
+    """Let sizes that were found, and not known, be one radian at most."""
+    for j in range(KINDS):
+        if not is_known[j]:
+            size[j] = min(size[j], RADIAN[j])
+
+
+@njit(error_model="numpy")
 def lacks_sizes(size, bound):
     """Whether there are unknowns without a size, and without a bound to stand for it."""
     return ((size == 0.0) & (bound == 0.0) & ~KIND_IS_MULTIPLIER).any()
@@ -4103,18 +4117,13 @@ def lacks_sizes(size, bound):
 
 @njit(error_model="numpy")
 def displaced(primal, lower, upper, kinds, size):
-    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it.
-
-    A guess outside its bounds, such as a temperature of zero, counts as the bound.
-    """
+    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it."""
     beside = primal.copy()
     for i in range(kinds.size):
         if not KIND_IS_MULTIPLIER[kinds[i]]:
             by = BESIDE * size[kinds[i]]
-            if lower.size:
-                beside[i] = min(max(beside[i], lower[i]), upper[i])
-                if beside[i] + by > upper[i]:
-                    by = max(-by, lower[i] - beside[i])
+            if lower.size and beside[i] + by > upper[i]:
+                by = max(-by, lower[i] - beside[i])
             beside[i] += by
     return beside
 
@@ -4190,14 +4199,14 @@ def refined(grid, start, point, tolerance, max_iterations, log):
             break
         begin = scaled_unknowns(finer, unknowns)
         same = evaluate(finer, begin)
-        if is_solved(finer, same, tolerance) or error_of(finer, same) <= tolerance:
+        slope = slope_beside_bounds(finer, same)
+        same = same._replace(stationarity=slope, error=max(same.residual, slope))
+        if is_solved(finer, same, tolerance) or same.error <= tolerance:
             return "solved", finer, begin, same, total
         status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
-            found = (
-                ("solved", grid, start, point) if error_of(finer, same) <= VIOLATED else (status, finer, begin, better)
-            )
+            found = ("solved", grid, start, point) if same.error <= VIOLATED else (status, finer, begin, better)
             return *found, total
         grid, start, point = finer, begin, better
         if not grid.sizes.size:
@@ -4205,13 +4214,13 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
-def error_of(grid, point):
-    """The largest residual, or slope that no bound holds beside multipliers: of bounds the duals are missing."""
+def slope_beside_bounds(grid, point):
+    """The largest slope that no bound holds, beside multipliers: of bounds the duals are missing."""
     slope = np.where(grid.is_multiplier, 0.0, point.gradient)
     lower, upper = bounds_of(grid)
     slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
     mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
-    return max(point.residual, np.abs(slope).max() / max(1.0, mean / WEIGHTY))
+    return float(np.abs(slope).max() / max(1.0, mean / WEIGHTY))
 
 
 def has_larger_derivatives(finer, grid):
@@ -4226,10 +4235,14 @@ def scaled_unknowns(grid, unknowns):
 
 
 def scaled_grid(grid, unknowns):
-    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary."""
+    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
+
+    A guess outside its bounds, where a model may mean nothing, counts as the bound.
+    """
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
-    bounds = variable_bounds(grid)
     primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    bounds = variable_bounds(grid)
+    primal = np.clip(primal, *bounds)
     slopes = evaluate(grid, primal).gradient
     weight, is_scaled = fill_sizes(
         primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
@@ -4609,7 +4622,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_e20a19979a2667be"
+_IDENTITY = "codegen_bouncing_ball_825ec3cdc53c6949"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
