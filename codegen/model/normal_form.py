@@ -122,8 +122,16 @@ def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
     limits = [kind.argument for kind in CONDITIONS if symbols.ControlInput in kind.scope[kind.argument]]
     if not kinds.controls or any(getattr(problem, argument) for problem in problems for argument in limits):
         return
-    if not any(entry.expression != 0 for problem in problems for entry in written_costs(problem)):
-        raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
+    if any(entry.expression != 0 for problem in problems for entry in written_costs(problem)):
+        return
+    roles = ("cost", "terminal_cost", "maximise", "terminal_maximise")
+    if any(isinstance(getattr(problem, role), sympy.Expr) for problem in problems for role in roles):
+        raise ExpressionError(
+            "the cost is zero, whatever moves",
+            "say what is to be least, as in cost=u**2; the rate of a control can be weighed where the control is a"
+            " state and its rate a control",
+        )
+    raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
 
 
 def require_unique_names(quantities: Sequence[Quantity]) -> None:

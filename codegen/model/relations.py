@@ -51,11 +51,17 @@ def checked_mapping(what: str, mapping: Any, entry: str) -> Mapping[Quantity, An
 
 def require_declared(what: str, has: str, symbol: Any) -> None:
     """Raise SymbolError for a key or an entry of `what` that is no declared symbol."""
-    if not isinstance(symbol, Quantity):
-        raise SymbolError(
-            f"{what} {has} {symbol!r}, which was never declared",
-            "use the symbols that coordinates(...) or control(...) returned",
-        )
+    if isinstance(symbol, Quantity):
+        return
+    is_known = (
+        isinstance(symbol, sympy.Expr) and symbol.atoms(Quantity) and symbol.free_symbols <= symbol.atoms(Quantity)
+    )
+    if what == "bounds" and is_known:
+        raise SymbolError(f"bounds has the key {symbol}, which is no symbol", f"write path=[{symbol} <= ...]")
+    raise SymbolError(
+        f"{what} {has} {symbol!r}, which was never declared",
+        "use the symbols that coordinates(...) or control(...) returned",
+    )
 
 
 def checked_sequence(what: str, values: Any, entry: str) -> Sequence[Any]:
@@ -68,6 +74,11 @@ def checked_sequence(what: str, values: Any, entry: str) -> Sequence[Any]:
 def value_entries(what: str, mapping: Any) -> Iterator[Entry]:
     """The values that an argument, which is its role, gives to symbols."""
     for key, value in checked_mapping(what, mapping, "symbol: value").items():
+        if what in ("start", "end") and isinstance(value, (tuple, list)):
+            raise ExpressionError(
+                f"{what} of {key} is a {type(value).__name__}",
+                f"give one value there, or limits as in {what}_conditions=[{key} >= ..., {key} <= ...]",
+            )
         yield entry_of(what, f"{what} of {key}", value, key)
 
 
