@@ -34,7 +34,11 @@ def check(context: Context) -> Iterator[Finding]:
     diagonal = held_by_bounds(module, grid, solution.unknowns)
     sizes = sizes_of_curvature(module, grid, solution.unknowns)
     sizes[slacks(context.control, module, grid)] = 0.0  # they follow from other unknowns
-    passed, detail = _judged(module, grid, solution.unknowns, diagonal, sizes)
+    judged = _judged(module, grid, solution.unknowns, diagonal, sizes)
+    if judged is None:
+        yield not_measured("second-order condition", subject, "equations depend on each other at the solution")
+        return
+    passed, detail = judged
     if module.metadata["inequalities"]:
         detail += f" ({np.count_nonzero(diagonal > _HELD)} unknowns are held by bounds)"
     yield Finding("second-order condition", subject, passed, detail)
@@ -66,7 +70,8 @@ def slacks(program: ControlProgram, module: Any, grid: Any) -> NDArray[np.bool_]
 
 def _judged(
     module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64], sizes: NDArray[np.float64]
-) -> tuple[bool, str]:
+) -> tuple[bool, str] | None:
+    """Whether it is a minimum, and how that is known; None where the KKT matrix is singular whatever the curvature."""
     equations, system = module.multiplier_unknowns(grid).size, module.allocate_system(grid)
     excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
     if excess == 0 and module.factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
@@ -80,7 +85,7 @@ def _judged(
             )
     if excess is not None and excess > 0:
         return False, f"no minimum: the cost decreases to second order in {excess} or more independent directions"
-    return False, "undecided: the KKT matrix is singular"
+    return None
 
 
 def sizes_of_curvature(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
