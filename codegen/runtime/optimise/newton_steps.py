@@ -17,6 +17,7 @@ from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 
 LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
+SOLVED = 1e-12  # residuals below it are rounding, which no step reduces
 
 
 class AccuracyMonitor:
@@ -103,4 +104,4 @@ def barely_reduces_residual(point, step, length, trial):
     """
     if UNBOUNDED and step.inertia.delta_w > 0.0:
         return False  # it is far from a solution, where curvature is the reason
-    return trial.residual > (1.0 - length + UNSOLVED) * point.residual
+    return trial.residual > max(SOLVED, (1.0 - length + UNSOLVED) * point.residual)
