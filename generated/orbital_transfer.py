@@ -1765,6 +1765,7 @@ def moved(search, iterate, step, length):
 
 LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
+SOLVED = 1e-12  # residuals below it are rounding, which no step reduces
 
 
 class AccuracyMonitor:
@@ -1848,7 +1849,7 @@ def barely_reduces_residual(point, step, length, trial):
     """
     if step.inertia.delta_w > 0.0:
         return False  # it is far from a solution, where curvature is the reason
-    return trial.residual > (1.0 - length + UNSOLVED) * point.residual
+    return trial.residual > max(SOLVED, (1.0 - length + UNSOLVED) * point.residual)
 
 
 # How far Newton's steps are followed: filter line search, second-order correction, watchdog.
@@ -3065,10 +3066,11 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
+def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
     """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
 
-    `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
+    `primal` are the unknowns without their multipliers, `inside` the same inside the bounds, and `slopes` the gradient
+    of the Lagrangian there.
     """
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
     for i in range(kinds.size):
@@ -3077,7 +3079,7 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
-    measure_intervals(primal, steps, h, nodes, parameters, tables)
+    measure_intervals(inside, steps, h, nodes, parameters, tables)
     drop_negligible_sizes(size, tables[1])
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
@@ -3090,7 +3092,7 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
     for _ in range(ROUNDS):
         if not lacks_sizes(size, bound):
             break
-        beside, away = displaced(primal, lower, upper, kinds, size), np.zeros((3, KINDS, KINDS))
+        beside, away = displaced(inside, lower, upper, kinds, size), np.zeros((3, KINDS, KINDS))
         measure_intervals(beside, steps, h, nodes, parameters, away)
         if not np.isfinite(away[1]).all():
             break
@@ -3348,13 +3350,13 @@ def scaled_unknowns(grid, unknowns):
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
 
-    A guess outside its bounds, where a model may mean nothing, counts as the bound.
+    Derivatives are those inside the bounds: outside, a model may mean nothing.
     """
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
-    primal = np.where(grid.is_multiplier, 0.0, unknowns)
-    slopes = evaluate(grid, primal).gradient
+    inside = primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    slopes = evaluate(grid, inside).gradient
     weight, is_scaled = fill_sizes(
-        primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
+        primal, inside, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
     if not is_scaled:
         return grid
@@ -3673,7 +3675,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_89f8bf2029428bff"
+_IDENTITY = "codegen_orbital_transfer_6e67bad0bfb2d05b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -117,16 +117,16 @@ def scaled_unknowns(grid, unknowns):
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
 
-    A guess outside its bounds, where a model may mean nothing, counts as the bound.
+    Derivatives are those inside the bounds: outside, a model may mean nothing.
     """
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
-    primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    inside = primal = np.where(grid.is_multiplier, 0.0, unknowns)
     if INEQUALITIES:
         bounds = variable_bounds(grid)
-        primal = np.clip(primal, *bounds)
-    slopes = evaluate(grid, primal).gradient
+        inside = np.clip(primal, *bounds)
+    slopes = evaluate(grid, inside).gradient
     weight, is_scaled = fill_sizes(
-        primal, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
+        primal, inside, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
     if not is_scaled:
         if INEQUALITIES:

@@ -58,10 +58,11 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 
 
 @njit(cache=True, error_model="numpy")
-def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
+def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
     """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
 
-    `primal` are the unknowns without their multipliers, `slopes` the gradient of the Lagrangian there.
+    `primal` are the unknowns without their multipliers, `inside` the same inside the bounds, and `slopes` the gradient
+    of the Lagrangian there.
     """
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
     for i in range(kinds.size):
@@ -70,10 +71,10 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
-    measure_intervals(primal, steps, h, nodes, parameters, tables)
+    measure_intervals(inside, steps, h, nodes, parameters, tables)
     if COUPLINGS:
         matrix = zero_matrix(ROOT, ROOT)
-        add_coupling_matrix(primal, parameters[0], 1.0, matrix)
+        add_coupling_matrix(inside, parameters[0], 1.0, matrix)
         first = kinds.size - ROOT
         for i in range(ROOT):
             for j in range(i + 1):
@@ -90,7 +91,7 @@ def fill_sizes(primal, slopes, lower, upper, kinds, steps, h, nodes, parameters,
     for _ in range(ROUNDS):
         if not lacks_sizes(size, bound):
             break
-        beside, away = displaced(primal, lower, upper, kinds, size), np.zeros((3, KINDS, KINDS))
+        beside, away = displaced(inside, lower, upper, kinds, size), np.zeros((3, KINDS, KINDS))
         measure_intervals(beside, steps, h, nodes, parameters, away)
         if not np.isfinite(away[1]).all():
             break
