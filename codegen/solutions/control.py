@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -26,15 +27,27 @@ LARGE_MULTIPLIERS = 100.0
 """Mean multipliers above it make the optimality conditions' tolerance relative."""
 
 
-def control_result(
-    module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, seconds: float = math.nan
-) -> Result:
-    """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
-    metadata, unknowns, grid = module.metadata, attempt.unknowns, time_grid(module, run.steps, run.grid)
+@dataclass(frozen=True)
+class Verdict:
+    """What is left of a driver's claim once every equation has been evaluated again outside it.
+
+    `residual` and `stationarity` are max-norms; the cost of a solution is corrected by what residuals are worth.
+    """
+
+    status: str
+    message: str
+    cost: float
+    residual: float
+    stationarity: float
+
+
+def control_verdict(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, grid: Grid) -> Verdict:
+    """Re-evaluate residual and stationarity of an attempt on a grid, and downgrade a false claim of success."""
+    metadata, unknowns = module.metadata, attempt.unknowns
     scaled = _scaled_grid(module, grid, run)
-    residual, stationarity = _errors(module, scaled, unknowns, np.ones(unknowns.size), 1.0)
+    residual, stationarity = errors = _errors(module, scaled, unknowns, np.ones(unknowns.size), 1.0)
     status, message = attempt.status, attempt.message
-    if status == "solved" and not _is_accurate(module, scaled, attempt):
+    if status == "solved" and not _is_accurate(module, scaled, attempt, errors):
         conditions = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
         status, message = contradicted(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
@@ -48,14 +61,23 @@ def control_result(
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
     cost = _cost(module, scaled, unknowns) if status == "solved" else float(module.cost(grid, unknowns))
+    return Verdict(status, message, cost, residual, stationarity)
+
+
+def control_result(
+    module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, seconds: float = math.nan
+) -> Result:
+    """The result of an attempt, by the verdict on what the driver claims."""
+    metadata, unknowns, grid = module.metadata, attempt.unknowns, time_grid(module, run.steps, run.grid)
+    verdict = control_verdict(module, driver, run, attempt, grid)
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
-    estimates = _estimates(module, grid, unknowns) if status == "solved" else None
+    estimates = _estimates(module, grid, unknowns) if verdict.status == "solved" else None
     summary = {
-        **({"maximum": -cost} if metadata.get("maximised") else {}),
+        **({"maximum": -verdict.cost} if metadata.get("maximised") else {}),
         "duration": float(t[-1] - t[0]),
         "final_state_miss": _final_state_miss(module, grid, unknowns),
         "largest_control": max_norm(u),
-        "stationarity": stationarity,
+        "stationarity": verdict.stationarity,
         **_free_parameters(module, unknowns),
         **_integral_multipliers(module, unknowns),
         **({f"waypoint_{i}": float(t[k]) for i, k in enumerate(grid.inner, 1)} if "waypoints" in metadata else {}),
@@ -63,10 +85,9 @@ def control_result(
         **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.get("phases", 1))},
     }
     return Result(
-        **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
-        stationarity=stationarity, t=t, q=q, p=p, u=u, multipliers=multipliers, log=attempt.log, unknowns=unknowns,
-        names=component_names(metadata), stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary,
-        grid=run.grid, estimates=estimates,
+        **origin(metadata, driver, run, attempt, seconds), **asdict(verdict), t=t, q=q, p=p, u=u,
+        multipliers=multipliers, log=attempt.log, unknowns=unknowns, names=component_names(metadata),
+        stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary, grid=run.grid, estimates=estimates,
     )  # fmt: skip
 
 
@@ -112,13 +133,18 @@ def _cost(module: ControlModule, scaled: Grid, unknowns: Vector) -> float:
     return module.corrected_cost(scaled, module.evaluate(scaled, own))
 
 
-def _is_accurate(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -> bool:
+def _is_accurate(
+    module: ControlModule, scaled: Grid, attempt: ControlAttempt, in_own_units: tuple[float, float]
+) -> bool:
     """Whether residual and stationarity, in the solver's scales, are as small as the driver promised, or rounding."""
     unknowns, weight = attempt.unknowns, scaled.weight
     sizes = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
-    residual, stationarity = _errors(module, scaled, unknowns, sizes, weight)
+    errors = _errors(module, scaled, unknowns, sizes, weight) if scaled.sizes.size else in_own_units
+    residual, stationarity = errors
     if not np.isfinite(residual + stationarity):
         return False
+    if max(errors) <= 10.0 * attempt.tolerance:  # whatever rounding and multipliers would forgive beside
+        return True
     grid = module.plain_grid(scaled)
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
     steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
@@ -150,13 +176,16 @@ def _errors(module: ControlModule, scaled: Grid, unknowns: Vector, sizes: Vector
     """
     grid = module.plain_grid(scaled)
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    wrong = (
+    wrong = [
         weight * sizes[dual] * module.constraints(grid, unknowns),
         _pinned_error(module, grid, unknowns, sizes),
-        np.maximum(0.0, -np.minimum(*bound_distances(module, scaled, unknowns))) / sizes[primal],
-    )
-    unbalanced = weight * sizes[primal] * _unbalanced(module, scaled, unknowns, sizes[primal])
-    return max(max_norm(values) for values in wrong), max_norm(unbalanced)
+    ]
+    if module.metadata["inequalities"]:
+        wrong.append(np.maximum(0.0, -np.minimum(*bound_distances(module, scaled, unknowns))) / sizes[primal])
+        unbalanced = _unbalanced(module, scaled, unknowns, sizes[primal])
+    else:
+        unbalanced = module.stationarity(grid, unknowns)
+    return max(max_norm(values) for values in wrong), max_norm(weight * sizes[primal] * unbalanced)
 
 
 def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector]:
