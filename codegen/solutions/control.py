@@ -14,6 +14,7 @@ from codegen.loading import ControlModule, Entries, Grid, Vector, time_grid
 from codegen.solutions.estimates import AT_BOUND, Estimates, estimates_of
 from codegen.solutions.result import (
     ControlAttempt,
+    Outline,
     Result,
     Run,
     component_names,
@@ -21,7 +22,9 @@ from codegen.solutions.result import (
     max_norm,
     origin,
     other_driver,
+    outline_of,
 )
+from codegen.solutions.segments import put_together, segments_of
 
 LARGE_MULTIPLIERS = 100.0
 """Mean multipliers above it make the optimality conditions' tolerance relative."""
@@ -89,6 +92,17 @@ def control_result(
         multipliers=multipliers, log=attempt.log, unknowns=unknowns, names=component_names(metadata),
         stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary, grid=run.grid, estimates=estimates,
     )  # fmt: skip
+
+
+def control_outline(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt) -> Outline:
+    """The verdict on an attempt, and its trajectories; those of segments put together."""
+    if segments_of(module.metadata) is not None:
+        return outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
+    grid = time_grid(module, run.steps, run.grid)
+    verdict = control_verdict(module, driver, run, attempt, grid)
+    names = ("t", "q", "p", "u", "multipliers")
+    arrays = dict(zip(names, module.unpack(grid, attempt.unknowns), strict=True))
+    return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns)
 
 
 def _estimates(module: ControlModule, grid: Grid, unknowns: Vector) -> Estimates | None:

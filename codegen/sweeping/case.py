@@ -1,0 +1,95 @@
+"""One solve of one case: the module with the values of the case, a run of the driver, and the verdict outside it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from codegen.drivers import find
+from codegen.errors import CodegenError, one_line
+from codegen.solutions.result import Outline, Run
+from codegen.solutions.segments import segments_of
+from codegen.solving.other_tables import with_arguments
+from codegen.solving.refinement import transferred
+from codegen.sweeping.layout import Shapes
+from codegen.sweeping.quantities import STEPS, Quantity, given_to
+from codegen.sweeping.statuses import NOT_BUILT, SOLVED, UNUSABLE
+from codegen.tasks import task_of
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The module of some values of arguments of problem(): its file, or none for a loaded module, and its arrays.
+
+    Where it could not be derived there are no arrays, and a message instead.
+    """
+
+    path: Path | None
+    shapes: Shapes | None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One solve of a case, on so many intervals of each phase or segment."""
+
+    outline: Outline
+    steps: int
+    iterations: int
+    seconds: float
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether it is a solution."""
+        return self.outline.status == SOLVED
+
+    @property
+    def is_start(self) -> bool:
+        """Whether neighbours may start from it."""
+        return self.is_solved and self.outline.unknowns is not None
+
+
+def failed(status: str, message: str) -> Attempt:
+    """An attempt that came to nothing."""
+    return Attempt(Outline(status, one_line(message), None, math.nan, {}, None), 0, 0, 0.0)
+
+
+def not_built(variant: Variant) -> Attempt:
+    """The attempt at a case that has no module."""
+    return failed(NOT_BUILT, variant.message)
+
+
+def solve_case(module: Any, driver: str, run: Run, values: Mapping[Quantity, float], start: Attempt | None) -> Attempt:
+    """Solve a case from a neighbour's solution, or from the problem's own guess; what is unusable is a status.
+
+    `run` holds what all cases share. Every equation is evaluated again outside the driver before a case is solved.
+    """
+    task = task_of(module)
+    given = given_to(values)
+    own = with_arguments(module, **given) if given else module
+    steps = steps_of(module, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), run.steps))
+    assert task.outline is not None, "what cannot be swept was refused"
+    begin = time.perf_counter()
+    try:
+        guess = None if start is None else start.outline.unknowns
+        if start is not None and start.steps != steps:
+            assert guess is not None, "only solutions with unknowns are starts"
+            guess = transferred(own, guess, steps)
+        run = replace(run, steps=steps, guess=guess)
+        attempt = find(driver).function(task.name)(own, run)
+        seconds = time.perf_counter() - begin
+        return Attempt(task.outline(own, driver, run, attempt), steps, attempt.iterations, seconds)
+    except CodegenError as error:
+        return failed(UNUSABLE, str(error))
+    except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package
+        return failed(UNUSABLE, f"{UNUSABLE}: {error}")
+
+
+def steps_of(module: Any, steps: int) -> int:
+    """The number of intervals of each segment where the motion was cut into several."""
+    segments = segments_of(module.metadata)
+    return segments.steps(steps) if segments else steps
