@@ -263,8 +263,8 @@ def max_norm(values: Vector) -> float:
     """Max-norm; infinite when an entry is not finite."""
     if values.size == 0:
         return 0.0
-    norm = float(np.max(np.abs(values)))
-    return norm if np.isfinite(norm) else float("inf")
+    norm = float(np.abs(values).max())
+    return norm if math.isfinite(norm) else math.inf
 
 
 def component_names(metadata: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:

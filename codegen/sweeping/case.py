@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,24 +64,39 @@ def not_built(variant: Variant) -> Attempt:
     return failed(NOT_BUILT, variant.message)
 
 
-def solve_case(module: Any, driver: str, run: Run, values: Mapping[Quantity, float], start: Attempt | None) -> Attempt:
+class Varied:
+    """A module whose parameters have other values from case to case."""
+
+    def __init__(self, module: Any) -> None:
+        self.module = module
+        self._own = with_arguments(module)
+
+    def given(self, values: Mapping[Quantity, float]) -> Any:
+        """The module with the values of a case, until those of the next one are given."""
+        given = given_to(values)
+        for name in ("make_grid", "solve"):
+            setattr(self._own, name, partial(getattr(self.module, name), **given))
+        return self._own
+
+
+def solve_case(
+    varied: Varied, driver: str, run: Run, values: Mapping[Quantity, float], start: Attempt | None
+) -> Attempt:
     """Solve a case from a neighbour's solution, or from the problem's own guess; what is unusable is a status.
 
     `run` holds what all cases share. Every equation is evaluated again outside the driver before a case is solved.
     """
-    task = task_of(module)
-    given = given_to(values)
-    own = with_arguments(module, **given) if given else module
-    steps = steps_of(module, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), run.steps))
+    task, own = task_of(varied.module), varied.given(values)
+    steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), run.steps))
     assert task.outline is not None, "what cannot be swept was refused"
-    begin = time.perf_counter()
     try:
         guess = None if start is None else start.outline.unknowns
         if start is not None and start.steps != steps:
             assert guess is not None, "only solutions with unknowns are starts"
             guess = transferred(own, guess, steps)
         run = replace(run, steps=steps, guess=guess)
-        attempt = find(driver).function(task.name)(own, run)
+        function, begin = find(driver).function(task.name), time.perf_counter()
+        attempt = function(own, run)
         seconds = time.perf_counter() - begin
         return Attempt(task.outline(own, driver, run, attempt), steps, attempt.iterations, seconds)
     except CodegenError as error:

@@ -57,10 +57,10 @@ class Cases:
         along = np.unravel_index(indices, self.shape)
         return {name: np.asarray(along[axis]) for name, axis in self.axes.items()}
 
-    def at(self, index: int) -> dict[str, float | str]:
-        """The values of one case by name."""
-        places = self.places(np.array([index]))
-        return {name: self.columns[name][place[0]].item() for name, place in places.items()}
+    def values(self, indices: NDArray[np.intp]) -> list[dict[str, float | str]]:
+        """The values of some cases by name."""
+        columns = {name: self.columns[name][place].tolist() for name, place in self.places(indices).items()}
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def points(self, indices: NDArray[np.intp]) -> NDArray[np.float64]:
         """Cases as points (n, quantities), every quantity in parts of its range; words are numbered."""

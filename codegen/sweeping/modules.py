@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from codegen import compiler, loading
 from codegen.author.problem_file import argument_names
@@ -17,18 +17,24 @@ from codegen.solving.request import Request
 from codegen.sweeping.case import Variant
 from codegen.sweeping.cases import Cases
 from codegen.sweeping.layout import shapes_of
-from codegen.sweeping.quantities import as_argument
+from codegen.sweeping.quantities import Quantity, as_argument, quantities, require_fitting
 from codegen.tasks import task_of
 
+Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
+"""A sign of life while something takes long."""
 MOST = 100
 """The most modules of a sweep: each takes seconds to derive and compile."""
 
 
 @dataclass(frozen=True, eq=False)
 class Modules:
-    """The modules by the texts of the arguments that vary, in their order; the first of them that could be derived."""
+    """The modules by the texts of the arguments that vary, what varies beside, and lines to be said.
+
+    `first` is the first module that could be derived.
+    """
 
     arguments: tuple[str, ...]
+    quantities: tuple[Quantity, ...]
     variants: dict[tuple[str, ...], Variant]
     first: Any
     said: tuple[str, ...]
@@ -41,41 +47,79 @@ class Modules:
             yield variant.message.encode() if path is None else Path(path).read_bytes()
 
 
-def modules_of(request: Request, cases: Cases, working: Callable[[str], AbstractContextManager[Any]]) -> Modules:
-    """Derive and compile what the cases need.
+def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
+    """Derive and compile what the cases need; nothing is compiled before all names and values are known to fit.
 
-    A combination that cannot be derived is a variant without a module, unless none can; a value that an argument does
-    not take is an ArgumentError.
+    A combination that cannot be derived is a variant without a module, unless none can. Raises ArgumentError for a
+    value that an argument does not take, and for names that mean nothing.
     """
     if request.is_built:
-        return _built(request)
+        return _built(request, cases)
     assert isinstance(request.problem, str | Path), "what is not built is a file"
     known = argument_names(request.problem)
     names = tuple(name for name in cases.columns if name in known)
-    twice = next((name for name in names if name in request.arguments), None)
-    if twice:
+    if twice := next((name for name in names if name in request.arguments), None):
         raise ArgumentError(f"{twice} varies and is given by --set", "leave one of them out")
     combinations = _combinations(names, cases)
-    variants, said, errors = dict[tuple[str, ...], Variant](), list[str](), list[CodegenError]()
-    first: Any = None
+    derived, errors = dict[tuple[str, ...], tuple[Any, compiler.Build]](), dict[tuple[str, ...], CodegenError]()
+    varied: tuple[Quantity, ...] = ()
     for number, key in enumerate(combinations, start=1):
         count = f" (module {number} of {len(combinations)})" if len(combinations) > 1 else ""
         try:
-            with _own_words():
-                module, path, told = _made(request, dict(zip(names, key, strict=True)), working, count)
+            with _own_words(), working(f"Deriving{count}"):
+                module, made = _derived(request, dict(zip(names, key, strict=True)))
         except ArgumentError:
             raise
         except CodegenError as error:
-            errors.append(error)
-            variants[key] = Variant(None, None, str(error))
+            errors[key] = error
             continue
-        said += told
-        first = module if first is None else first
-        _require_sweepable(module)
-        variants[key] = Variant(path, shapes_of(module, request.every))
-    if first is None:
-        raise errors[0]
-    return Modules(names, variants, first, tuple(said))
+        varied = _fitting(request, cases, module, names)
+        derived[key] = module, made
+    if not derived:
+        raise next(iter(errors.values()))
+    said: list[str] = []
+    for module, made in derived.values():
+        if request.driver == "newton":
+            said += ahead_of_time.require(made.path, module, made.written, working)[1]
+    variants = {
+        key: Variant(derived[key][1].path, shapes_of(derived[key][0], request.every))
+        if key in derived
+        else Variant(None, None, str(errors[key]))
+        for key in combinations
+    }
+    return Modules(names, varied, variants, next(iter(derived.values()))[0], tuple(said))
+
+
+def _derived(request: Request, arguments: dict[str, str]) -> tuple[Any, compiler.Build]:
+    """A module, loaded, and where it is."""
+    assert isinstance(request.problem, str | Path), "what is not built is a file"
+    made = compiler.build(
+        request.problem, {**request.arguments, **arguments}, scheme=request.scheme, method=request.method,
+        controls=request.controls,
+    )  # fmt: skip
+    return loading.load(made.path), made
+
+
+def _fitting(request: Request, cases: Cases, module: Any, arguments: Sequence[str]) -> tuple[Quantity, ...]:
+    """What varies, if a module can be swept, takes all options, and names and values mean something to it."""
+    if task_of(module).outline is None:
+        remedy = "sweep a simulation or an optimisation; codegen warp registers many pairs of images"
+        raise ArgumentError(f"particles that are connected cannot be swept ({module.metadata['problem']})", remedy)
+    request.driver_for(module)
+    varied = quantities(cases.columns, module, arguments)
+    require_fitting(varied, cases.columns)
+    return varied
+
+
+def _built(request: Request, cases: Cases) -> Modules:
+    """The one module that there is already."""
+    module: Any = request.problem
+    if isinstance(request.problem, str | Path):
+        module = loading.load(request.problem)
+    varied = _fitting(request, cases, module, ())
+    file = getattr(module, "__file__", None)
+    variant = Variant(Path(file) if file else None, shapes_of(module, request.every))
+    return Modules((), varied, {(): variant}, module, ())
 
 
 def _combinations(names: Sequence[str], cases: Cases) -> list[tuple[str, ...]]:
@@ -96,41 +140,6 @@ def _combinations(names: Sequence[str], cases: Cases) -> list[tuple[str, ...]]:
         values = dict(zip(order, (text for part in parts for text in part), strict=True))
         found.append(tuple(values[name] for name in names))
     return found
-
-
-def _made(
-    request: Request, arguments: dict[str, str], working: Callable[[str], AbstractContextManager[Any]], count: str
-) -> tuple[Any, Path, list[str]]:
-    """A module that is derived and compiled, its file, and what there is to say."""
-    assert isinstance(request.problem, str | Path), "what is not built is a file"
-    with working(f"Deriving{count}"):
-        made = compiler.build(
-            request.problem, {**request.arguments, **arguments}, scheme=request.scheme, method=request.method,
-            controls=request.controls,
-        )  # fmt: skip
-    module = loading.load(made.path)
-    _require_sweepable(module)
-    said: list[str] = []
-    if request.driver_for(module).name == "newton":
-        _, said = ahead_of_time.require(made.path, module, made.written, working)
-    return module, made.path, said
-
-
-def _built(request: Request) -> Modules:
-    """The one module that there is already."""
-    module: Any = request.problem
-    if isinstance(request.problem, str | Path):
-        module = loading.load(request.problem)
-    _require_sweepable(module)
-    request.driver_for(module)
-    file = getattr(module, "__file__", None)
-    return Modules((), {(): Variant(Path(file) if file else None, shapes_of(module, request.every))}, module, ())
-
-
-def _require_sweepable(module: Any) -> None:
-    if task_of(module).outline is None:
-        remedy = "sweep a simulation or an optimisation; codegen warp registers many pairs of images"
-        raise ArgumentError(f"particles that are connected cannot be swept ({module.metadata['problem']})", remedy)
 
 
 @contextmanager

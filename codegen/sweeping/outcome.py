@@ -18,15 +18,15 @@ from codegen.machine import versions
 from codegen.solutions.result import Run
 from codegen.solving.run import require_memory
 from codegen.sweeping import store
-from codegen.sweeping.case import solve_case
+from codegen.sweeping.case import Attempt
 from codegen.sweeping.cases import Cases
 from codegen.sweeping.chunks import Chunks, about_a_second, blocks_of
 from codegen.sweeping.dataset import Frame, Memory, require_xarray, write_netcdf
 from codegen.sweeping.engines import engine_for
 from codegen.sweeping.journal import Journal
 from codegen.sweeping.layout import layout_of
-from codegen.sweeping.modules import Modules, modules_of
-from codegen.sweeping.quantities import STEPS, Quantity, quantities, require_fitting
+from codegen.sweeping.modules import Modules, Working, modules_of
+from codegen.sweeping.quantities import STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
 from codegen.sweeping.statuses import Tally
 from codegen.sweeping.store import Store
@@ -36,7 +36,6 @@ from codegen.tasks import task_of
 if TYPE_CHECKING:
     from xarray import Dataset
 
-Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
 """(what, count) -> a context that is told (parts done, what is going on)."""
 
@@ -71,13 +70,13 @@ def outcome_of(request: SweepRequest, working: Working = nullcontext, progress: 
     begin = time.perf_counter()
     require_xarray()
     modules = modules_of(request.solve, request.cases, working)
-    varied = quantities(request.cases.columns, modules.first, modules.arguments)
-    require_fitting(varied, request.cases.columns)
-    work, frame = _planned(request, modules, varied)
+    work, frame = _planned(request, modules)
     digest = _digest(request, modules, work)
+    with working("Solving a first case"):
+        tried = _tried(work)
     if not request.is_store:
         memory = Memory(frame)
-        work = replace(work, chunks=_chunks(request, modules, work))
+        work = replace(work, chunks=_chunks(request, modules, work, tried))
         tally = _solved(work, request.workers, range(work.chunks.number), progress, Tally(), memory, None)
         found = memory.dataset()
         if request.out is not None:
@@ -88,7 +87,7 @@ def outcome_of(request: SweepRequest, working: Working = nullcontext, progress: 
     if request.resume and request.out.exists():
         journal = store.resumed(request.out, digest)
     else:
-        journal = store.begun(request.out, frame, _chunks(request, modules, work), digest)
+        journal = store.begun(request.out, frame, _chunks(request, modules, work, tried), digest)
     work = replace(work, chunks=journal.chunks, sink=place)
     left = [number for number in range(journal.chunks.number) if number not in journal.finished]
     before = sum(journal.finished.values(), Tally())
@@ -96,12 +95,12 @@ def outcome_of(request: SweepRequest, working: Working = nullcontext, progress: 
     return SweepOutcome(tally, time.perf_counter() - begin, modules.said, request.out, place.dataset)
 
 
-def _planned(request: SweepRequest, modules: Modules, varied: tuple[Quantity, ...]) -> tuple[Work, Frame]:
+def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
     """What workers need but for the chunks, and what the data set is but for its numbers."""
     solve, cases, module = request.solve, request.cases, modules.first
     task, metadata_ = task_of(module), module.metadata
     steps = metadata_["steps"] if solve.steps is None else solve.steps
-    most = int(np.max(cases.columns[STEPS])) if any(own.kind == STEPS for own in varied) else int(steps)
+    most = int(np.max(cases.columns[STEPS])) if any(own.kind == STEPS for own in modules.quantities) else int(steps)
     run = Run(
         steps, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
         time_limit=np.inf if solve.time_limit is None else solve.time_limit,
@@ -111,27 +110,35 @@ def _planned(request: SweepRequest, modules: Modules, varied: tuple[Quantity, ..
     layout = layout_of(shapes, most, request.keep)
     warm = request.warm_starts is not False and task.name == "control"
     single = Chunks(cases.shape, (1,) * len(cases.shape))
-    work = Work(solve.driver, run, cases, varied, modules.variants, layout, single, warm, module=module)
+    work = Work(solve.driver, run, cases, modules.quantities, modules.variants, layout, single, warm, module=module)
     return work, Frame(cases, layout, _attributes(request, modules, work))
 
 
-def _chunks(request: SweepRequest, modules: Modules, work: Work) -> Chunks:
-    """Chunks of about a second, judged by a case that is solved; dimensions of arguments of problem() are cut."""
+def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt) -> Chunks:
+    """Chunks of about a second, judged by a case; dimensions of arguments of problem() are cut into single values."""
     cases = work.cases
     arguments = {cases.axes[name] for name in modules.arguments}
     whole = [axis not in arguments or not cases.is_grid for axis in range(len(cases.shape))]
-    if request.chunk is not None:
-        return blocks_of(cases.shape, request.chunk, whole)
-    found = []
-    for index in dict.fromkeys((0, cases.number // 2, cases.number - 1)):
-        values = cases.at(index)
-        given = {own: values[own.name] for own in work.quantities if own.kind != "argument"}
-        found.append(solve_case(modules.first, work.driver, work.run, given, None))  # type: ignore[arg-type]
-        if found[-1].is_solved:
-            break
-    judged = found[-1]
-    run = replace(work.run, steps=judged.steps or work.run.steps)
-    return blocks_of(cases.shape, about_a_second(modules.first, work.driver, run, judged.iterations), whole)
+    run = replace(work.run, steps=tried.steps or work.run.steps)
+    size = request.chunk or about_a_second(modules.first, work.driver, run, tried.iterations)
+    return blocks_of(cases.shape, size, whole)
+
+
+def _tried(work: Work) -> Attempt:
+    """A case of the first module that is solved, if the first, the middle or the last one is.
+
+    One of every module is solved before workers are forked, so that machine code is read once, and missing code made.
+    """
+    found: list[Attempt] = []
+    for variant in work.variants.values():
+        if variant.shapes is None:
+            continue
+        for index in dict.fromkeys((0, work.cases.number // 2, work.cases.number - 1)):
+            attempt = work.tried(variant, index)
+            found.append(attempt)
+            if attempt.is_solved:
+                break
+    return next((attempt for attempt in found if attempt.is_solved), found[-1])
 
 
 def _solved(

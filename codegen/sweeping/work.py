@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from codegen import loading
 from codegen.solutions.result import Run
-from codegen.sweeping.case import Attempt, Variant, not_built, solve_case
+from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_case
 from codegen.sweeping.cases import Cases
 from codegen.sweeping.chunks import Chunks
 from codegen.sweeping.continuation import Continuation
@@ -23,6 +23,7 @@ from codegen.sweeping.layout import NUMBERS, WORDS, Layout
 from codegen.sweeping.order import nearest_chain, serpentine
 from codegen.sweeping.quantities import Quantity, as_argument
 from codegen.sweeping.statuses import LOST, Tally
+from codegen.tasks import task_of
 
 Rows = dict[str, NDArray[Any]]
 """Arrays by name, with a row for each case of a chunk in the order in which cases are counted."""
@@ -73,13 +74,13 @@ class Work:
         Raises Abandoned as soon as it is no longer wanted.
         """
         indices = self.chunks.cases(number)
-        values = [self.cases.at(int(index)) for index in indices]
+        values = self.cases.values(indices)
         keys = [self._key(of_case) for of_case in values]
         families = np.unique(np.array([list(self.variants).index(key) for key in keys]), return_inverse=True)[1]
         points = self.cases.points(indices)
         continuation = Continuation[Attempt](points, families)
         rows = self._empty_rows(len(indices))
-        modules = {key: self._module(self.variants[key]) for key in dict.fromkeys(keys)}
+        modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
         for place in self._order(number, points, families):
             if not is_wanted():
                 raise Abandoned
@@ -100,6 +101,18 @@ class Work:
             self._module(variant)
         return self
 
+    def tried(self, variant: Variant, index: int) -> Attempt:
+        """A solve of a case by some module, from the problem's own guess, of which nothing is kept."""
+        module = self._module(variant)
+        if self.driver != "newton":  # the others call what this one does not
+            task_of(module).touch(module, self.run.steps)
+        return solve_case(
+            Varied(module), self.driver, self.run, self._given(self.cases.values(np.array([index]))[0]), None
+        )
+
+    def _given(self, values: Mapping[str, Any]) -> dict[Quantity, float]:
+        return {own: values[own.name] for own in self.quantities if own.kind != "argument"}
+
     def _key(self, values: Mapping[str, float | str]) -> tuple[str, ...]:
         return tuple(as_argument(values[own.name]) for own in self.quantities if own.kind == "argument")
 
@@ -107,6 +120,9 @@ class Work:
         if variant.shapes is None:
             return None
         return self.module if variant.path is None else loading.load(variant.path)
+
+    def _varied(self, variant: Variant) -> Varied | None:
+        return None if variant.shapes is None else Varied(self._module(variant))
 
     def _order(self, number: int, points: NDArray[np.float64], families: NDArray[np.intp]) -> NDArray[np.intp]:
         if not self.warm_starts:
@@ -116,11 +132,16 @@ class Work:
         return nearest_chain(np.column_stack([points, APART * families]))
 
     def _attempts(
-        self, place: int, module: Any, variant: Variant, values: Mapping[str, Any], continuation: Continuation[Attempt]
+        self,
+        place: int,
+        module: Varied | None,
+        variant: Variant,
+        values: Mapping[str, Any],
+        continuation: Continuation[Attempt],
     ) -> Sequence[Attempt]:
         if module is None:
             return [not_built(variant)]
-        given = {own: values[own.name] for own in self.quantities if own.kind != "argument"}
+        given = self._given(values)
 
         def attempt(start: Attempt | None) -> Attempt:
             return solve_case(module, self.driver, self.run, given, start)
