@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from importlib import metadata
@@ -16,6 +16,7 @@ import numpy as np
 
 from codegen.machine import versions
 from codegen.solutions.result import Run
+from codegen.solutions.segments import segments_of
 from codegen.solving.run import require_memory
 from codegen.sweeping import store
 from codegen.sweeping.case import Attempt
@@ -23,14 +24,13 @@ from codegen.sweeping.cases import Cases
 from codegen.sweeping.chunks import Chunks, about_a_second, blocks_of
 from codegen.sweeping.dataset import Frame, Memory, require_xarray, write_netcdf
 from codegen.sweeping.engines import engine_for
-from codegen.sweeping.journal import Journal
 from codegen.sweeping.layout import layout_of
 from codegen.sweeping.modules import Modules, Working, modules_of
 from codegen.sweeping.quantities import STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
 from codegen.sweeping.statuses import Tally
 from codegen.sweeping.store import Store
-from codegen.sweeping.work import Work
+from codegen.sweeping.work import Done, Work
 from codegen.tasks import task_of
 
 if TYPE_CHECKING:
@@ -71,35 +71,63 @@ def outcome_of(request: SweepRequest, working: Working = nullcontext, progress: 
     require_xarray()
     modules = modules_of(request.solve, request.cases, working)
     work, frame = _planned(request, modules)
-    digest = _digest(request, modules, work)
-    with working("Solving a first case"):
-        tried = _tried(work)
-    if not request.is_store:
-        memory = Memory(frame)
-        work = replace(work, chunks=_chunks(request, modules, work, tried))
-        tally = _solved(work, request.workers, range(work.chunks.number), progress, Tally(), memory, None)
-        found = memory.dataset()
-        if request.out is not None:
-            write_netcdf(found, request.out)
-        return SweepOutcome(tally, time.perf_counter() - begin, modules.said, request.out, lambda: found)
+    finish = _into_store if request.is_store else _into_memory
+    tally, dataset = finish(request, modules, work, frame, Signs(working, progress))
+    return SweepOutcome(tally, time.perf_counter() - begin, modules.said, request.out, dataset)
+
+
+@dataclass(frozen=True)
+class Signs:
+    """Signs of life, of one thing that takes long and of many."""
+
+    working: Working
+    progress: Progress
+
+
+def _into_memory(
+    request: SweepRequest, modules: Modules, work: Work, frame: Frame, signs: Signs
+) -> tuple[Tally, Callable[[], Dataset]]:
+    """All rows in memory, and then in a file, if there is to be one."""
+    memory = Memory(frame)
+    work = replace(work, chunks=_chunks(request, modules, work, _tried(work, signs)))
+
+    def keep(number: int, done: Done) -> None:
+        assert done.rows is not None, "without a sink rows come here"
+        memory.write(work.chunks.region(number), done.rows)
+
+    tally = _solved(work, request.workers, range(work.chunks.number), signs, Tally(), keep)
+    found = memory.dataset()
+    if request.out is not None:
+        write_netcdf(found, request.out)
+    return tally, lambda: found
+
+
+def _into_store(
+    request: SweepRequest, modules: Modules, work: Work, frame: Frame, signs: Signs
+) -> tuple[Tally, Callable[[], Dataset]]:
+    """Chunk after chunk into a store that is laid out before, or was begun before."""
     assert request.out is not None, "a store has a place"
-    place = Store(request.out)
+    digest, place = _digest(request, modules, work), Store(request.out)
     if request.resume and request.out.exists():
         journal = store.resumed(request.out, digest)
+        if len(journal.finished) < journal.chunks.number:
+            _tried(work, signs)
     else:
-        journal = store.begun(request.out, frame, _chunks(request, modules, work, tried), digest)
+        journal = store.begun(request.out, frame, _chunks(request, modules, work, _tried(work, signs)), digest)
     work = replace(work, chunks=journal.chunks, sink=place)
     left = [number for number in range(journal.chunks.number) if number not in journal.finished]
     before = sum(journal.finished.values(), Tally())
-    tally = _solved(work, request.workers, left, progress, before, None, journal)
-    return SweepOutcome(tally, time.perf_counter() - begin, modules.said, request.out, place.dataset)
+    tally = _solved(work, request.workers, left, signs, before, lambda number, done: journal.add(number, done.tally))
+    return tally, place.dataset
 
 
 def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
     """What workers need but for the chunks, and what the data set is but for its numbers."""
     solve, cases, module = request.solve, request.cases, modules.first
     task, metadata_ = task_of(module), module.metadata
-    steps = metadata_["steps"] if solve.steps is None else solve.steps
+    segments = segments_of(metadata_)
+    own = metadata_["steps"] * (segments.number if segments else 1)
+    steps = own if solve.steps is None else solve.steps
     most = int(np.max(cases.columns[STEPS])) if any(own.kind == STEPS for own in modules.quantities) else int(steps)
     run = Run(
         steps, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
@@ -124,43 +152,42 @@ def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt)
     return blocks_of(cases.shape, size, whole)
 
 
-def _tried(work: Work) -> Attempt:
+def _tried(work: Work, signs: Signs) -> Attempt:
     """A case of the first module that is solved, if the first, the middle or the last one is.
 
     One of every module is solved before workers are forked, so that machine code is read once, and missing code made.
     """
     found: list[Attempt] = []
-    for variant in work.variants.values():
-        if variant.shapes is None:
-            continue
-        for index in dict.fromkeys((0, work.cases.number // 2, work.cases.number - 1)):
-            attempt = work.tried(variant, index)
-            found.append(attempt)
-            if attempt.is_solved:
-                break
+    with signs.working("Solving a first case"):
+        for variant in work.variants.values():
+            if variant.shapes is None:
+                continue
+            for index in dict.fromkeys((0, work.cases.number // 2, work.cases.number - 1)):
+                found.append(work.tried(variant, index))
+                if found[-1].is_solved:
+                    break
     return next((attempt for attempt in found if attempt.is_solved), found[-1])
 
 
 def _solved(
-    work: Work, workers: int, numbers: Any, progress: Progress, tally: Tally, memory: Memory | None,
-    journal: Journal | None,
-) -> Tally:  # fmt: skip
-    """Have an engine solve chunks; the tally of these and those before."""
-    if not len(numbers):
+    work: Work,
+    workers: int,
+    numbers: Sequence[int],
+    signs: Signs,
+    tally: Tally,
+    keep: Callable[[int, Done], None],
+) -> Tally:
+    """Have an engine solve chunks and what it has done kept; the tally of these and those before."""
+    if not numbers:
         return tally
     used = min(workers, len(numbers))
     total, before, begin = work.cases.number, tally.cases, time.perf_counter()
-    with engine_for(used).running(work, used) as solve, progress("Solving", total) as shown:
+    with engine_for(used).running(work, used) as solve, signs.progress("Solving", total) as shown:
         for number, done in solve(numbers):
-            if memory is not None:
-                assert done.rows is not None, "without a sink rows come here"
-                memory.write(work.chunks.region(number), done.rows)
-            if journal is not None:
-                journal.add(number, done.tally)
+            keep(number, done)
             tally = tally + done.tally
             rate = (tally.cases - before) / (time.perf_counter() - begin)
-            left = (total - tally.cases) / rate
-            failed = tally.cases - tally.solved
+            left, failed = (total - tally.cases) / rate, tally.cases - tally.solved
             shown(tally.cases, f"{rate:.3g} cases/s, {failed} failed, about {left:.0f} s left")
     return tally
 

@@ -35,7 +35,7 @@ def quantities(names: Iterable[str], module: Any, arguments: Sequence[str]) -> t
     found = []
     for name in names:
         if name not in known:
-            close = difflib.get_close_matches(name, known, 3)
+            close = difflib.get_close_matches(name, known, 3, 0.5)
             nearest = f"did you mean {' or '.join(close)}? " if close else ""
             remedy = f"{nearest}{module.metadata['problem']} has {', '.join(known)}"
             raise ArgumentError(clause(f"{name} is nothing that can be varied"), clause(remedy))
