@@ -12,10 +12,12 @@ from typing import Any
 
 from codegen.drivers import find
 from codegen.errors import CodegenError, one_line
+from codegen.loading import Vector
 from codegen.solutions.result import Outline, Run
 from codegen.solutions.segments import segments_of
 from codegen.solving.other_tables import with_arguments
 from codegen.solving.refinement import transferred
+from codegen.sweeping.continuation import Start
 from codegen.sweeping.layout import Shapes
 from codegen.sweeping.quantities import STEPS, Quantity, given_to
 from codegen.sweeping.statuses import NOT_BUILT, SOLVED, UNUSABLE
@@ -80,9 +82,9 @@ class Varied:
 
 
 def solve_case(
-    varied: Varied, driver: str, run: Run, values: Mapping[Quantity, float], start: Attempt | None
+    varied: Varied, driver: str, run: Run, values: Mapping[Quantity, float], start: Start[Attempt] | None
 ) -> Attempt:
-    """Solve a case from a neighbour's solution, or from the problem's own guess; what is unusable is a status.
+    """Solve a case from neighbours' solutions, or from the problem's own guess; what is unusable is a status.
 
     `run` holds what all cases share. Every equation is evaluated again outside the driver before a case is solved.
     """
@@ -90,11 +92,7 @@ def solve_case(
     steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), run.steps))
     assert task.outline is not None, "what cannot be swept was refused"
     try:
-        guess = None if start is None else start.outline.unknowns
-        if start is not None and start.steps != steps:
-            assert guess is not None, "only solutions with unknowns are starts"
-            guess = transferred(own, guess, steps)
-        run = replace(run, steps=steps, guess=guess)
+        run = replace(run, steps=steps, guess=None if start is None else _unknowns(own, steps, start))
         function, begin = find(driver).function(task.name), time.perf_counter()
         attempt = function(own, run)
         seconds = time.perf_counter() - begin
@@ -103,6 +101,18 @@ def solve_case(
         return failed(UNUSABLE, str(error))
     except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package
         return failed(UNUSABLE, f"{UNUSABLE}: {error}")
+
+
+def _unknowns(module: Any, steps: int, start: Start[Attempt]) -> Vector:
+    """The vector of unknowns to start from, on so many intervals."""
+    unknowns = start.solution.outline.unknowns
+    assert unknowns is not None, "only solutions with unknowns are starts"
+    if start.solution.steps != steps:
+        return transferred(module, unknowns, steps)
+    if start.before is None or start.before.steps != steps:
+        return unknowns
+    assert start.before.outline.unknowns is not None, "only solutions with unknowns are starts"
+    return unknowns + start.factor * (unknowns - start.before.outline.unknowns)
 
 
 def steps_of(module: Any, steps: int) -> int:

@@ -18,7 +18,7 @@ from codegen.solutions.result import Run
 from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_case
 from codegen.sweeping.cases import Cases
 from codegen.sweeping.chunks import Chunks
-from codegen.sweeping.continuation import Continuation
+from codegen.sweeping.continuation import Continuation, Start
 from codegen.sweeping.layout import NUMBERS, WORDS, Layout
 from codegen.sweeping.order import nearest_chain, serpentine
 from codegen.sweeping.quantities import Quantity, as_argument
@@ -143,7 +143,7 @@ class Work:
             return [not_built(variant)]
         given = self._given(values)
 
-        def attempt(start: Attempt | None) -> Attempt:
+        def attempt(start: Start[Attempt] | None) -> Attempt:
             return solve_case(module, self.driver, self.run, given, start)
 
         return continuation.solve(place, attempt) if self.warm_starts else [attempt(None)]
