@@ -100,7 +100,7 @@ def solve_case(
     except CodegenError as error:
         return failed(UNUSABLE, str(error))
     except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package
-        return failed(UNUSABLE, f"{UNUSABLE}: {error}")
+        return failed(UNUSABLE, f"{UNUSABLE}: {error.args[-1] if error.args else type(error).__name__}")
 
 
 def _unknowns(module: Any, steps: int, start: Start[Attempt]) -> Vector:

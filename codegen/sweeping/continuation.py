@@ -52,6 +52,7 @@ class Continuation(Generic[Found]):
 
     def __init__(self, points: Matrix, families: NDArray[np.intp]) -> None:
         self._points, self._families = points, families
+        self._coordinates: list[list[float]] = points.tolist()  # of single points, for which arrays are slow
         self._solved: dict[int, Found] = {}
         self._path: dict[int, list[int]] = {}
 
@@ -91,11 +92,13 @@ class Continuation(Generic[Found]):
         last = self._solved[path[-1]]
         if len(path) == 1:
             return Start(last)
-        one, two = self._points[path[-1]] - self._points[path[-2]], self._points[place] - self._points[path[-1]]
-        square = float(one @ one)
-        factor = float(one @ two) / square if square > 0.0 else 0.0
-        beside = two - factor * one
-        if abs(factor) > FARTHEST or not beside @ beside <= STRAIGHT**2 * float(two @ two):
+        began, ended, wanted = (self._coordinates[k] for k in (path[-2], path[-1], place))
+        one = [b - a for a, b in zip(began, ended, strict=True)]
+        two = [b - a for a, b in zip(ended, wanted, strict=True)]
+        square = sum(a * a for a in one)
+        factor = sum(a * b for a, b in zip(one, two, strict=True)) / square if square > 0.0 else 0.0
+        beside = sum((b - factor * a) ** 2 for a, b in zip(one, two, strict=True))
+        if abs(factor) > FARTHEST or not beside <= STRAIGHT**2 * sum(b * b for b in two):
             return Start(last)
         return Start(last, self._solved[path[-2]], factor)
 

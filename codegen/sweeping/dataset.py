@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,12 +23,11 @@ if TYPE_CHECKING:
 
 def require_xarray() -> None:
     """Refuse to go on without xarray and zarr; ExtraError names the command that installs them."""
-    try:
-        import xarray  # noqa: F401
-        import zarr  # noqa: F401
-    except ImportError as error:
-        finding = f"a sweep needs {error.name or 'xarray and zarr'}, which is not installed"
-        raise ExtraError(finding, "pip install 'variational-codegen[sweep]'") from None
+    for name in ("xarray", "zarr"):
+        if find_spec(name) is None:  # they take long to import, and a command may need only one of them
+            raise ExtraError(
+                f"a sweep needs {name}, which is not installed", "pip install 'variational-codegen[sweep]'"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Frame:
         """Dimensions, shapes and kinds of numbers by name; words have the kind `str`."""
         dims, shape = self.case_dims, self.cases.shape
         found = {
-            name: ((*dims, *self.layout.dims[name]), (*shape, *self.layout.shape(name)), "f8")
+            name: ((*dims, *self.layout.dims[name]), (*shape, *self.layout.shapes[name]), "f8")
             for name in self.layout.dims
         }
         found |= {name: (dims, shape, kind) for name, kind in NUMBERS.items()}

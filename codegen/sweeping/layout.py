@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -79,18 +80,19 @@ class Layout:
     sizes: Mapping[str, int]
     names: Mapping[str, tuple[str, ...]]
 
-    def shape(self, name: str) -> tuple[int, ...]:
-        """The shape of an array for one case."""
-        return tuple(self.sizes[dim] for dim in self.dims[name])
+    @cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shape of each array for one case."""
+        return {name: tuple(self.sizes[dim] for dim in dims) for name, dims in self.dims.items()}
 
     def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
         """The numbers of a case in the shape of its array, NaN where it has none."""
         dims = self.dims[name]
         if "stage" in dims:
             array = array.reshape(-1, self.sizes["stage"], array.shape[1])
-        if array.shape == self.shape(name) and (array.ndim == 1 or tuple(columns) == self.names[dims[-1]]):
+        if array.shape == self.shapes[name] and (array.ndim == 1 or tuple(columns) == self.names[dims[-1]]):
             return array
-        whole = np.full(self.shape(name), np.nan)
+        whole = np.full(self.shapes[name], np.nan)
         if array.ndim == 1:
             whole[: array.size] = array
         else:

@@ -179,6 +179,6 @@ class Work:
 
     def _empty_rows(self, number: int) -> Rows:
         """Rows of cases that are not solved."""
-        rows: Rows = {name: np.full((number, *self.layout.shape(name)), np.nan) for name in self.layout.dims}
+        rows: Rows = {name: np.full((number, *self.layout.shapes[name]), np.nan) for name in self.layout.dims}
         rows |= {name: np.full(number, -1 if kind == "i4" else np.nan, kind) for name, kind in NUMBERS.items()}
         return rows | {name: np.full(number, "", object) for name in WORDS}
