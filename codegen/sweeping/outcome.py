@@ -137,8 +137,9 @@ def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
     shapes = [variant.shapes for variant in modules.variants.values() if variant.shapes is not None]
     layout = layout_of(shapes, most, request.keep)
     warm = request.warm_starts is not False and task.name == "control"
+    loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
     single = Chunks(cases.shape, (1,) * len(cases.shape))
-    work = Work(solve.driver, run, cases, modules.quantities, modules.variants, layout, single, warm, module=module)
+    work = Work(solve.driver, run, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded)
     return work, Frame(cases, layout, _attributes(request, modules, work))
 
 

@@ -54,7 +54,7 @@ class Abandoned(Exception):
 class Work:
     """All that solving any chunk needs; `run` holds what all cases share.
 
-    `variants` are the modules, by the texts of the arguments of problem() that vary.
+    `variants` are the modules, by the texts of the arguments of problem() that vary; `module` is one in no file.
     """
 
     driver: str

@@ -16,6 +16,7 @@ from command_lines import ORBIT, PENDULUM, run
 from conftest import PROBLEMS
 
 import codegen
+from codegen.sweeping.engines import processes
 from codegen.sweeping.journal import journal_of
 from codegen.sweeping.statuses import LOST, MEANINGS, NOT_BUILT, UNUSABLE
 
@@ -172,6 +173,17 @@ class TestWorkers:
         assert (one.status == "solved").all()
         memory = codegen.sweep(ORBIT, axes, steps=30, chunk=7, workers=2)
         assert_same(one, memory)
+
+    def test_workers_that_are_no_forks_find_the_same(self, monkeypatch):
+        axes = {"r1": np.linspace(5.8, 6.2, 20)}
+        one = codegen.sweep(ORBIT, axes, steps=30, chunk=5, workers=1)
+        monkeypatch.setattr(processes, "START", "spawn")
+        assert_same(one, codegen.sweep(ORBIT, axes, steps=30, chunk=5, workers=2))
+
+    def test_a_module_in_no_file_is_shared_by_forks(self, interpreted):
+        module = interpreted("linear_pendulum")
+        data = codegen.sweep(module, {"duration": [0.9, 1.0]}, steps=5, chunk=1, workers=2)
+        assert (data.status == "solved").all()
 
     def test_chunks_are_counted_and_not_measured(self, folder):
         shapes = []

@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from codegen.sweeping.engines import Solved
 from codegen.sweeping.work import Abandoned, Done, Work
 
+START = "fork" if sys.platform == "linux" else "spawn"  # elsewhere libraries do not survive a fork
 TRIES = 3
 """How many workers may be lost with a chunk before its cases count as lost."""
 _SECONDS = 5.0
@@ -50,9 +51,8 @@ class _Worker:
 
 class _Pool:
     def __init__(self, work: Work, workers: int) -> None:
-        fork = sys.platform == "linux"  # elsewhere libraries do not survive it
-        self._context: Any = multiprocessing.get_context("fork" if fork else "spawn")
-        self._work = work.loaded() if fork else work
+        self._context: Any = multiprocessing.get_context(START)
+        self._work = work.loaded() if START == "fork" else work
         self._workers: list[_Worker] = []
         for _ in range(workers):
             self._workers.append(self._started())
