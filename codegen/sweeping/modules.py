@@ -17,7 +17,7 @@ from codegen.solving.request import Request
 from codegen.sweeping.case import Variant
 from codegen.sweeping.cases import Cases
 from codegen.sweeping.layout import shapes_of
-from codegen.sweeping.quantities import Quantity, as_argument, quantities, require_fitting
+from codegen.sweeping.quantities import STEPS, Quantity, as_argument, quantities, require_fitting
 from codegen.tasks import task_of
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
@@ -108,6 +108,8 @@ def _fitting(request: Request, cases: Cases, module: Any, arguments: Sequence[st
     request.driver_for(module)
     varied = quantities(cases.columns, module, arguments)
     require_fitting(varied, cases.columns)
+    if request.steps is not None and any(quantity.kind == STEPS for quantity in varied):
+        raise ArgumentError("steps vary and are given by --steps", "leave one of them out")
     return varied
 
 

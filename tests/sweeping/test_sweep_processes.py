@@ -80,11 +80,10 @@ def test_a_chunk_that_kills_every_worker_counts_as_lost(tmp_path):
 
 
 def test_what_a_worker_cannot_do_is_raised_and_leaves_no_processes(tmp_path):
-    before = time.monotonic()
+    before = _children()
     with pytest.raises(OSError, match="no space"):
         solved(StandIn(tmp_path, broken=(1,)), 2, range(100))
-    assert time.monotonic() - before < 60
-    assert not _children()
+    assert _children() <= before
 
 
 def test_workers_end_with_the_process_that_began_them(tmp_path):
@@ -110,7 +109,7 @@ def test_workers_end_with_the_process_that_began_them(tmp_path):
 
 
 def _children():
-    return Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    return set(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())
 
 
 def _is_running(pid):

@@ -29,6 +29,7 @@ LINES = {
     "word-for-number": ("sweep O --vary r1=five,six --out s.zarr", "takes numbers, not 'five'"),
     "steps-not-whole": ("sweep O --vary steps=10,20.5 --out s.zarr", "positive integers"),
     "steps-negative": ("sweep O --vary steps=-10,20 --out s.zarr", "positive integers"),
+    "steps-given-too": ("sweep O --vary steps=10,20 --steps 10 --out s.zarr", "given by --steps"),
     "zip-unknown": ("sweep O --vary r1=5:6:3 --zip r1,m --out s.zarr", "m is not varied"),
     "zip-lengths": ("sweep O --vary r1=5:6:3 --vary m=1,2 --zip r1,m --out s.zarr", "has 2"),
     "zip-alone": ("sweep O --zip r1,m --out s.zarr", "--zip"),
