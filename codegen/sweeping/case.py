@@ -67,10 +67,12 @@ def not_built(variant: Variant) -> Attempt:
 
 
 class Varied:
-    """A module whose parameters have other values from case to case."""
+    """A module whose parameters have other values from case to case, and the run of a driver that all cases share."""
 
-    def __init__(self, module: Any) -> None:
-        self.module = module
+    def __init__(self, module: Any, driver: str, run: Run) -> None:
+        self.module, self.driver, self.run = module, driver, run
+        self.task = task_of(module)
+        self.function = find(driver).function(self.task.name)
         self._own = with_arguments(module)
 
     def given(self, values: Mapping[Quantity, float]) -> Any:
@@ -81,22 +83,20 @@ class Varied:
         return self._own
 
 
-def solve_case(
-    varied: Varied, driver: str, run: Run, values: Mapping[Quantity, float], start: Start[Attempt] | None
-) -> Attempt:
+def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[Attempt] | None) -> Attempt:
     """Solve a case from neighbours' solutions, or from the problem's own guess; what is unusable is a status.
 
-    `run` holds what all cases share. Every equation is evaluated again outside the driver before a case is solved.
+    Every equation is evaluated again outside the driver before a case is solved.
     """
-    task, own = task_of(varied.module), varied.given(values)
-    steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), run.steps))
-    assert task.outline is not None, "what cannot be swept was refused"
+    own, outline = varied.given(values), varied.task.outline
+    steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), varied.run.steps))
+    assert outline is not None, "what cannot be swept was refused"
     try:
-        run = replace(run, steps=steps, guess=None if start is None else _unknowns(own, steps, start))
-        function, begin = find(driver).function(task.name), time.perf_counter()
-        attempt = function(own, run)
+        run = replace(varied.run, steps=steps, guess=None if start is None else _unknowns(own, steps, start))
+        begin = time.perf_counter()
+        attempt = varied.function(own, run)
         seconds = time.perf_counter() - begin
-        return Attempt(task.outline(own, driver, run, attempt), steps, attempt.iterations, seconds)
+        return Attempt(outline(own, varied.driver, run, attempt), steps, attempt.iterations, seconds)
     except CodegenError as error:
         return failed(UNUSABLE, str(error))
     except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package

@@ -89,7 +89,7 @@ def grid(axes: Mapping[str, Any], zipped: Sequence[Sequence[str]] = ()) -> Cases
 
 def _heads(columns: Mapping[str, Values], zipped: Sequence[Sequence[str]]) -> dict[str, str]:
     """The quantity whose dimension each quantity varies along: its own, or the first of those it is zipped with."""
-    heads = {name: name for name in columns}
+    heads, seen = {name: name for name in columns}, set[str]()
     for group in zipped:
         words = ",".join(group)
         if len(group) < 2 or len(set(group)) < len(group):
@@ -97,12 +97,13 @@ def _heads(columns: Mapping[str, Values], zipped: Sequence[Sequence[str]]) -> di
         for name in group:
             if name not in columns:
                 raise ArgumentError(f"--zip {words}: {name} is not varied", f"give --vary {name}=...")
-            if heads[name] != name or (name in heads.values() and sum(head == name for head in heads.values()) > 1):
+            if name in seen:
                 raise ArgumentError(f"--zip names {name} twice", "put all that vary together into one --zip")
             if columns[name].size != columns[group[0]].size:
                 sizes = f"{columns[group[0]].size} values, {name} has {columns[name].size}"
                 raise ArgumentError(f"--zip {words}: {group[0]} has {sizes}", "give as many of both")
             heads[name] = group[0]
+        seen.update(group)
     return heads
 
 

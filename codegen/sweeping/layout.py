@@ -34,8 +34,9 @@ RESERVED = frozenset((*_ALL, *NUMBERS, *WORDS, *_COLUMNS.values(), "node", "inte
 class Shapes:
     """The arrays of one module: what their rows belong to, and the names of their columns.
 
-    `rows` maps an array to `node`, or to the number of its rows on an interval; `parts` is how many nodes but one there
-    are for each interval that is asked for, in phases.
+    `rows` maps an array to `node`, or to the number of its rows on an interval; `parts` is the number of phases, each
+    of which has all intervals that are asked for, and `segments` that of segments, which share them; `steps` are those
+    of the problem itself.
     """
 
     rows: Mapping[str, str | int]
@@ -43,6 +44,7 @@ class Shapes:
     parts: int
     segments: int
     every: int
+    steps: int
 
     def intervals(self, steps: int) -> int:
         """The number of intervals between the nodes that are stored."""
@@ -58,7 +60,7 @@ def shapes_of(module: Any, every: int) -> Shapes:
     rows: dict[str, str | int] = {"t": "node", "q": "node", "p": "node"}
     columns = {name: names[name] for name in ("q", "p", "u") if names[name]}
     if task.name == "simulate":
-        return Shapes({**rows, "energy": "node"}, columns, 1, 0, every)
+        return Shapes({**rows, "energy": "node"}, columns, 1, 0, every, metadata["steps"])
     grid = module.make_grid(few_steps(module, 4))
     arrays = module.unpack(grid, module.initial_guess(grid))
     nodes, bodies = len(arrays[0]), metadata["bodies"]
@@ -69,7 +71,8 @@ def shapes_of(module: Any, every: int) -> Shapes:
     columns["multipliers"] = labels if bodies == 1 else tuple(f"{one}_{k}" for k in range(bodies) for one in labels)
     if segments is not None:
         columns = {name: segments.columns(own)[0] for name, own in columns.items()}
-    return Shapes(rows, columns, metadata.get("phases", 1), segments.number if segments else 0, 1)
+    number = segments.number if segments else 0
+    return Shapes(rows, columns, metadata.get("phases", 1), number, 1, metadata["steps"] * max(1, number))
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,8 @@ class Layout:
         return whole
 
 
-def layout_of(shapes: Iterable[Shapes], steps: int, keep: Sequence[str]) -> Layout:
-    """The arrays that are kept of cases of some modules, of at most so many intervals.
+def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str]) -> Layout:
+    """The arrays that are kept of cases of some modules, of at most so many intervals, or of each module's own.
 
     Raises ArgumentError where a name is that of no array, or where arrays of the modules do not fit together.
     """
@@ -113,7 +116,7 @@ def layout_of(shapes: Iterable[Shapes], steps: int, keep: Sequence[str]) -> Layo
             raise ArgumentError(clause(f"--keep {name}: there is no such array"), f"keep some of {', '.join(have)}")
     dims: dict[str, tuple[str, ...]] = {}
     names: dict[str, tuple[str, ...]] = {}
-    intervals = max(own.intervals(steps) for own in shapes)
+    intervals = max(own.intervals(steps or own.steps) for own in shapes)
     sizes = {"node": intervals + 1, "interval": intervals}
     for name in (name for name in have if name in keep):
         rows = {own.rows[name] for own in shapes if name in own.rows and _has(own, name)}

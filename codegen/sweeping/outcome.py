@@ -16,7 +16,6 @@ import numpy as np
 
 from codegen.machine import versions
 from codegen.solutions.result import Run
-from codegen.solutions.segments import segments_of
 from codegen.solving.run import require_memory
 from codegen.sweeping import store
 from codegen.sweeping.case import Attempt
@@ -124,22 +123,23 @@ def _into_store(
 def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
     """What workers need but for the chunks, and what the data set is but for its numbers."""
     solve, cases, module = request.solve, request.cases, modules.first
-    task, metadata_ = task_of(module), module.metadata
-    segments = segments_of(metadata_)
-    own = metadata_["steps"] * (segments.number if segments else 1)
-    steps = own if solve.steps is None else solve.steps
-    most = int(np.max(cases.columns[STEPS])) if any(own.kind == STEPS for own in modules.quantities) else int(steps)
+    task = task_of(module)
+    shapes = [variant.shapes for variant in modules.variants.values() if variant.shapes is not None]
+    varied = any(quantity.kind == STEPS for quantity in modules.quantities)
+    steps = int(np.max(cases.columns[STEPS])) if varied else solve.steps
+    most = steps or max(own.steps for own in shapes)
     run = Run(
-        steps, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
+        most, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
         time_limit=np.inf if solve.time_limit is None else solve.time_limit,
     )  # fmt: skip
-    require_memory(task.numbers(metadata_, replace(run, steps=most)), most)
-    shapes = [variant.shapes for variant in modules.variants.values() if variant.shapes is not None]
-    layout = layout_of(shapes, most, request.keep)
+    require_memory(task.numbers(module.metadata, run), most)
+    layout = layout_of(shapes, steps, request.keep)
     warm = request.warm_starts is not False and task.name == "control"
     loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
     single = Chunks(cases.shape, (1,) * len(cases.shape))
-    work = Work(solve.driver, run, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded)
+    work = Work(
+        solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded
+    )
     return work, Frame(cases, layout, _attributes(request, modules, work))
 
 
@@ -199,7 +199,9 @@ def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str
     problem = request.solve.problem
     file = Path(problem) if isinstance(problem, str | Path) else Path(getattr(problem, "__file__", None) or "")
     known = {**versions(), **{name: metadata.version(name) for name in ("xarray", "zarr")}}
-    steps = {} if any(quantity.kind == STEPS for quantity in work.quantities) else {"steps": int(work.run.steps)}
+    counts = {work.steps or variant.shapes.steps for variant in work.variants.values() if variant.shapes}
+    is_one = len(counts) == 1 and not any(quantity.kind == STEPS for quantity in work.quantities)
+    steps = {"steps": int(counts.pop())} if is_one else {}
     return {
         "title": own["title"],
         "problem": own["problem"],

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,7 +23,6 @@ from codegen.sweeping.layout import NUMBERS, WORDS, Layout
 from codegen.sweeping.order import nearest_chain, serpentine
 from codegen.sweeping.quantities import Quantity, as_argument
 from codegen.sweeping.statuses import LOST, Tally
-from codegen.tasks import task_of
 
 Rows = dict[str, NDArray[Any]]
 """Arrays by name, with a row for each case of a chunk in the order in which cases are counted."""
@@ -52,13 +51,14 @@ class Abandoned(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """All that solving any chunk needs; `run` holds what all cases share.
+    """All that solving any chunk needs; `run` holds what all cases share, but for `steps`, None for a module's own.
 
     `variants` are the modules, by the texts of the arguments of problem() that vary; `module` is one in no file.
     """
 
     driver: str
     run: Run
+    steps: int | None
     cases: Cases
     quantities: tuple[Quantity, ...]
     variants: Mapping[tuple[str, ...], Variant]
@@ -103,12 +103,11 @@ class Work:
 
     def tried(self, variant: Variant, index: int) -> Attempt:
         """A solve of a case by some module, from the problem's own guess, of which nothing is kept."""
-        module = self._module(variant)
+        varied = self._varied(variant)
+        assert varied is not None, "what is solved has a module"
         if self.driver != "newton":  # the others call what this one does not
-            task_of(module).touch(module, self.run.steps)
-        return solve_case(
-            Varied(module), self.driver, self.run, self._given(self.cases.values(np.array([index]))[0]), None
-        )
+            varied.task.touch(varied.module, varied.run.steps)
+        return solve_case(varied, self._given(self.cases.values(np.array([index]))[0]), None)
 
     def _given(self, values: Mapping[str, Any]) -> dict[Quantity, float]:
         return {own: values[own.name] for own in self.quantities if own.kind != "argument"}
@@ -122,7 +121,10 @@ class Work:
         return self.module if variant.path is None else loading.load(variant.path)
 
     def _varied(self, variant: Variant) -> Varied | None:
-        return None if variant.shapes is None else Varied(self._module(variant))
+        if variant.shapes is None:
+            return None
+        run = replace(self.run, steps=self.steps or variant.shapes.steps)
+        return Varied(self._module(variant), self.driver, run)
 
     def _order(self, number: int, points: NDArray[np.float64], families: NDArray[np.intp]) -> NDArray[np.intp]:
         if not self.warm_starts:
@@ -144,7 +146,7 @@ class Work:
         given = self._given(values)
 
         def attempt(start: Start[Attempt] | None) -> Attempt:
-            return solve_case(module, self.driver, self.run, given, start)
+            return solve_case(module, given, start)
 
         return continuation.solve(place, attempt) if self.warm_starts else [attempt(None)]
 

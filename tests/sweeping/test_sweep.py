@@ -85,6 +85,28 @@ class TestNumbers:
             np.testing.assert_array_equal(data.q.sel(form=form, duration=2.0), module.solve(20, duration=2.0).q)
             assert one.solved
 
+    def test_modules_have_steps_of_their_own(self, folder):
+        (folder / "fall.py").write_text(
+            '"""Fall."""\n\nfrom codegen import Simulate, coordinate\n\n\n'
+            "def problem(twice: int = 1) -> Simulate:\n    q, dq = coordinate('q')\n"
+            "    return Simulate(lagrangian=dq**2 / 2 - q, start={q: 0, dq: 1}, duration=twice, steps=10 * twice)\n"
+        )
+        data = codegen.sweep("fall.py", {"twice": [1, 2]}, workers=1)
+        assert data.sizes["node"] == 21
+        assert data.t.sel(twice=1)[11:].isnull().all()
+        np.testing.assert_allclose(data.t[:, 10], 1.0)
+        assert "steps" not in data.attrs
+
+    def test_a_parameter_that_is_called_like_a_variable_gets_an_underscore(self, folder):
+        (folder / "fall.py").write_text(
+            '"""Fall."""\n\nfrom codegen import Simulate, coordinate, parameters\n\n\n'
+            "def problem() -> Simulate:\n    (q, dq), (cost, g) = coordinate('q'), parameters(cost=1, g=1)\n"
+            "    return Simulate(lagrangian=cost * dq**2 / 2 - g * q, start={q: 0, dq: 1}, duration=1, steps=5)\n"
+        )
+        data = codegen.sweep("fall.py", {"cost": [1, 2], "g": [1, 2]}, workers=1, out="s.zarr")
+        assert dict(data.status.sizes) == {"cost_": 2, "g": 2}
+        np.testing.assert_array_equal(data.q[0, 0], data.q[1, 1])
+
     def test_samples_are_reproducible(self):
         given = {
             "samples": {"m": "normal(100, 5)", "r0": "uniform(4.9, 5.1)"},
