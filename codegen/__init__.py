@@ -23,6 +23,7 @@ _HOMES = {
     **dict.fromkeys(["CodegenError"], "codegen.errors"),
     **dict.fromkeys(["load"], "codegen.loading"),
     **dict.fromkeys(["solve"], "codegen.solving"),
+    **dict.fromkeys(["sweep"], "codegen.sweeping"),
 }
 
 __all__ = [
@@ -55,6 +56,7 @@ __all__ = [
     "solve",
     "state",
     "states",
+    "sweep",
     "time",
     "together",
 ]
@@ -86,6 +88,7 @@ if TYPE_CHECKING:
     from codegen.errors import CodegenError
     from codegen.loading import load
     from codegen.solving import solve
+    from codegen.sweeping import sweep
 
 
 def __getattr__(name: str) -> Any:

@@ -26,6 +26,7 @@ FLOORS = (
     ("cache",),
     ("compiler",),
     ("solving",),
+    ("sweeping",),
     ("checks", "registration", "report", "stress"),
     ("cli",),
     ("__main__",),

@@ -84,6 +84,11 @@ def split_points(path: Path | str, arguments: Mapping[str, object]) -> tuple[dic
     return others, str(arguments[given[0]]) if given else None
 
 
+def argument_names(path: Path | str) -> tuple[str, ...]:
+    """The names of the arguments of problem(), from the text of the file alone; none where it cannot be read so."""
+    return tuple(argument.arg for argument, _ in _arguments(Path(path)))
+
+
 def _point_arguments(path: Path) -> set[str]:
     return {
         argument.arg

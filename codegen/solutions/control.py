@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from codegen.loading import ControlModule, Entries, Grid, Vector, time_grid
 from codegen.solutions.estimates import AT_BOUND, Estimates, estimates_of
 from codegen.solutions.result import (
     ControlAttempt,
+    Outline,
     Result,
     Run,
     component_names,
@@ -20,23 +22,38 @@ from codegen.solutions.result import (
     max_norm,
     origin,
     other_driver,
+    outline_of,
 )
+from codegen.solutions.segments import put_together, segments_of
 
 LARGE_MULTIPLIERS = 100.0
 """Mean multipliers above it make the optimality conditions' tolerance relative."""
 
 
-def control_result(
-    module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, seconds: float = math.nan
-) -> Result:
-    """Re-evaluate residual and stationarity of an attempt, and downgrade a false claim of success."""
-    metadata, unknowns, grid = module.metadata, attempt.unknowns, time_grid(module, run.steps, run.grid)
+@dataclass(frozen=True)
+class Verdict:
+    """What is left of a driver's claim once every equation has been evaluated again outside it.
+
+    `residual` and `stationarity` are max-norms; the cost of a solution is corrected by what residuals are worth.
+    """
+
+    status: str
+    message: str
+    cost: float
+    residual: float
+    stationarity: float
+
+
+def control_verdict(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, grid: Grid) -> Verdict:
+    """Re-evaluate residual and stationarity of an attempt on a grid, and downgrade a false claim of success."""
+    metadata, unknowns = module.metadata, attempt.unknowns
     scaled = _scaled_grid(module, grid, run)
-    residual, stationarity = _errors(module, scaled, unknowns, np.ones(unknowns.size), 1.0)
+    conditions = _Conditions(module, scaled, unknowns)
+    residual, stationarity = conditions.norms()
     status, message = attempt.status, attempt.message
-    if status == "solved" and not _is_accurate(module, scaled, attempt):
-        conditions = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
-        status, message = contradicted(driver, f"{conditions} {stationarity:.1e}", other_driver(driver))
+    if status == "solved" and not _is_accurate(module, scaled, attempt, conditions, (residual, stationarity)):
+        found = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
+        status, message = contradicted(driver, f"{found} {stationarity:.1e}", other_driver(driver))
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status == "solved" and (outside := _beyond_tables(module, grid, unknowns)):
@@ -47,15 +64,24 @@ def control_result(
     elif status != "solved" and driver != "newton":
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
-    cost = _cost(module, scaled, unknowns) if status == "solved" else float(module.cost(grid, unknowns))
+    cost = _cost(module, scaled, conditions.point) if status == "solved" else float(module.cost(grid, unknowns))
+    return Verdict(status, message, cost, residual, stationarity)
+
+
+def control_result(
+    module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, seconds: float = math.nan
+) -> Result:
+    """The result of an attempt, by the verdict on what the driver claims."""
+    metadata, unknowns, grid = module.metadata, attempt.unknowns, time_grid(module, run.steps, run.grid)
+    verdict = control_verdict(module, driver, run, attempt, grid)
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
-    estimates = _estimates(module, grid, unknowns) if status == "solved" else None
+    estimates = _estimates(module, grid, unknowns) if verdict.status == "solved" else None
     summary = {
-        **({"maximum": -cost} if metadata.get("maximised") else {}),
+        **({"maximum": -verdict.cost} if metadata.get("maximised") else {}),
         "duration": float(t[-1] - t[0]),
         "final_state_miss": _final_state_miss(module, grid, unknowns),
         "largest_control": max_norm(u),
-        "stationarity": stationarity,
+        "stationarity": verdict.stationarity,
         **_free_parameters(module, unknowns),
         **_integral_multipliers(module, unknowns),
         **({f"waypoint_{i}": float(t[k]) for i, k in enumerate(grid.inner, 1)} if "waypoints" in metadata else {}),
@@ -63,11 +89,21 @@ def control_result(
         **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.get("phases", 1))},
     }
     return Result(
-        **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
-        stationarity=stationarity, t=t, q=q, p=p, u=u, multipliers=multipliers, log=attempt.log, unknowns=unknowns,
-        names=component_names(metadata), stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary,
-        grid=run.grid, estimates=estimates,
+        **origin(metadata, driver, run, attempt, seconds), **asdict(verdict), t=t, q=q, p=p, u=u,
+        multipliers=multipliers, log=attempt.log, unknowns=unknowns, names=component_names(metadata),
+        stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary, grid=run.grid, estimates=estimates,
     )  # fmt: skip
+
+
+def control_outline(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt) -> Outline:
+    """The verdict on an attempt, and its trajectories; those of segments put together."""
+    if segments_of(module.metadata) is not None:
+        return outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
+    grid = time_grid(module, run.steps, run.grid)
+    verdict = control_verdict(module, driver, run, attempt, grid)
+    names = ("t", "q", "p", "u", "multipliers")
+    arrays = dict(zip(names, module.unpack(grid, attempt.unknowns), strict=True))
+    return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns)
 
 
 def _estimates(module: ControlModule, grid: Grid, unknowns: Vector) -> Estimates | None:
@@ -106,20 +142,25 @@ def _scaled_grid(module: ControlModule, grid: Grid, run: Run) -> Grid:
     return module.scaled_grid(grid, module.with_pinned_values(grid, guess))
 
 
-def _cost(module: ControlModule, scaled: Grid, unknowns: Vector) -> float:
+def _cost(module: ControlModule, scaled: Grid, point: Any) -> float:
     """The discrete cost of a solution, corrected by what residuals and distances to bounds are worth."""
-    own = unknowns / scaled.sizes if scaled.sizes.size else unknowns
-    return module.corrected_cost(scaled, module.evaluate(scaled, own))
+    own = module.evaluate(scaled, point.unknowns / scaled.sizes) if scaled.sizes.size else point
+    return module.corrected_cost(scaled, own)
 
 
-def _is_accurate(module: ControlModule, scaled: Grid, attempt: ControlAttempt) -> bool:
+def _is_accurate(
+    module: ControlModule, scaled: Grid, attempt: ControlAttempt, conditions: _Conditions, norms: tuple[float, float]
+) -> bool:
     """Whether residual and stationarity, in the solver's scales, are as small as the driver promised, or rounding."""
-    unknowns, weight = attempt.unknowns, scaled.weight
-    sizes = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
-    residual, stationarity = _errors(module, scaled, unknowns, sizes, weight)
+    residual, stationarity = conditions.norms(scaled.sizes, scaled.weight) if scaled.sizes.size else norms
     if not np.isfinite(residual + stationarity):
         return False
-    grid = module.plain_grid(scaled)
+    if (
+        max(residual, stationarity) <= 10.0 * attempt.tolerance
+    ):  # whatever rounding and multipliers would forgive beside
+        return True
+    unknowns, weight, grid = attempt.unknowns, scaled.weight, module.plain_grid(scaled)
+    sizes = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
     steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
     scale = max(1.0, steepest, _mean_multiplier(module, scaled, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
@@ -143,20 +184,32 @@ def _mean_multiplier(module: ControlModule, scaled: Grid, unknowns: Vector, size
     return float(total / max(1, multipliers.size + bounded.sum()))
 
 
-def _errors(module: ControlModule, scaled: Grid, unknowns: Vector, sizes: Vector, weight: float) -> tuple[float, float]:
-    """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes.
+class _Conditions:
+    """What is left of all conditions at some unknowns, evaluated once, in the problem's own units.
 
     Bounds are those of the grid `scaled`, in whose units slacks may yield.
     """
-    grid = module.plain_grid(scaled)
-    primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    wrong = (
-        weight * sizes[dual] * module.constraints(grid, unknowns),
-        _pinned_error(module, grid, unknowns, sizes),
-        np.maximum(0.0, -np.minimum(*bound_distances(module, scaled, unknowns))) / sizes[primal],
-    )
-    unbalanced = weight * sizes[primal] * _unbalanced(module, scaled, unknowns, sizes[primal])
-    return max(max_norm(values) for values in wrong), max_norm(unbalanced)
+
+    def __init__(self, module: ControlModule, scaled: Grid, unknowns: Vector) -> None:
+        grid = module.plain_grid(scaled)
+        self.point = module.evaluate(grid, unknowns)
+        gradient = self.point.gradient
+        self._primal, self._dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+        self._equations, self._slopes = gradient[self._dual], gradient[self._primal]
+        self._misses = _misses(module, grid, unknowns)
+        self._distances = bound_distances(module, scaled, unknowns) if module.metadata["inequalities"] else None
+
+    def norms(self, sizes: Vector | None = None, weight: float = 1.0) -> tuple[float, float]:
+        """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes, if given."""
+        if sizes is None and self._distances is None:  # the most frequent case, and one of many in a sweep
+            return max(max_norm(self._equations), max_norm(self._misses)), max_norm(self._slopes)
+        own = np.ones(self._misses.size) if sizes is None else sizes
+        primal, dual = own[self._primal], own[self._dual]
+        wrong, slopes = [weight * dual * self._equations, self._misses / own], self._slopes
+        if self._distances is not None:
+            wrong.append(np.maximum(0.0, -np.minimum(*self._distances)) / primal)
+            slopes = _unbalanced(slopes, self._distances, primal)
+        return max(max_norm(values) for values in wrong), max_norm(weight * primal * slopes)
 
 
 def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector]:
@@ -170,23 +223,22 @@ def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tupl
     return (unknowns - units * lower)[primal], (units * upper - unknowns)[primal]
 
 
-def _unbalanced(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector) -> Vector:
+def _unbalanced(slopes: Vector, distances: tuple[Vector, Vector], sizes: Vector) -> Vector:
     """The gradient of the Lagrangian by free primal unknowns, as far as no bound holds against it.
 
     A bound may hold against a slope that leads out of it, in proportion to its closeness: what remains is the slope
     times the distance in parts of the unknown's size, as in complementarity.
     """
-    gradient = module.stationarity(module.plain_grid(grid), unknowns)
-    below, above = (np.clip(d / sizes, 0.0, 1.0) for d in bound_distances(module, grid, unknowns))
-    return np.asarray(np.where(gradient > 0.0, gradient * below, gradient * above), dtype=float)
+    below, above = (np.clip(distance / sizes, 0.0, 1.0) for distance in distances)
+    return np.asarray(np.where(slopes > 0.0, slopes * below, slopes * above), dtype=float)
 
 
-def _pinned_error(module: ControlModule, grid: Grid, unknowns: Vector, sizes: Vector) -> Vector:
-    """By how much, in parts of sizes, the unknowns that a boundary condition fixes differ from their values."""
-    pinned = np.ones(unknowns.size, dtype=bool)
-    pinned[module.primal_unknowns(grid)] = False
-    pinned[module.multiplier_unknowns(grid)] = False
-    return ((unknowns - module.with_pinned_values(grid, unknowns)) / sizes)[pinned]
+def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
+    """By how much the unknowns that a boundary condition fixes differ from their values, (n,); zero for others."""
+    misses = unknowns - module.with_pinned_values(grid, unknowns)
+    misses[module.primal_unknowns(grid)] = 0.0
+    misses[module.multiplier_unknowns(grid)] = 0.0
+    return misses
 
 
 def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights: Vector) -> float:
@@ -218,8 +270,7 @@ def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> fl
     indices = np.arange(unknowns.size)
     at_end = (indices >= bodies * chain) | (indices % chain >= chain - node)
     equations = at_end[module.multiplier_unknowns(grid)]
-    pinned = _pinned_error(module, grid, unknowns, np.ones(unknowns.size))
-    return max(max_norm(pinned), max_norm(module.constraints(grid, unknowns)[equations]))
+    return max(max_norm(_misses(module, grid, unknowns)), max_norm(module.constraints(grid, unknowns)[equations]))
 
 
 def _integral_multipliers(module: ControlModule, unknowns: Vector) -> dict[str, float]:

@@ -104,6 +104,28 @@ class SimulateAttempt:
 
 
 @dataclass(frozen=True)
+class Outline:
+    """What many solves keep of each: the verdict and the arrays of a Result by their names, and where to start from.
+
+    A cost or a vector of unknowns is None where a task has none.
+    """
+
+    status: str
+    message: str
+    cost: float | None
+    residual: float
+    arrays: dict[str, Matrix]
+    unknowns: Vector | None
+
+
+def outline_of(result: Result) -> Outline:
+    """A result without what is told of it beside."""
+    named = {name: getattr(result, name) for name in ("t", "q", "p", "u", "multipliers", "energy")}
+    arrays = {name: array for name, array in named.items() if array is not None}
+    return Outline(result.status, result.message, result.cost, result.residual, arrays, result.unknowns)
+
+
+@dataclass(frozen=True)
 class GridLevel:
     """How the solution on one grid ended: intervals of each phase, status, estimated error, iterations, seconds."""
 
@@ -241,8 +263,8 @@ def max_norm(values: Vector) -> float:
     """Max-norm; infinite when an entry is not finite."""
     if values.size == 0:
         return 0.0
-    norm = float(np.max(np.abs(values)))
-    return norm if np.isfinite(norm) else float("inf")
+    norm = float(np.abs(values).max())
+    return norm if math.isfinite(norm) else math.inf
 
 
 def component_names(metadata: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:

@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 
 from codegen.loading import Matrix, SimulateModule
-from codegen.solutions.result import Result, Run, SimulateAttempt, component_names, contradicted, max_norm, origin
+from codegen.solutions.result import (
+    Outline,
+    Result,
+    Run,
+    SimulateAttempt,
+    component_names,
+    contradicted,
+    max_norm,
+    origin,
+    outline_of,
+)
 
 UNITS = 1e4
 """How many times larger than rounding errors the changes are by which their effect is measured."""
@@ -46,6 +56,11 @@ def simulate_result(
         **origin(metadata, driver, run, attempt, seconds), status=status, message=message, residual=float(residual),
         t=attempt.t, q=attempt.q, p=attempt.p, energy=attempt.energy, names=names, summary=summary,
     )  # fmt: skip
+
+
+def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt) -> Outline:
+    """The verdict on an attempt, and the motion."""
+    return outline_of(simulate_result(module, driver, run, attempt))
 
 
 def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:

@@ -20,7 +20,7 @@ from codegen.tasks import task_of
 def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:
     """Run a driver `repeat` times with warm machine code, and assess the last solution; see `codegen.solve`."""
     task = task_of(module)
-    _require_memory(task.numbers(module.metadata, run), run.steps)
+    require_memory(task.numbers(module.metadata, run), run.steps)
     function = driver.function(task.name)
     begin, compiled_before = time.perf_counter(), machine_code_counts(module)[0]
     try:
@@ -37,7 +37,7 @@ def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: in
     return replace(result, seconds_first=warm_up - begin, compiled=compiled)
 
 
-def _require_memory(numbers: int, steps: int) -> None:
+def require_memory(numbers: int, steps: int) -> None:
     """Refuse what would not fit into memory, before the operating system kills the process without a word."""
     if not hasattr(os, "sysconf"):
         return

@@ -1,0 +1,127 @@
+"""The command `codegen sweep`: many solves of one problem, shared between processes, into one file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from codegen.cli.options import Controls, ControlSites, Every, Json, Problem, Scheme, Set, Steps, positive
+from codegen.errors import ArgumentError
+from codegen.terminal import console, progress, working
+
+
+def sweep(
+    problem: Problem,
+    vary: Annotated[
+        list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
+    ] = [],  # noqa: B006
+    zip_: Annotated[
+        list[str], typer.Option("--zip", metavar="NAME,NAME", help="Vary these together instead of combined.")
+    ] = [],  # noqa: B006
+    sample: Annotated[
+        list[str],
+        typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
+    ] = [],  # noqa: B006
+    cases: Annotated[
+        str | None, typer.Option(metavar="FILE.csv or N", help="A table with a row for each case; of samples how many.")
+    ] = None,
+    method: Annotated[str, typer.Option(help="Of samples: random, latin or sobol.")] = "random",
+    seed: Annotated[int, typer.Option(min=0, help="Of samples.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where results go: .zarr, as they come, or .nc, at the end.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a store that was begun by the same sweep.")
+    ] = False,
+    keep: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES", help="Of t,q,p,u,multipliers,energy; or none. [default: t,q,u]", show_default=False
+        ),
+    ] = "",
+    workers: Annotated[
+        int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
+    ] = None,
+    warm_starts: Annotated[
+        bool, typer.Option("--warm-starts/--no-warm-starts", help="Begin optimisations from solved neighbours.")
+    ] = True,
+    chunk: Annotated[
+        int | None,
+        typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),
+    ] = None,
+    set_: Set = [],  # noqa: B006
+    scheme: Scheme = None,
+    formulation: Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")] = None,
+    controls: ControlSites = Controls.INTERVAL,
+    driver: Annotated[str, typer.Option(help="As for codegen solve.")] = "newton",
+    steps: Steps = None,
+    every: Every = 1,
+    tolerance: Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of a solve.")
+    ] = None,
+    time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a solve.")] = None,
+    scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve.")] = "auto",
+    json: Json = False,
+) -> None:
+    """Solve a problem for many values of its parameters, in parallel."""
+    from codegen.author.problem_file import parse_arguments
+    from codegen.sweeping.cases import assigned, axis_of
+    from codegen.sweeping.layout import KEPT
+    from codegen.sweeping.outcome import outcome_of
+    from codegen.sweeping.request import sweep_request
+
+    if out is None:
+        raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
+    request = sweep_request(
+        problem,
+        _once("--vary", [axis_of(item) for item in vary]),
+        zipped=[[name.strip() for name in group.split(",")] for group in zip_],
+        samples=_once("--sample", [assigned("--sample", item, '"m=normal(100, 5)"') for item in sample]),
+        cases=int(cases) if cases is not None and cases.isascii() and cases.isdigit() and len(cases) < 13 else cases,
+        method=method, seed=seed, out=out, resume=resume, keep=_kept(keep) if keep else KEPT, workers=workers,
+        warm_starts=warm_starts, chunk=chunk, driver=driver, arguments=parse_arguments(set_, problem), scheme=scheme,
+        formulation=formulation, controls=controls.value, steps=steps, every=every, tolerance=tolerance,
+        max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
+    )  # fmt: skip
+    outcome = outcome_of(request, working, progress)
+    _tell(outcome, json)
+    if outcome.tally.failed:
+        raise typer.Exit(1)
+
+
+def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """The pairs as a dict; ArgumentError where a name is given twice."""
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ArgumentError(f"{option} gives {name} twice", "give it once")
+        found[name] = value
+    return found
+
+
+def _kept(names: str) -> tuple[str, ...]:
+    return () if names.strip() == "none" else tuple(name.strip() for name in names.split(","))
+
+
+def _tell(outcome: Any, json: bool) -> None:
+    """Print how the cases ended."""
+    from codegen.solutions.output import as_json
+    from codegen.sweeping.statuses import table_of
+
+    for line in outcome.said:
+        typer.echo(line, err=True)
+    tally = outcome.tally
+    if json:
+        typer.echo(as_json(outcome.record))
+    else:
+        console().print(table_of(tally))
+        console().print(f"{tally.cases} cases in {outcome.seconds:.3g} s: {outcome.out}", markup=False)
+    if tally.failed:
+        number = tally.cases - tally.solved
+        typer.echo(
+            f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}", err=True
+        )

@@ -1,0 +1,58 @@
+"""Many solves of one problem: a grid, a table or samples of cases, shared between processes, as one data set."""
+
+from __future__ import annotations
+
+import inspect
+from typing import TYPE_CHECKING, Any
+
+from codegen.errors import ArgumentError
+from codegen.sweeping.request import sweep_request
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+
+def sweep(*positional: Any, **options: Any) -> Dataset:
+    """Solve a problem for many values of its parameters, and return all solutions as one xarray.Dataset.
+
+    `problem` is as for `codegen.solve`. Cases are given in one of three ways:
+
+    - `vary`: a dict of names and arrays (n,), all of whose combinations are cases; those in one of the groups `zipped`,
+      such as `[("m", "r0")]`, vary together. The data set has a dimension for each quantity, or group;
+    - `cases`: a file of comma-separated values, or a mapping of names to columns (n,): a case for each row;
+    - `samples`: a dict of names and distributions, such as `normal(100, 5)`, `uniform(4.9, 5.1)` (from, to), any of
+      scipy.stats by its name and arguments, or one that scipy has frozen; then `cases` is their number, 1000 unless
+      said, `method` is random, latin or sobol, and the same `seed` gives the same samples.
+
+    What varies are run-time parameters of the module, durations, prescribed values (`start.r`, `end.phi`), `steps`, and
+    arguments of problem(), for each of whose values a module is built.
+
+    - `out`: a zarr store (.zarr), written chunk by chunk, or a file of netCDF (.nc); what is there already is never
+      overwritten. `resume` goes on with a store that was begun by the same sweep;
+    - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, t, q and u unless said;
+    - `workers`: how many processes share the work, unless said as many as there are processors. Results do not depend
+      on it. With `spawn` as the only way to start a process, a script needs its `if __name__ == "__main__"`;
+    - `warm_starts`: whether an optimisation begins from the last solved neighbour, and where that fails from the
+      problem's own guess and from other neighbours;
+    - `chunk`: how many cases are solved and written together, unless said about a second of work;
+    - `driver`, `arguments`, `scheme`, `formulation` (the `method` of a solve), `controls`, `steps`, `every`,
+      `tolerance`, `max_iterations`, `time_limit` and `scaling`: as for `codegen.solve`, the same for all cases.
+
+    The data set has t (..., node), q and p (..., node, names), u and multipliers on nodes or intervals, padded with NaN
+    where `steps` vary; cost, residual (evaluated again outside the driver), iterations and seconds of all attempts at a
+    case, status and message. A case that fails is a row with these, and NaN in cost and arrays. All quantities are in
+    the units of the problem file.
+
+    Raises ArgumentError for names and options that do not exist or do not apply, ExtraError without xarray and zarr,
+    and what `codegen.solve` raises for a problem that cannot be read, derived or stored.
+    """
+    from codegen.sweeping.outcome import outcome_of
+
+    try:
+        inspect.signature(sweep_request).bind(*positional, **options)
+    except TypeError as error:  # none, too many, or twice
+        raise ArgumentError(f"codegen.sweep: {error}", "give a problem, what varies, and options by name") from None
+    return outcome_of(sweep_request(*positional, **options)).dataset()
+
+
+setattr(sweep, "__signature__", inspect.signature(sweep_request).replace(return_annotation="Dataset"))  # noqa: B010

@@ -1,0 +1,121 @@
+"""One solve of one case: the module with the values of the case, a run of the driver, and the verdict outside it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from codegen.drivers import find
+from codegen.errors import CodegenError, one_line
+from codegen.loading import Vector
+from codegen.solutions.result import Outline, Run
+from codegen.solutions.segments import segments_of
+from codegen.solving.other_tables import with_arguments
+from codegen.solving.refinement import transferred
+from codegen.sweeping.continuation import Start
+from codegen.sweeping.layout import Shapes
+from codegen.sweeping.quantities import STEPS, Quantity, given_to
+from codegen.sweeping.statuses import NOT_BUILT, SOLVED, UNUSABLE
+from codegen.tasks import task_of
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The module of some values of arguments of problem(): its file, or none for a loaded module, and its arrays.
+
+    Where it could not be derived there are no arrays, and a message instead.
+    """
+
+    path: Path | None
+    shapes: Shapes | None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One solve of a case, on so many intervals of each phase or segment."""
+
+    outline: Outline
+    steps: int
+    iterations: int
+    seconds: float
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether it is a solution."""
+        return self.outline.status == SOLVED
+
+    @property
+    def is_start(self) -> bool:
+        """Whether neighbours may start from it."""
+        return self.is_solved and self.outline.unknowns is not None
+
+
+def failed(status: str, message: str) -> Attempt:
+    """An attempt that came to nothing."""
+    return Attempt(Outline(status, one_line(message), None, math.nan, {}, None), 0, 0, 0.0)
+
+
+def not_built(variant: Variant) -> Attempt:
+    """The attempt at a case that has no module."""
+    return failed(NOT_BUILT, variant.message)
+
+
+class Varied:
+    """A module whose parameters have other values from case to case, and the run of a driver that all cases share."""
+
+    def __init__(self, module: Any, driver: str, run: Run) -> None:
+        self.module, self.driver, self.run = module, driver, run
+        self.task = task_of(module)
+        self.function = find(driver).function(self.task.name)
+        self._own = with_arguments(module)
+
+    def given(self, values: Mapping[Quantity, float]) -> Any:
+        """The module with the values of a case, until those of the next one are given."""
+        given = given_to(values)
+        for name in ("make_grid", "solve"):
+            setattr(self._own, name, partial(getattr(self.module, name), **given))
+        return self._own
+
+
+def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[Attempt] | None) -> Attempt:
+    """Solve a case from neighbours' solutions, or from the problem's own guess; what is unusable is a status.
+
+    Every equation is evaluated again outside the driver before a case is solved.
+    """
+    own, outline = varied.given(values), varied.task.outline
+    steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), varied.run.steps))
+    assert outline is not None, "what cannot be swept was refused"
+    try:
+        run = replace(varied.run, steps=steps, guess=None if start is None else _unknowns(own, steps, start))
+        begin = time.perf_counter()
+        attempt = varied.function(own, run)
+        seconds = time.perf_counter() - begin
+        return Attempt(outline(own, varied.driver, run, attempt), steps, attempt.iterations, seconds)
+    except CodegenError as error:
+        return failed(UNUSABLE, str(error))
+    except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package
+        return failed(UNUSABLE, f"{UNUSABLE}: {error.args[-1] if error.args else type(error).__name__}")
+
+
+def _unknowns(module: Any, steps: int, start: Start[Attempt]) -> Vector:
+    """The vector of unknowns to start from, on so many intervals."""
+    unknowns = start.solution.outline.unknowns
+    assert unknowns is not None, "only solutions with unknowns are starts"
+    if start.solution.steps != steps:
+        return transferred(module, unknowns, steps)
+    if start.before is None or start.before.steps != steps:
+        return unknowns
+    assert start.before.outline.unknowns is not None, "only solutions with unknowns are starts"
+    return unknowns + start.factor * (unknowns - start.before.outline.unknowns)
+
+
+def steps_of(module: Any, steps: int) -> int:
+    """The number of intervals of each segment where the motion was cut into several."""
+    segments = segments_of(module.metadata)
+    return segments.steps(steps) if segments else steps

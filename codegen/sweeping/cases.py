@@ -1,0 +1,231 @@
+"""The cases of a sweep: a grid of values, a table with a row for each case, or samples; read and refused here.
+
+Values are numbers, or texts where an argument of problem() takes words. A grid holds the values of each quantity once,
+so that its size is that of the axes and not of their product.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.errors import ArgumentError, NumericsError, clause, one_line
+
+Values: TypeAlias = NDArray[np.float64] | NDArray[np.str_]
+MOST_CASES = 100_000_000
+CASE = "case"
+"""The dimension of cases that are no grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """The varied quantities by name: their values, and the dimension along which each varies.
+
+    `columns` has arrays (n,), as long as their dimension; the number of cases is the product of the `shape`, and cases
+    are counted with the last dimension varying fastest.
+    """
+
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    columns: Mapping[str, Values]
+    axes: Mapping[str, int]
+
+    def __post_init__(self) -> None:
+        """Refuse more cases than can be counted out."""
+        if self.number > MOST_CASES:
+            raise NumericsError(f"there are {self.number} cases, and at most {MOST_CASES} fit", "take fewer values")
+
+    @property
+    def number(self) -> int:
+        """How many cases there are."""
+        return math.prod(self.shape)
+
+    @property
+    def is_grid(self) -> bool:
+        """Whether every quantity, or group of them, has a dimension of its own."""
+        return self.dims != (CASE,)
+
+    def places(self, indices: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
+        """Where the values of some cases stand in the column of each quantity, (n,) for n cases."""
+        along = np.unravel_index(indices, self.shape)
+        return {name: np.asarray(along[axis]) for name, axis in self.axes.items()}
+
+    def values(self, indices: NDArray[np.intp]) -> list[dict[str, float | str]]:
+        """The values of some cases by name."""
+        columns = {name: self.columns[name][place].tolist() for name, place in self.places(indices).items()}
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    def points(self, indices: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Cases as points (n, quantities), every quantity in parts of its range; words are numbered."""
+        return np.column_stack([_scaled(self.columns[name])[place] for name, place in self.places(indices).items()])
+
+
+def _scaled(column: Values) -> NDArray[np.float64]:
+    if column.dtype.kind == "U":
+        return np.unique(column, return_inverse=True)[1].astype(float)
+    numbers = np.asarray(column, dtype=float)
+    extent = float(np.ptp(numbers))
+    return np.asarray((numbers - numbers.min()) / (extent or 1.0))
+
+
+def grid(axes: Mapping[str, Any], zipped: Sequence[Sequence[str]] = ()) -> Cases:
+    """All combinations of the values of each quantity; those that are zipped vary together, along one dimension.
+
+    Raises ArgumentError for values that are none, and for names that cannot be zipped.
+    """
+    columns = {name: values_of(name, values) for name, values in axes.items()}
+    heads = _heads(columns, zipped)
+    dims = tuple(name for name in columns if heads[name] == name)
+    shape = tuple(columns[name].size for name in dims)
+    return Cases(dims, shape, columns, {name: dims.index(heads[name]) for name in columns})
+
+
+def _heads(columns: Mapping[str, Values], zipped: Sequence[Sequence[str]]) -> dict[str, str]:
+    """The quantity whose dimension each quantity varies along: its own, or the first of those it is zipped with."""
+    heads, seen = {name: name for name in columns}, set[str]()
+    for group in zipped:
+        words = ",".join(group)
+        if len(group) < 2 or len(set(group)) < len(group):
+            raise ArgumentError(f"--zip {words}: there is nothing to pair", "name two varied quantities, as --zip m,r0")
+        for name in group:
+            if name not in columns:
+                raise ArgumentError(f"--zip {words}: {name} is not varied", f"give --vary {name}=...")
+            if name in seen:
+                raise ArgumentError(f"--zip names {name} twice", "put all that vary together into one --zip")
+            if columns[name].size != columns[group[0]].size:
+                sizes = f"{columns[group[0]].size} values, {name} has {columns[name].size}"
+                raise ArgumentError(f"--zip {words}: {group[0]} has {sizes}", "give as many of both")
+            heads[name] = group[0]
+        seen.update(group)
+    return heads
+
+
+def values_of(name: str, values: Any) -> Values:
+    """The values of one quantity (n,), as numbers or as texts; ArgumentError for what is neither."""
+    try:
+        array = np.atleast_1d(np.asarray(values))
+    except (TypeError, ValueError):
+        array = np.empty((0, 0))
+    if array.ndim != 1 or array.size == 0 or array.dtype.kind not in "biufU":
+        raise ArgumentError(
+            f"{clause(name)} has no values that can be varied", "give numbers, as --vary r1=5.5:6.5:101"
+        )
+    if array.dtype.kind == "U":
+        return array
+    numbers = np.asarray(array, dtype=float)
+    if not np.isfinite(numbers).all():
+        raise ArgumentError(f"{clause(name)} has values that are not finite", "give finite numbers")
+    return numbers
+
+
+def axis_of(item: str) -> tuple[str, Values]:
+    """The name and the values of `--vary`: NAME=first:last:count or NAME=a,b,c; ArgumentError for anything else."""
+    name, text = assigned("--vary", item, "r1=5.5:6.5:101")
+    if ":" not in text:
+        return name, _listed(item, name, text)
+    parts = text.split(":")
+    if len(parts) != 3 or not (parts[2].strip().isascii() and parts[2].strip().isdigit()):
+        remedy = f"write --vary {name}=first:last:count or --vary {name}=a,b,c"
+        raise ArgumentError(clause(f"--vary {item} is no range"), remedy)
+    count = int(parts[2])
+    if not 1 <= count <= MOST_CASES:
+        raise ArgumentError(clause(f"--vary {item} has {count} values"), f"give from 1 to {MOST_CASES}")
+    first, last = (number_of(f"--vary {item}", part) for part in parts[:2])
+    return name, np.linspace(first, last, count)
+
+
+def assigned(option: str, item: str, example: str) -> tuple[str, str]:
+    """Both sides of NAME=TEXT; ArgumentError where one is missing."""
+    name, equals, text = item.partition("=")
+    if not (name.strip() and equals and text.strip()):
+        raise ArgumentError(clause(f"{option} {item!r} is not of the form NAME=..."), f"write {option} {example}")
+    return name.strip(), text.strip()
+
+
+def number_of(what: str, text: str) -> float:
+    """A finite number; ArgumentError for another text."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ArgumentError(clause(f"{what}: {text.strip()!r} is no finite number"), "give finite numbers")
+    return number
+
+
+def _listed(item: str, name: str, text: str) -> Values:
+    words = [word.strip() for word in text.split(",")]
+    if not all(words):
+        raise ArgumentError(clause(f"--vary {item} has an empty value"), f"write --vary {name}=a,b,c")
+    return _column(words)
+
+
+def _column(words: Sequence[str]) -> Values:
+    """Numbers where all words are numbers, else texts."""
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError:
+        return np.array(words, dtype=np.str_)
+
+
+def table(given: Any) -> Cases:
+    """A case for each row of a file of comma-separated values, or of a mapping of names to columns.
+
+    Raises ArgumentError, naming the file and the line, for what is no such table.
+    """
+    if isinstance(given, str | Path):
+        columns = {name: _column(words) for name, words in _read(Path(given)).items()}
+        what = str(given)
+    elif hasattr(given, "keys"):
+        columns, what = {str(name): np.asarray(given[name]) for name in given.keys()}, "cases"  # noqa: SIM118  of pandas
+    else:
+        raise ArgumentError(
+            f"cases are {clause(repr(given))}", "give a file, a mapping of names to columns, or a number"
+        )
+    if not columns:
+        raise ArgumentError(f"{what}: there are no columns", "name the varied quantities in the first line")
+    checked = {name: values_of(f"{what}: {name}", values) for name, values in columns.items()}
+    sizes = {values.size for values in checked.values()}
+    if len(sizes) > 1:
+        raise ArgumentError(f"{what}: columns of different lengths", "give a row for each case")
+    return as_rows(checked, sizes.pop())
+
+
+def as_rows(columns: Mapping[str, Values], number: int) -> Cases:
+    """Cases one after the other."""
+    return Cases((CASE,), (number,), columns, dict.fromkeys(columns, 0))
+
+
+def _read(path: Path) -> dict[str, list[str]]:
+    """The columns of a file, as text."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return _columns(path, csv.reader(file, skipinitialspace=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = one_line(getattr(error, "strerror", None) or str(error), 100)
+        raise ArgumentError(f"--cases {path} cannot be read ({reason})", "give a table as text") from None
+
+
+def _columns(path: Path, lines: Iterable[Sequence[str]]) -> dict[str, list[str]]:
+    rows = ((number, [word.strip() for word in line]) for number, line in enumerate(lines, start=1) if line)
+    _, names = next(rows, (1, []))
+    if not all(names) or len(set(names)) < len(names):
+        finding = f"{path}:1: the names {clause(','.join(names))} are missing in parts, or twice there"
+        raise ArgumentError(finding, "name each varied quantity once in the first line")
+    columns: dict[str, list[str]] = {name: [] for name in names}
+    for number, words in rows:
+        if len(words) != len(names) or not all(words):
+            finding = f"{path}:{number}: {sum(map(bool, words))} values for {len(names)} names"
+            raise ArgumentError(finding, "give a value for every name")
+        for name, word in zip(names, words, strict=True):
+            columns[name].append(word)
+    if names and not columns[names[0]]:
+        raise ArgumentError(f"{path} holds no cases", "give a line for each case behind the names")
+    return columns

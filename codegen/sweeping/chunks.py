@@ -1,0 +1,90 @@
+"""Chunks: blocks of cases that are solved one after the other, and written as a whole.
+
+They belong to the sweep and not to who solves it: results are the same however many processes share the work.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.loading import GeneratedModule
+from codegen.solutions.result import Run
+from codegen.tasks import task_of
+
+MOST = 4096
+"""The most cases of a chunk: finding neighbours takes time in proportion to their square."""
+OVERHEAD = 1e-3
+"""Seconds that a case takes beside its iterations."""
+CONTROL_RATE, SIMULATE_RATE = 1.6e-8, 3e-7
+"""Seconds per iteration, interval and square of the unknowns on it; of a simulation per step and number of a state."""
+SLOWER = 50.0
+"""How many times as long drivers take that are no generated solver."""
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """The cells of a grid of cases, cut into blocks of one shape, smaller at the far edges; counted likewise."""
+
+    shape: tuple[int, ...]
+    block: tuple[int, ...]
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """How many blocks there are along every dimension."""
+        return tuple(-(-size // part) for size, part in zip(self.shape, self.block, strict=True))
+
+    @property
+    def number(self) -> int:
+        """How many blocks there are."""
+        return math.prod(self.counts)
+
+    def region(self, number: int) -> tuple[slice, ...]:
+        """Where a block lies in each dimension."""
+        place = np.unravel_index(number, self.counts)
+        begins = (int(k) * part for k, part in zip(place, self.block, strict=True))
+        return tuple(slice(begin, min(begin + part, size)) for begin, part, size in zip(begins, self.block, self.shape))
+
+    def extent(self, number: int) -> tuple[int, ...]:
+        """The shape of a block."""
+        return tuple(part.stop - part.start for part in self.region(number))
+
+    def cases(self, number: int) -> NDArray[np.intp]:
+        """The cases of a block (n,), with its last dimension varying fastest."""
+        parts = np.ix_(*(np.arange(part.start, part.stop) for part in self.region(number)))
+        return np.asarray(np.ravel_multi_index(parts, self.shape)).ravel()
+
+
+def blocks_of(shape: Sequence[int], size: int, whole: Sequence[bool]) -> Chunks:
+    """Blocks of about `size` cells: whole rows of the last dimensions as far as they fit, then a part of one.
+
+    A dimension that is not `whole` is cut into single cells: its values belong to different modules.
+    """
+    block, left = [1] * len(shape), max(1, min(size, MOST))
+    for axis in reversed(range(len(shape))):
+        if not whole[axis]:
+            continue
+        block[axis] = min(shape[axis], left)
+        left //= block[axis]
+        if block[axis] < shape[axis] or not left:
+            break
+    return Chunks(tuple(shape), tuple(block))
+
+
+def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: int) -> int:
+    """How many cases like one that took so many iterations are about a second of work.
+
+    Counted, and not measured, so that the same sweep has the same chunks, and so the same results, on any day.
+    """
+    task, metadata = task_of(module), module.metadata
+    if task.name == "control":
+        width = len(metadata["node"]) + len(metadata["interval"])
+        intervals = run.steps * metadata["bodies"] * metadata.get("phases", 1)
+        seconds = CONTROL_RATE * iterations * intervals * width**2
+    else:
+        seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata["coordinates"])
+    return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if driver == "newton" else SLOWER)))))

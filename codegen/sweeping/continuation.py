@@ -1,0 +1,109 @@
+"""Warm starts along a path through cases: each begins from neighbours that were solved, with other ways if that fails.
+
+On a straight part of the path a start follows the secant through the last two solutions: on a grid of cases it is then
+off by the square of their distance. Source: Allgower and Georg (1990), Numerical continuation methods, chapter 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.loading import Matrix
+
+OTHERS = 3
+"""How many further neighbours are tried after the last one and the problem's own guess."""
+FARTHEST = 2.0
+"""How far a secant is followed, in parts of the distance of the two solutions that it goes through."""
+STRAIGHT = 1e-6
+"""What part of a move may lie beside the direction of the one before."""
+
+
+class Attempted(Protocol):
+    """What an attempt leaves: whether it is a solution that others may start from."""
+
+    @property
+    def is_start(self) -> bool:
+        """Whether it is."""
+
+
+Found = TypeVar("Found", bound=Attempted)
+
+
+@dataclass(frozen=True)
+class Start(Generic[Found]):
+    """A solution to start from, moved by so many times its difference from another one, if there is one."""
+
+    solution: Found
+    before: Found | None = None
+    factor: float = 0.0
+
+
+class Continuation(Generic[Found]):
+    """The solutions of a chunk so far, and where the next case begins.
+
+    `points` (n, quantities) are the cases in parts of each quantity's range, `families` (n,) tells which of them have
+    the same module: only these start from each other.
+    """
+
+    def __init__(self, points: Matrix, families: NDArray[np.intp]) -> None:
+        self._points, self._families = points, families
+        self._coordinates: list[list[float]] = points.tolist()  # of single points, for which arrays are slow
+        self._solved: dict[int, Found] = {}
+        self._path: dict[int, list[int]] = {}
+
+    def solve(self, place: int, attempt: Callable[[Start[Found] | None], Found]) -> list[Found]:
+        """The attempts at a case, the last of which is its outcome: the first that is solved, else from its own guess.
+
+        `attempt` is given what to start from, or None for the problem's own guess.
+        """
+        attempts: list[Found] = []
+        own: Found | None = None
+        for start in self._starts(place):
+            found = attempt(start)
+            attempts.append(found)
+            if found.is_start:
+                self._solved[place] = found
+                self._path.setdefault(int(self._families[place]), []).append(place)
+                return attempts
+            own = found if start is None else own
+        assert own is not None, "a case is tried from its own guess in any case"
+        return [*(found for found in attempts if found is not own), own]
+
+    def _starts(self, place: int) -> Iterator[Start[Found] | None]:
+        family = int(self._families[place])
+        path = self._path.get(family, [])
+        first = self._first(place, path)
+        if first is not None:
+            yield first
+        yield None
+        others = path[:-1] if first is not None and first.before is None else path
+        for other in self._nearest(place, others):
+            yield Start(self._solved[other])
+
+    def _first(self, place: int, path: Sequence[int]) -> Start[Found] | None:
+        """The last solution, moved along the secant through the last two if the case lies there."""
+        if not path:
+            return None
+        last = self._solved[path[-1]]
+        if len(path) == 1:
+            return Start(last)
+        began, ended, wanted = (self._coordinates[k] for k in (path[-2], path[-1], place))
+        one = [b - a for a, b in zip(began, ended, strict=True)]
+        two = [b - a for a, b in zip(ended, wanted, strict=True)]
+        square = sum(a * a for a in one)
+        factor = sum(a * b for a, b in zip(one, two, strict=True)) / square if square > 0.0 else 0.0
+        beside = sum((b - factor * a) ** 2 for a, b in zip(one, two, strict=True))
+        if abs(factor) > FARTHEST or not beside <= STRAIGHT**2 * sum(b * b for b in two):
+            return Start(last)
+        return Start(last, self._solved[path[-2]], factor)
+
+    def _nearest(self, place: int, others: Sequence[int]) -> list[int]:
+        if not others:
+            return []
+        distances = ((self._points[others] - self._points[place]) ** 2).sum(axis=1)
+        return [others[k] for k in np.argsort(distances, kind="stable")[:OTHERS]]

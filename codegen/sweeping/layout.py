@@ -1,0 +1,139 @@
+"""What the arrays of a sweep are called, which dimensions they have, and where the numbers of one case belong.
+
+Cases may differ in their number of intervals, and in coordinates and controls where an argument of problem() decides:
+arrays are as large as the largest, names stand at the same place in all, and what a case lacks is NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import ArgumentError, clause
+from codegen.loading import Matrix, few_steps
+from codegen.solutions.result import component_names
+from codegen.solutions.segments import multiplier_names, segments_of
+from codegen.tasks import task_of
+
+KEPT = ("t", "q", "u")
+"""What is kept of each case where nothing is said."""
+NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
+WORDS = ("status", "message")
+_COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
+"""The dimension of the columns of an array; others have none."""
+_ALL = ("t", "q", "p", "u", "multipliers", "energy")
+RESERVED = frozenset((*_ALL, *NUMBERS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"))
+"""Names of variables and dimensions, which no varied quantity may have."""
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """The arrays of one module: what their rows belong to, and the names of their columns.
+
+    `rows` maps an array to `node`, or to the number of its rows on an interval; `parts` is the number of phases, each
+    of which has all intervals that are asked for, and `segments` that of segments, which share them; `steps` are those
+    of the problem itself.
+    """
+
+    rows: Mapping[str, str | int]
+    columns: Mapping[str, tuple[str, ...]]
+    parts: int
+    segments: int
+    every: int
+    steps: int
+
+    def intervals(self, steps: int) -> int:
+        """The number of intervals between the nodes that are stored."""
+        if self.segments:
+            return self.segments * -(-steps // self.segments)
+        return self.parts * (steps // self.every)
+
+
+def shapes_of(module: Any, every: int) -> Shapes:
+    """The arrays of a module, read from it without solving."""
+    metadata, task = module.metadata, task_of(module)
+    names, segments = component_names(metadata), segments_of(metadata)
+    rows: dict[str, str | int] = {"t": "node", "q": "node", "p": "node"}
+    columns = {name: names[name] for name in ("q", "p", "u") if names[name]}
+    if task.name == "simulate":
+        return Shapes({**rows, "energy": "node"}, columns, 1, 0, every, metadata["steps"])
+    grid = module.make_grid(few_steps(module, 4))
+    arrays = module.unpack(grid, module.initial_guess(grid))
+    nodes, bodies = len(arrays[0]), metadata["bodies"]
+    for name, array in zip(("u", "multipliers"), arrays[3:5], strict=True):
+        rows[name] = "node" if len(array) == nodes else len(array) // (nodes - 1)
+    quantities = [*metadata["coordinates"], *metadata["rates"]]
+    labels = tuple(multiplier_names(metadata, arrays[4].shape[1] // bodies, quantities))
+    columns["multipliers"] = labels if bodies == 1 else tuple(f"{one}_{k}" for k in range(bodies) for one in labels)
+    if segments is not None:
+        columns = {name: segments.columns(own)[0] for name, own in columns.items()}
+    number = segments.number if segments else 0
+    return Shapes(rows, columns, metadata.get("phases", 1), number, 1, metadata["steps"] * max(1, number))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The arrays of all cases: their dimensions beside those of cases, the sizes of these, and the names of columns."""
+
+    dims: Mapping[str, tuple[str, ...]]
+    sizes: Mapping[str, int]
+    names: Mapping[str, tuple[str, ...]]
+
+    @cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shape of each array for one case."""
+        return {name: tuple(self.sizes[dim] for dim in dims) for name, dims in self.dims.items()}
+
+    def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
+        """The numbers of a case in the shape of its array, NaN where it has none."""
+        dims = self.dims[name]
+        if "stage" in dims:
+            array = array.reshape(-1, self.sizes["stage"], array.shape[1])
+        if array.shape == self.shapes[name] and (array.ndim == 1 or tuple(columns) == self.names[dims[-1]]):
+            return array
+        whole = np.full(self.shapes[name], np.nan)
+        if array.ndim == 1:
+            whole[: array.size] = array
+        else:
+            own = [self.names[dims[-1]].index(column) for column in columns]
+            whole[: len(array), ..., own] = array
+        return whole
+
+
+def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str]) -> Layout:
+    """The arrays that are kept of cases of some modules, of at most so many intervals, or of each module's own.
+
+    Raises ArgumentError where a name is that of no array, or where arrays of the modules do not fit together.
+    """
+    shapes = tuple(shapes)
+    have = [name for name in _ALL if any(name in own.rows and _has(own, name) for own in shapes)]
+    for name in keep:
+        if name not in have and not (keep is KEPT and name in _ALL):
+            raise ArgumentError(clause(f"--keep {name}: there is no such array"), f"keep some of {', '.join(have)}")
+    dims: dict[str, tuple[str, ...]] = {}
+    names: dict[str, tuple[str, ...]] = {}
+    intervals = max(own.intervals(steps or own.steps) for own in shapes)
+    sizes = {"node": intervals + 1, "interval": intervals}
+    for name in (name for name in have if name in keep):
+        rows = {own.rows[name] for own in shapes if name in own.rows and _has(own, name)}
+        if len(rows) > 1:
+            raise ArgumentError(f"--keep {name}: some of the modules have it elsewhere than others", "leave it out")
+        row = rows.pop()
+        own_dims = ("node",) if row == "node" else ("interval",) if row == 1 else ("interval", "stage")
+        sizes |= {"stage": int(row)} if "stage" in own_dims else {}
+        dims[name] = own_dims
+        if name in _COLUMNS:
+            column = _COLUMNS[name]
+            dims[name] = (*own_dims, column)
+            names[column] = tuple(dict.fromkeys(word for own in shapes for word in own.columns.get(name, ())))
+            sizes[column] = len(names[column])
+    used = {dim for own_dims in dims.values() for dim in own_dims}
+    return Layout(dims, {dim: size for dim, size in sizes.items() if dim in used}, names)
+
+
+def _has(own: Shapes, name: str) -> bool:
+    return name not in _COLUMNS or bool(own.columns.get(name))

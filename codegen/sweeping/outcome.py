@@ -1,0 +1,242 @@
+"""The way of a sweep: modules, layout, chunks, store, an engine that solves, and what is left at the end."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from codegen.machine import versions
+from codegen.solutions.result import Run
+from codegen.solving.run import require_memory
+from codegen.sweeping import store
+from codegen.sweeping.case import Attempt
+from codegen.sweeping.cases import Cases
+from codegen.sweeping.chunks import Chunks, about_a_second, blocks_of
+from codegen.sweeping.dataset import Frame, Memory, require_xarray, write_netcdf
+from codegen.sweeping.engines import engine_for
+from codegen.sweeping.layout import layout_of
+from codegen.sweeping.modules import Modules, Working, modules_of
+from codegen.sweeping.quantities import STEPS
+from codegen.sweeping.request import OPTIONS, SweepRequest
+from codegen.sweeping.statuses import Tally
+from codegen.sweeping.store import Store
+from codegen.sweeping.work import Done, Work
+from codegen.tasks import task_of
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
+"""(what, count) -> a context that is told (parts done, what is going on)."""
+
+
+@dataclass(frozen=True, eq=False)
+class SweepOutcome:
+    """How the cases ended, the seconds that this took, what is to be said, and where the results are."""
+
+    tally: Tally
+    seconds: float
+    said: tuple[str, ...]
+    out: Path | None
+    dataset: Callable[[], Dataset]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The JSON object of `--json`."""
+        tally = self.tally
+        return {
+            "cases": tally.cases, "solved": tally.solved, "failed": tally.failed, "seconds": self.seconds,
+            "out": None if self.out is None else str(self.out),
+        }  # fmt: skip
+
+
+@contextmanager
+def _silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
+    yield lambda done, text: None
+
+
+def outcome_of(request: SweepRequest, working: Working = nullcontext, progress: Progress = _silent) -> SweepOutcome:
+    """Do what is asked; see `codegen.sweep`. What is wrong with the request is said before anything takes long."""
+    begin = time.perf_counter()
+    require_xarray()
+    modules = modules_of(request.solve, request.cases, working)
+    work, frame = _planned(request, modules)
+    finish = _into_store if request.is_store else _into_memory
+    tally, dataset = finish(request, modules, work, frame, Signs(working, progress))
+    return SweepOutcome(tally, time.perf_counter() - begin, modules.said, request.out, dataset)
+
+
+@dataclass(frozen=True)
+class Signs:
+    """Signs of life, of one thing that takes long and of many."""
+
+    working: Working
+    progress: Progress
+
+
+def _into_memory(
+    request: SweepRequest, modules: Modules, work: Work, frame: Frame, signs: Signs
+) -> tuple[Tally, Callable[[], Dataset]]:
+    """All rows in memory, and then in a file, if there is to be one."""
+    memory = Memory(frame)
+    work = replace(work, chunks=_chunks(request, modules, work, _tried(work, signs)))
+
+    def keep(number: int, done: Done) -> None:
+        assert done.rows is not None, "without a sink rows come here"
+        memory.write(work.chunks.region(number), done.rows)
+
+    tally = _solved(work, request.workers, range(work.chunks.number), signs, Tally(), keep)
+    found = memory.dataset()
+    if request.out is not None:
+        write_netcdf(found, request.out)
+    return tally, lambda: found
+
+
+def _into_store(
+    request: SweepRequest, modules: Modules, work: Work, frame: Frame, signs: Signs
+) -> tuple[Tally, Callable[[], Dataset]]:
+    """Chunk after chunk into a store that is laid out before, or was begun before."""
+    assert request.out is not None, "a store has a place"
+    digest, place = _digest(request, modules, work), Store(request.out)
+    if request.resume and request.out.exists():
+        journal = store.resumed(request.out, digest)
+        if len(journal.finished) < journal.chunks.number:
+            _tried(work, signs)
+    else:
+        journal = store.begun(request.out, frame, _chunks(request, modules, work, _tried(work, signs)), digest)
+    work = replace(work, chunks=journal.chunks, sink=place)
+    left = [number for number in range(journal.chunks.number) if number not in journal.finished]
+    before = sum(journal.finished.values(), Tally())
+    tally = _solved(work, request.workers, left, signs, before, lambda number, done: journal.add(number, done.tally))
+    return tally, place.dataset
+
+
+def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
+    """What workers need but for the chunks, and what the data set is but for its numbers."""
+    solve, cases, module = request.solve, request.cases, modules.first
+    task = task_of(module)
+    shapes = [variant.shapes for variant in modules.variants.values() if variant.shapes is not None]
+    varied = any(quantity.kind == STEPS for quantity in modules.quantities)
+    steps = int(np.max(cases.columns[STEPS])) if varied else solve.steps
+    most = steps or max(own.steps for own in shapes)
+    run = Run(
+        most, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
+        time_limit=np.inf if solve.time_limit is None else solve.time_limit,
+    )  # fmt: skip
+    require_memory(task.numbers(module.metadata, run), most)
+    layout = layout_of(shapes, steps, request.keep)
+    warm = request.warm_starts is not False and task.name == "control"
+    loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
+    single = Chunks(cases.shape, (1,) * len(cases.shape))
+    work = Work(
+        solve.driver, run, steps, cases, modules.quantities, modules.variants, layout, single, warm, module=loaded
+    )
+    return work, Frame(cases, layout, _attributes(request, modules, work))
+
+
+def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt) -> Chunks:
+    """Chunks of about a second, judged by a case; dimensions of arguments of problem() are cut into single values."""
+    cases = work.cases
+    arguments = {cases.axes[name] for name in modules.arguments}
+    whole = [axis not in arguments or not cases.is_grid for axis in range(len(cases.shape))]
+    run = replace(work.run, steps=tried.steps or work.run.steps)
+    size = request.chunk or about_a_second(modules.first, work.driver, run, tried.iterations)
+    return blocks_of(cases.shape, size, whole)
+
+
+def _tried(work: Work, signs: Signs) -> Attempt:
+    """A case of the first module that is solved, if the first, the middle or the last one is.
+
+    One of every module is solved before workers are forked, so that machine code is read once, and missing code made.
+    """
+    found: list[Attempt] = []
+    with signs.working("Solving a first case"):
+        for variant in work.variants.values():
+            if variant.shapes is None:
+                continue
+            for index in dict.fromkeys((0, work.cases.number // 2, work.cases.number - 1)):
+                found.append(work.tried(variant, index))
+                if found[-1].is_solved:
+                    break
+    return next((attempt for attempt in found if attempt.is_solved), found[-1])
+
+
+def _solved(
+    work: Work,
+    workers: int,
+    numbers: Sequence[int],
+    signs: Signs,
+    tally: Tally,
+    keep: Callable[[int, Done], None],
+) -> Tally:
+    """Have an engine solve chunks and what it has done kept; the tally of these and those before."""
+    if not numbers:
+        return tally
+    used = min(workers, len(numbers))
+    total, before, begin = work.cases.number, tally.cases, time.perf_counter()
+    with engine_for(used).running(work, used) as solve, signs.progress("Solving", total) as shown:
+        for number, done in solve(numbers):
+            keep(number, done)
+            tally = tally + done.tally
+            rate = (tally.cases - before) / (time.perf_counter() - begin)
+            left, failed = (total - tally.cases) / rate, tally.cases - tally.solved
+            shown(tally.cases, f"{rate:.3g} cases/s, {failed} failed, about {left:.0f} s left")
+    return tally
+
+
+def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, Any]:
+    """What a data set says of where it comes from; texts and numbers."""
+    own = modules.first.metadata
+    problem = request.solve.problem
+    file = Path(problem) if isinstance(problem, str | Path) else Path(getattr(problem, "__file__", None) or "")
+    known = {**versions(), **{name: metadata.version(name) for name in ("xarray", "zarr")}}
+    counts = {work.steps or variant.shapes.steps for variant in work.variants.values() if variant.shapes}
+    is_one = len(counts) == 1 and not any(quantity.kind == STEPS for quantity in work.quantities)
+    steps = {"steps": int(counts.pop())} if is_one else {}
+    return {
+        "title": own["title"],
+        "problem": own["problem"],
+        "task": own["task"],
+        "formulation": own["method"],
+        "scheme": own["scheme"],
+        "driver": work.driver,
+        **steps,
+        "cases": request.origin,
+        "warm_starts": "on" if work.warm_starts else "off",
+        "options": _options(request),
+        "versions": ", ".join(f"{name} {version}" for name, version in known.items()),
+        "problem_text": file.read_text(encoding="utf-8", errors="replace") if file.is_file() else "",
+    }
+
+
+def _options(request: SweepRequest) -> str:
+    """The options of the solve that all cases share, as JSON."""
+    names = {name: "method" if name == "formulation" else name for name in OPTIONS}
+    given = {name: getattr(request.solve, field) for name, field in names.items()}
+    return json.dumps(
+        {name: dict(value) if name == "arguments" else value for name, value in given.items()}, default=str
+    )
+
+
+def _digest(request: SweepRequest, modules: Modules, work: Work) -> str:
+    """What tells one sweep from another: modules, cases, what is kept, options and versions, but not who solves it."""
+    cases: Cases = request.cases
+    digest = hashlib.sha256()
+    parts = [
+        *modules.texts, versions()["codegen"].encode(), _options(request).encode(), repr(work.warm_starts).encode(),
+        repr((cases.dims, cases.shape, dict(cases.axes), tuple(work.layout.dims))).encode(),
+    ]  # fmt: skip
+    for name, column in cases.columns.items():
+        parts += [name.encode(), column.dtype.str.encode(), np.ascontiguousarray(column).tobytes()]
+    for part in parts:
+        digest.update(f"{len(part)}:".encode() + part)
+    return digest.hexdigest()

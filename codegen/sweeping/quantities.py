@@ -1,0 +1,99 @@
+"""What can vary in a sweep: which names mean something for a problem, and what a value of each is given to."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.sweeping.cases import Values
+
+STEPS = "steps"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A varied quantity: its name, the kind of thing it is, and what that is called where it is given.
+
+    The kind is `parameter` (an argument of the module's functions), `boundary` (a prescribed value, whose key is the
+    end and the name), `steps`, or `argument` (of problem(), a module for each value).
+    """
+
+    name: str
+    kind: str
+    key: str
+
+
+def quantities(names: Iterable[str], module: Any, arguments: Sequence[str]) -> tuple[Quantity, ...]:
+    """What names mean for a module whose problem has some arguments; ArgumentError lists those that are close."""
+    known = {quantity.name: quantity for quantity in _known(module, arguments)}
+    found = []
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, 3, 0.5)
+            nearest = f"did you mean {' or '.join(close)}? " if close else ""
+            remedy = f"{nearest}{module.metadata['problem']} has {', '.join(known)}"
+            raise ArgumentError(clause(f"{name} is nothing that can be varied"), clause(remedy))
+        found.append(known[name])
+    return tuple(found)
+
+
+def _known(module: Any, arguments: Sequence[str]) -> list[Quantity]:
+    """All that can vary; of the same name an argument of problem() comes last, and so counts.
+
+    It may do more than set the parameter that is called like it.
+    """
+    signature = inspect.signature(module.make_grid).parameters.values()
+    keys = [parameter.name for parameter in signature if parameter.kind is inspect.Parameter.KEYWORD_ONLY]
+    parameters = list(module.metadata["parameters"])
+    own = [Quantity(name, "parameter", key) for name, key in zip(parameters, keys, strict=False)]
+    times = [Quantity(key, "parameter", key) for key in keys[len(parameters) :] if key.startswith("duration")]
+    ends = [name.split(" ", 1) for name in module.metadata.get("boundary", ())]
+    values = [Quantity(f"{end}.{name}", "boundary", f"{end} {name}") for end, name in ends]
+    given = [Quantity(name, "argument", name) for name in arguments]
+    return [Quantity(STEPS, STEPS, STEPS), *times, *values, *own, *given]
+
+
+def require_fitting(varied: Iterable[Quantity], columns: Mapping[str, Values]) -> None:
+    """Refuse words for numbers, and numbers of intervals that are none."""
+    for quantity in varied:
+        column = columns[quantity.name]
+        if quantity.kind != "argument" and column.dtype.kind == "U":
+            word = next(word for word in column.tolist() if not _is_number(word))
+            raise ArgumentError(clause(f"{quantity.name} takes numbers, not {word!r}"), "give finite numbers")
+        if quantity.kind == STEPS:
+            steps = np.asarray(column, dtype=float)
+            if not ((steps >= 1.0) & (steps == np.rint(steps)) & (steps < 1e12)).all():
+                raise NumericsError("steps has values that are no positive integers", "give positive integers")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def as_argument(value: float | str) -> str:
+    """A value as the text that `--set` takes; whole numbers fit arguments of either type."""
+    if isinstance(value, str):
+        return value
+    return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
+
+
+def given_to(module_values: Mapping[Quantity, float]) -> dict[str, Any]:
+    """The arguments of a module's functions for the values of a case."""
+    given: dict[str, Any] = {}
+    for quantity, value in module_values.items():
+        if quantity.kind == "parameter":
+            given[quantity.key] = value
+        elif quantity.kind == "boundary":
+            end, name = quantity.key.split(" ", 1)
+            given.setdefault(end, {})[name] = value
+    return given

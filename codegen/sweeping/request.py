@@ -1,0 +1,152 @@
+"""What is asked of a sweep, and what is refused about it whatever the problem is."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.solutions.output import require_folder
+from codegen.solving.request import Request
+from codegen.sweeping import cases as reading
+from codegen.sweeping.cases import Cases
+from codegen.sweeping.layout import KEPT
+from codegen.sweeping.samples import NUMBER, require_method, samples
+
+if TYPE_CHECKING:
+    from codegen.loading import GeneratedModule
+
+STORES, FILES = (".zarr",), (".nc",)
+OPTIONS = (
+    "driver", "arguments", "scheme", "formulation", "controls", "steps", "every", "tolerance", "max_iterations",
+    "time_limit", "scaling",
+)  # fmt: skip
+"""Options of a solve that all cases share."""
+
+
+@dataclass(frozen=True, eq=False)
+class SweepRequest:
+    """The solve that all cases share, the cases and where they come from, and what becomes of the results.
+
+    `chunk` is the number of cases of a chunk, about a second of work where it is None; `warm_starts` is True for an
+    optimisation where it is None.
+    """
+
+    solve: Request
+    cases: Cases
+    origin: str
+    out: Path | None
+    resume: bool
+    keep: Sequence[str]
+    workers: int
+    warm_starts: bool | None
+    chunk: int | None
+
+    @property
+    def is_store(self) -> bool:
+        """Whether results go to a zarr store as they come."""
+        return self.out is not None and self.out.suffix in STORES
+
+
+def sweep_request(
+    problem: Path | str | GeneratedModule,
+    vary: Mapping[str, Any] | None = None,
+    *,
+    zipped: Sequence[Sequence[str]] = (),
+    samples: Mapping[str, Any] | None = None,
+    cases: Any = None,
+    method: str = "random",
+    seed: int = 0,
+    out: Path | str | None = None,
+    resume: bool = False,
+    keep: Sequence[str] = KEPT,
+    workers: int | None = None,
+    warm_starts: bool | None = None,
+    chunk: int | None = None,
+    **options: Any,
+) -> SweepRequest:
+    """The request that these arguments make; see `codegen.sweep`, whose arguments they are.
+
+    Raises ArgumentError for what does not exist or does not fit together, and NumericsError for unusable numbers.
+    """
+    _require_known(options)
+    if "formulation" in options:
+        options["method"] = options.pop("formulation")
+    place = None if out is None else Path(out)
+    if place is not None:
+        _require_place(place, resume)
+    elif resume:
+        raise ArgumentError("--resume without --out", "name the store to go on with")
+    solve = Request(problem, **options)
+    made, origin = _cases(vary, zipped, samples, cases, method, seed)
+    if isinstance(keep, str) or not all(isinstance(name, str) for name in keep):
+        raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
+    for name, value in (("workers", workers), ("chunk", chunk)):
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+            raise NumericsError(f"--{name} {clause(repr(value))}", "give a positive integer")
+    kept = keep if keep is KEPT else tuple(dict.fromkeys(keep))
+    return SweepRequest(solve, made, origin, place, resume, kept, workers or _processors(), warm_starts, chunk)
+
+
+def _require_known(options: Iterable[str]) -> None:
+    for name in options:
+        if name not in OPTIONS:
+            close = difflib.get_close_matches(name, OPTIONS, 1)
+            remedy = f"did you mean {close[0]}?" if close else f"use some of {', '.join(OPTIONS)}"
+            raise ArgumentError(f"codegen.sweep has no option {clause(name)}", remedy)
+
+
+def _require_place(out: Path, resume: bool) -> None:
+    """Refuse a place that cannot be written to, or that something is at already."""
+    if out.suffix not in STORES + FILES:
+        raise ArgumentError(f"--out {out}: unknown kind of file", "let it end in .zarr or .nc")
+    require_folder(out.absolute().parent, "--out")
+    if resume and out.suffix in FILES:
+        raise ArgumentError(f"--resume: {out} is written at the end, as a whole", "let --out end in .zarr")
+    if out.exists() and not resume:
+        remedy = "choose another name" if out.suffix in FILES else "choose another name, or --resume to go on with it"
+        raise ArgumentError(f"--out {out} is there already", remedy)
+
+
+def _cases(
+    vary: Mapping[str, Any] | None,
+    zipped: Sequence[Sequence[str]],
+    distributions: Mapping[str, Any] | None,
+    given: Any,
+    method: str,
+    seed: int,
+) -> tuple[Cases, str]:
+    """The cases, and in a few words where they come from."""
+    require_method(method)
+    is_number = isinstance(given, int) and not isinstance(given, bool)
+    if zipped and not vary:
+        raise ArgumentError("--zip without --vary", "name what varies together by --vary")
+    if sum(map(bool, (vary, distributions, given is not None and not is_number))) > 1:
+        raise ArgumentError("cases are given in several ways", "give --vary, or --sample, or --cases FILE")
+    if is_number and not distributions:
+        raise ArgumentError(f"{given} cases of what?", "give distributions, as --sample 'm=normal(100, 5)'")
+    if vary:
+        return reading.grid(_named(vary, "vary"), zipped), "grid"
+    if distributions:
+        number = NUMBER if given is None else given
+        return samples(
+            _named(distributions, "samples"), number, method, seed
+        ), f"{number} {method} samples, seed {seed}"
+    if given is None:
+        raise ArgumentError("nothing varies", "give --vary, --sample or --cases, as --vary r1=5.5:6.5:101")
+    return reading.table(given), "table"
+
+
+def _named(given: Any, name: str) -> Mapping[str, Any]:
+    if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
+        raise ArgumentError(f"{name} is {clause(repr(given))}", 'give names and values, such as {"r1": [5.5, 6, 6.5]}')
+    return given
+
+
+def _processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,121 @@
+"""A sweep in a zarr store: laid out before anything is solved, filled chunk by chunk, gone on with after any end.
+
+Every chunk of cases is one chunk of each array, so that several processes write side by side, and memory does not grow
+with the number of cases.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from codegen.errors import ArgumentError
+from codegen.files import refused
+from codegen.sweeping import journal
+from codegen.sweeping.chunks import Chunks
+from codegen.sweeping.dataset import Frame
+from codegen.sweeping.journal import Journal, journal_of
+from codegen.sweeping.work import Rows
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+DIGEST = "sweep"
+"""The attribute that says which sweep a store belongs to."""
+
+
+@dataclass(frozen=True)
+class Store:
+    """The folder of a zarr store; it can be sent to other processes."""
+
+    path: Path
+
+    def write(self, region: tuple[slice, ...], rows: Rows) -> None:
+        """Write the rows of a chunk; FileError when the file system refuses."""
+        import zarr
+
+        try:
+            group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
+            for name, array in rows.items():
+                group[name][region] = array  # type: ignore[index]
+        except OSError as error:
+            raise refused(error, self.path) from error
+
+    def dataset(self) -> Dataset:
+        """The data set, whose numbers are read when they are asked for."""
+        import xarray
+
+        found: Dataset = xarray.open_zarr(self.path, chunks=None)
+        return found
+
+
+def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> Journal:
+    """Lay out a store and its journal; the store has its name only when it is whole. FileError when that is refused."""
+    try:
+        folder = Path(tempfile.mkdtemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix))
+        try:
+            _laid_out(folder, frame, chunks, digest)
+            started = journal.begun(journal_of(path), digest, chunks)
+            folder.chmod(0o755)
+            folder.rename(path)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise refused(error, path) from error
+    return started
+
+
+def resumed(path: Path, digest: str) -> Journal:
+    """The journal of a store that is there already; ArgumentError where it belongs to another sweep, or is none."""
+    import zarr
+
+    try:
+        attributes = dict(zarr.open_group(path, mode="r", use_consolidated=False).attrs)
+    except Exception:  # zarr has many ways to say that this is no store
+        raise ArgumentError(f"--resume: {path} is no store of a sweep", "choose another name") from None
+    if attributes.get(DIGEST) != digest:
+        raise ArgumentError(f"--resume: {path} is the store of another sweep", journal.ANOTHER)
+    return journal.read(journal_of(path), digest)
+
+
+def _laid_out(folder: Path, frame: Frame, chunks: Chunks, digest: str) -> None:
+    """Write what a store holds but the numbers of the cases."""
+    import zarr
+
+    group = zarr.create_group(folder, overwrite=True, attributes={**frame.attributes, **_named(frame), DIGEST: digest})
+    for name, (dims, values) in frame.coordinates.items():
+        words = values.dtype.kind == "U"
+        array = _array(group, name, dims, values.shape, values.shape, "str" if words else "f8")
+        array[:] = values.astype(object) if words else values
+    for name, (dims, shape, kind) in frame.variables.items():
+        _array(group, name, dims, shape, (*chunks.block, *shape[len(chunks.block) :]), kind)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that other readers of the format need not know consolidated metadata
+        zarr.consolidate_metadata(folder)
+
+
+def _named(frame: Frame) -> dict[str, str]:
+    """The attribute by which readers tell coordinates that are not called like their dimension from variables."""
+    beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
+    return {"coordinates": " ".join(beside)} if beside else {}
+
+
+def _array(
+    group: Any, name: str, dims: tuple[str, ...], shape: tuple[int, ...], chunks: tuple[int, ...], kind: str
+) -> Any:
+    fill: Any = {"str": "", "i4": -1}.get(kind, np.nan)
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=tuple(max(1, size) for size in chunks),
+        dtype=str if kind == "str" else kind,
+        fill_value=fill,
+        dimension_names=dims,
+    )
