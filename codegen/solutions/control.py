@@ -155,10 +155,8 @@ def _is_accurate(
     residual, stationarity = conditions.norms(scaled.sizes, scaled.weight) if scaled.sizes.size else norms
     if not np.isfinite(residual + stationarity):
         return False
-    if (
-        max(residual, stationarity) <= 10.0 * attempt.tolerance
-    ):  # whatever rounding and multipliers would forgive beside
-        return True
+    if max(residual, stationarity) <= 10.0 * attempt.tolerance:
+        return True  # whatever rounding and multipliers would forgive beside
     unknowns, weight, grid = attempt.unknowns, scaled.weight, module.plain_grid(scaled)
     sizes = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
