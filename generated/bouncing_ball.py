@@ -2490,8 +2490,9 @@ def regularised_step(search, iterate, before, damping, careful):
             if delta_c == 0.0 and step.is_of_rounding:
                 delta_c = dual_regularisation(iterate)
                 continue
-            if careful and refine(grid, point.unknowns, diagonal, system, gradient, primal):
-                step = step_along(search, iterate, gradient, primal, given)._replace(refined=True)
+            if careful:  # corrections that are not worth their name change the step as well
+                refined = refine(grid, point.unknowns, diagonal, system, gradient, primal)
+                step = step_along(search, iterate, gradient, primal, given)._replace(refined=refined)
             if abs(step.slope) < np.inf:
                 return step
         elif delta_c == 0.0 and (excess is None or excess < 0 or delta_w > LARGE_SHIFT):
@@ -4624,7 +4625,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_5a055baf5d38a925"
+_IDENTITY = "codegen_bouncing_ball_ee83aaa4e4062557"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -80,3 +80,19 @@ def test_where_equations_depend_on_each_other_none_is_tried_first(tried):
     rows = list(follow(tried, [None, -500.0, 1.0, 1.0]))
     assert all(shift.singular for shift, _ in rows)
     assert all(tries[0] == 0.0 for _, tries in rows)
+
+
+@pytest.mark.parametrize("lowered", [False, True])
+def test_what_a_step_promises_is_measured_after_its_refinement(tried, monkeypatch, lowered):
+    """Lengths of a step before its corrections led beyond bounds, by a hundredth of them."""
+
+    def refine(grid, unknowns, diagonal, system, gradient, step):
+        step *= 3.0
+        return lowered
+
+    monkeypatch.setattr(newton_steps, "refine", refine)
+    search, iterate = SimpleNamespace(grid=GRID, system=1.0), SimpleNamespace(point=POINT)
+    step = regularised_step(search, iterate, InertiaCorrection(), 0.0, True)
+    assert (step.primal == -3.0 * POINT.gradient).all()
+    assert step.slope == POINT.gradient @ step.primal
+    assert step.refined is lowered

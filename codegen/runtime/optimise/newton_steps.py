@@ -65,8 +65,9 @@ def regularised_step(search, iterate, before, damping, careful):
             if delta_c == 0.0 and step.is_of_rounding:
                 delta_c = dual_regularisation(iterate)
                 continue
-            if careful and refine(grid, point.unknowns, diagonal, system, gradient, primal):
-                step = step_along(search, iterate, gradient, primal, given)._replace(refined=True)
+            if careful:  # corrections that are not worth their name change the step as well
+                refined = refine(grid, point.unknowns, diagonal, system, gradient, primal)
+                step = step_along(search, iterate, gradient, primal, given)._replace(refined=refined)
             if abs(step.slope) < np.inf:
                 return step
         elif delta_c == 0.0 and (excess is None or excess < 0 or delta_w > LARGE_SHIFT):
