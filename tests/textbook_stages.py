@@ -42,6 +42,12 @@ def lobatto() -> tuple[list[Any], Table, Table]:
     return b, a, [[b[j] * (1 - a[j][i] / b[i]) for j in range(3)] for i in range(3)]
 
 
+def simpson() -> tuple[list[Any], Table, Table]:
+    """IIIA for coordinates and momenta."""
+    b, a = collocation([mpmath.mpf(0), mpmath.mpf(1) / 2, mpmath.mpf(1)])
+    return b, a, a
+
+
 def classical() -> tuple[list[Any], Table, Table]:
     """Kutta's method."""
     half, sixth = mpmath.mpf(1) / 2, mpmath.mpf(1) / 6
@@ -54,6 +60,7 @@ TABLES = {
     ("variational", "gauss-4"): lambda: gauss(2),
     ("hamiltonian", "gauss-6"): lambda: gauss(3),
     ("variational", "gauss-6"): lambda: gauss(3),
+    ("hamiltonian", "hermite-simpson"): simpson,
     ("hamiltonian", "lobatto-4"): lobatto,
     ("variational", "lobatto-4"): lobatto,
     ("hamiltonian", "rk4"): classical,

@@ -233,7 +233,11 @@ COMMAND = (
 
 def interrupted(number_of_signal: int) -> subprocess.CompletedProcess[str]:
     """A sweep that is sent a signal when some of its chunks are finished."""
-    process = subprocess.Popen(COMMAND, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        COMMAND, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # What shells start in the background ignores interrupts, and so would the sweep.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     journal, deadline = journal_of(Path("s.zarr")), time.monotonic() + 120
     while time.monotonic() < deadline and not (journal.exists() and journal.read_text().count("\n") > 6):
         time.sleep(0.005)

@@ -12,8 +12,6 @@ from codegen.runtime.stand_ins.example import (
 from codegen.runtime.unknowns.shared import global_index, root_index
 from codegen.runtime.optimise.derivative_magnitudes import add_entry
 
-# Unknowns of the start alone: intervals have ones on their diagonal, which the start's share takes back.
-IS_FILLED = np.isin(np.arange(NODE + SHARED), ONLY_AT_ENDS)
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
 
 
@@ -57,6 +55,8 @@ def end_unknown(local):
 
 
 if SCALED:
+    # Unknowns of the start alone: intervals have ones on their diagonal, which the start's share takes back.
+    IS_FILLED = np.isin(np.arange(NODE + SHARED), ONLY_AT_ENDS)
 
     @njit(error_model="numpy")
     def note_ends(unknowns, body, steps, h, parameters, tables):

@@ -17,6 +17,7 @@ from codegen.runtime.stand_ins.example import (
     OWN,
     SHARED,
     STRIDE,
+    TIED,
     variable_bounds,
     with_pinned_values,
 )
@@ -25,6 +26,7 @@ from codegen.runtime.optimise.messages import describe
 from codegen.runtime.optimise.cascade import minimise
 from codegen.runtime.optimise.active_bounds import bounds_of
 from codegen.runtime.unknowns.point import evaluate, lagrangian
+from codegen.runtime.unknowns.tied import with_tied_values
 from codegen.runtime.optimise.convergence_test import is_solved
 from codegen.runtime.optimise.scaling_factors import IS_SLACK, fill_sizes
 from codegen.runtime.optimise.termination import VIOLATED, final_status, unscaled_unknowns
@@ -124,6 +126,8 @@ def scaled_grid(grid, unknowns):
     if INEQUALITIES:
         bounds = variable_bounds(grid)
         inside = np.clip(primal, *bounds)
+        if TIED:
+            inside = with_tied_values(grid, inside)  # ends without bounds of their own move along
     slopes = evaluate(grid, inside).gradient
     weight, is_scaled = fill_sizes(
         primal, inside, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
