@@ -1603,7 +1603,7 @@ def solve_system(
     P + SHARED); the factors are those of `allocate_system`. Return whether that was possible, and the excess of
     negative pivots: where there is one, elimination has stopped, and there is no step.
     """
-    excess, chain, carried = 0, steps * STRIDE + NODE, False
+    excess, chain = 0, steps * STRIDE + NODE
     carried = is_new
     if is_new:
         last, root, parts = zero_matrix(LAST + SHARED, LAST_WIDTH), zero_matrix(ROOT, ROOT_WIDTH), zero_vector(PARTS)
@@ -4625,7 +4625,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_ee83aaa4e4062557"
+_IDENTITY = "codegen_bouncing_ball_7a5fdcadca846bf8"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -1142,7 +1142,7 @@ def solve_system(
     factors are those of `allocate_factors`. Return whether that was possible, and the excess of negative pivots: where
     there is one, elimination has stopped, and there is no step.
     """
-    excess, chain, carried = 0, steps * STRIDE + NODE, False
+    excess, chain = 0, steps * STRIDE + NODE
     carried = is_new
     if is_new:
         parts, last = zero_vector(ELEMENT), zero_matrix(LAST, LAST_WIDTH)
@@ -2218,7 +2218,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_85c86361f5b63c2d"
+_IDENTITY = "codegen_linear_pendulum_386eb4857f233a9a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -1255,7 +1255,8 @@ def solve_system(
     factors are those of `allocate_factors`. Return whether that was possible, and the excess of negative pivots: where
     there is one, elimination has stopped, and there is no step.
     """
-    excess, chain, carried = 0, steps * STRIDE + NODE, False
+    excess, chain = 0, steps * STRIDE + NODE
+    carried = False
     if is_new:
         parts, last = zero_vector(ELEMENT), zero_matrix(LAST, LAST_WIDTH)
         fill_parts(sizes, forces, parts)
@@ -3647,7 +3648,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_0f1180aec0c4802f"
+_IDENTITY = "codegen_spherical_pendulum_1800ceb2a56f0e06"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -42,9 +42,11 @@ def solve_system(
     P + SHARED); the factors are those of `allocate_system`. Return whether that was possible, and the excess of
     negative pivots: where there is one, elimination has stopped, and there is no step.
     """
-    excess, chain, carried = 0, steps * STRIDE + NODE, False
+    excess, chain = 0, steps * STRIDE + NODE
     if CARRIED:
         carried = is_new
+    else:
+        carried = False
     if is_new:
         last, root, parts = zero_matrix(LAST + SHARED, LAST_WIDTH), zero_matrix(ROOT, ROOT_WIDTH), zero_vector(PARTS)
         fill_parts(sizes, forces, parts)

@@ -12,6 +12,11 @@ from codegen.runtime.stand_ins.example import (
 from codegen.runtime.unknowns.shared import global_index, root_index
 from codegen.runtime.optimise.derivative_magnitudes import add_entry
 
+# Ones on the diagonal that intervals have for unknowns of the start alone, and that its share takes back.
+START_FILLING = np.where(
+    (START_HESSIAN_ROWS == START_HESSIAN_COLUMNS) & np.isin(START_HESSIAN_ROWS, ONLY_AT_ENDS), 1.0, 0.0
+)
+END_FILLING = np.zeros(END_HESSIAN_ROWS.size)
 END_IS_MULTIPLIER = np.concatenate([LOCAL_IS_MULTIPLIER[:NODE], LOCAL_IS_MULTIPLIER[STRIDE + NODE :]])
 
 
@@ -55,8 +60,6 @@ def end_unknown(local):
 
 
 if SCALED:
-    # Unknowns of the start alone: intervals have ones on their diagonal, which the start's share takes back.
-    IS_FILLED = np.isin(np.arange(NODE + SHARED), ONLY_AT_ENDS)
 
     @njit(error_model="numpy")
     def note_ends(unknowns, body, steps, h, parameters, tables):
@@ -66,9 +69,8 @@ if SCALED:
         entries = zero_vector(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[first : first + NODE], 0.0, parameters[body], entries)
         for j in range(entries.size):
-            row, column = START_HESSIAN_ROWS[j], START_HESSIAN_COLUMNS[j]
-            value = entries[j] + 1.0 if row == column and IS_FILLED[row] else entries[j]
-            add_entry(end_kind(row), end_kind(column), abs(value), tables)
+            value = abs(entries[j] + START_FILLING[j])
+            add_entry(end_kind(START_HESSIAN_ROWS[j]), end_kind(START_HESSIAN_COLUMNS[j]), value, tables)
         entries = zero_vector(END_HESSIAN_ROWS.size)
         end_hessian(unknowns[last : last + NODE], steps * h, parameters[body], entries)
         for j in range(entries.size):
@@ -87,21 +89,24 @@ def add_end_terms(unknowns, body, steps, h, parameters, sums):
     last = first + steps * STRIDE
     entries = zero_vector(START_HESSIAN_ROWS.size)
     start_hessian(unknowns[first : first + NODE], 0.0, parameters, entries)
-    add_terms(unknowns, body, first, entries, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, sums)
+    add_terms(unknowns, body, first, entries, START_FILLING, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, sums)
     entries = zero_vector(END_HESSIAN_ROWS.size)
     end_hessian(unknowns[last : last + NODE], steps * h, parameters, entries)
-    add_terms(unknowns, body, last, entries, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, sums)
+    add_terms(unknowns, body, last, entries, END_FILLING, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, sums)
 
 
 @njit(error_model="numpy")
-def add_terms(unknowns, body, first, entries, rows, columns, sums):
-    """Add the absolute terms of one end, whose node begins at the unknown `first`, to `sums` (n,)."""
+def add_terms(unknowns, body, first, entries, filling, rows, columns, sums):
+    """Add the absolute terms of one end, whose node begins at the unknown `first`, to `sums` (n,).
+
+    What intervals have added for the `filling` is no term, and is taken away.
+    """
     for j in range(entries.size):
         row, column = first + rows[j], first + columns[j]
         if SHARED:
             row = global_index(rows[j], NODE, first, body, unknowns.size)
             column = global_index(columns[j], NODE, first, body, unknowns.size)
-        sums[row] += abs(entries[j] * unknowns[column])
+        sums[row] += (abs(entries[j] + filling[j]) - filling[j]) * abs(unknowns[column])
         if row != column:
             sums[column] += abs(entries[j] * unknowns[row])
 

@@ -27,9 +27,11 @@ def solve_system(
     factors are those of `allocate_factors`. Return whether that was possible, and the excess of negative pivots: where
     there is one, elimination has stopped, and there is no step.
     """
-    excess, chain, carried = 0, steps * STRIDE + NODE, False
+    excess, chain = 0, steps * STRIDE + NODE
     if CARRIED:
         carried = is_new
+    else:
+        carried = False
     if is_new:
         parts, last = zero_vector(ELEMENT), zero_matrix(LAST, LAST_WIDTH)
         fill_parts(sizes, forces, parts)
