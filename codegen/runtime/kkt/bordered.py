@@ -43,7 +43,7 @@ def solve_system(
     negative pivots: where there is one, elimination has stopped, and there is no step.
     """
     excess, chain = 0, steps * STRIDE + NODE
-    if CARRIED:
+    if CARRIED:  # noqa: SIM108  decided when a module is made
         carried = is_new
     else:
         carried = False
