@@ -54,7 +54,8 @@ def _through_samples(program: ControlProgram) -> tuple[list[Line], list[Line]]:
         name, target = program.node[index].name, f"nodes[:, :, {index}]"
         call = f"through_samples(grid, {target}, {column}, {index in told[0]}, {index in told[1]})"
         at_nodes.append(Line(target, call, f"{name}, as measured"))
-        stages = [j for j, stage in enumerate(program.interval) if stage.name.rpartition("_")[0] == name]
+        inner = program.interval[: len(program.stage_guess)]
+        stages = [j for j, stage in enumerate(inner) if stage.name.rpartition("_")[0] == name]
         mean = f"0.5 * (nodes[:, :-1, {index}] + nodes[:, 1:, {index}])"
         inside += [Line(f"intervals[:, :, {j}]", mean, program.interval[j].name) for j in stages]
     return at_nodes, inside

@@ -92,9 +92,9 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
 def _by_unknown(program: ControlProgram, sizes: Mapping[Symbol, float]) -> dict[str, float]:
     """Sizes of quantities by the names of their unknowns: at stages and other inner points as well as themselves."""
     by_name = {symbol.name: size for symbol, size in sizes.items()}
-    inner = (unknown.name for unknown in (*program.interval, *program.controls))
-    found = {name: by_name.get(name.rpartition("_")[0]) for name in inner}
-    return by_name | {name: size for name, size in found.items() if size is not None and name not in by_name}
+    own = {symbol.name for symbol in (*program.model.coordinates, *program.model.rates, *program.model.controls)}
+    inner = [u.name for u in (*program.interval, *program.controls) if not u.multiplier and u.name not in own]
+    return by_name | {name: by_name[of] for name in inner if (of := name.rpartition("_")[0]) in by_name}
 
 
 def _angles(model: Model) -> dict[Symbol, float]:

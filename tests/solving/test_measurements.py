@@ -218,6 +218,19 @@ def test_coordinates_start_where_they_were_measured(folder):
     assert (module.unpack(grid, module.initial_guess(grid))[1] == 5.0).all(), "authors know better"
 
 
+def test_what_is_called_like_a_stage_does_not_start_like_one(folder):
+    """y_1 is the multiplier of the first path condition, and not y at some stage."""
+    text = write_decay(folder).read_text()
+    for old, new in (("(x,)", "(y,)"), ('"x"', '"y"'), ("x:", "y:"), ("k * x", "k * y")):
+        text = text.replace(old, new)
+    (folder / "decay.py").write_text(text.replace("steps=30", "path=[y <= 9], scale={y: 7}, steps=30"))
+    module = interpreted(folder / "decay.py", scheme="hermite-simpson")
+    assert "y_1" in module.metadata["interval"]
+    assert set(module.metadata["scale"]) == {"y", "y_stage2"}
+    grid = module.make_grid(12)
+    assert not module.initial_guess(grid)[np.asarray(grid.is_multiplier)].any()
+
+
 def test_predators_are_not_fitted_by_another_optimum():
     """From straight lines this ended at 6.67, 240 times the least."""
     path = Path(__file__).parents[2] / "problems" / "published" / "predator_prey.py"
