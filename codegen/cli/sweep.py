@@ -46,8 +46,8 @@ def sweep(
         int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
     ] = None,
     warm_starts: Annotated[
-        bool, typer.Option("--warm-starts/--no-warm-starts", help="Begin optimisations from solved neighbours.")
-    ] = True,
+        bool, typer.Option("--warm-starts", help="Begin from solved neighbours, not only where the own guess fails.")
+    ] = False,
     chunk: Annotated[
         int | None,
         typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),

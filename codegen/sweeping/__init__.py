@@ -32,8 +32,9 @@ def sweep(*positional: Any, **options: Any) -> Dataset:
     - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, t, q and u unless said;
     - `workers`: how many processes share the work, unless said as many as there are processors. Results do not depend
       on it. With `spawn` as the only way to start a process, a script needs its `if __name__ == "__main__"`;
-    - `warm_starts`: whether an optimisation begins from the last solved neighbour, and where that fails from the
-      problem's own guess and from other neighbours;
+    - `warm_starts`: whether an optimisation begins from its last solved neighbour, which takes fewer iterations where
+      solutions change little, but stays with its local optimum. Otherwise it begins from the problem's own guess, and
+      only where that fails from neighbours;
     - `chunk`: how many cases are solved and written together, unless said about a second of work;
     - `driver`, `arguments`, `scheme`, `formulation` (the `method` of a solve), `controls`, `steps`, `every`,
       `tolerance`, `max_iterations`, `time_limit` and `scaling`: as for `codegen.solve`, the same for all cases.

@@ -1,4 +1,4 @@
-"""Warm starts along a path through cases: each begins from neighbours that were solved, with other ways if that fails.
+"""Starts along a path through cases: where one from a case's own guess fails, or before it, from solved neighbours.
 
 On a straight part of the path a start follows the secant through the last two solutions: on a grid of cases it is then
 off by the square of their distance. Source: Allgower and Georg (1990), Numerical continuation methods, chapter 6.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from codegen.loading import Matrix
 
 OTHERS = 3
-"""How many further neighbours are tried after the last one and the problem's own guess."""
+"""How many neighbours are tried after the problem's own guess."""
 FARTHEST = 2.0
 """How far a secant is followed, in parts of the distance of the two solutions that it goes through."""
 STRAIGHT = 1e-6
@@ -47,11 +47,12 @@ class Continuation(Generic[Found]):
     """The solutions of a chunk so far, and where the next case begins.
 
     `points` (n, quantities) are the cases in parts of each quantity's range, `families` (n,) tells which of them have
-    the same module: only these start from each other.
+    the same module: only these start from each other. Where starts are `warm` the last neighbour comes before the
+    problem's own guess.
     """
 
-    def __init__(self, points: Matrix, families: NDArray[np.intp]) -> None:
-        self._points, self._families = points, families
+    def __init__(self, points: Matrix, families: NDArray[np.intp], warm: bool) -> None:
+        self._points, self._families, self._warm = points, families, warm
         self._coordinates: list[list[float]] = points.tolist()  # of single points, for which arrays are slow
         self._solved: dict[int, Found] = {}
         self._path: dict[int, list[int]] = {}
@@ -77,7 +78,7 @@ class Continuation(Generic[Found]):
     def _starts(self, place: int) -> Iterator[Start[Found] | None]:
         family = int(self._families[place])
         path = self._path.get(family, [])
-        first = self._first(place, path)
+        first = self._first(place, path) if self._warm else None
         if first is not None:
             yield first
         yield None

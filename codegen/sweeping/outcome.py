@@ -134,7 +134,7 @@ def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
     )  # fmt: skip
     require_memory(task.numbers(module.metadata, run), most)
     layout = layout_of(shapes, steps, request.keep)
-    warm = request.warm_starts is not False and task.name == "control"
+    warm = request.warm_starts and task.name == "control"
     loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
     single = Chunks(cases.shape, (1,) * len(cases.shape))
     work = Work(

@@ -32,8 +32,7 @@ OPTIONS = (
 class SweepRequest:
     """The solve that all cases share, the cases and where they come from, and what becomes of the results.
 
-    `chunk` is the number of cases of a chunk, about a second of work where it is None; `warm_starts` is True for an
-    optimisation where it is None.
+    `chunk` is the number of cases of a chunk, about a second of work where it is None.
     """
 
     solve: Request
@@ -43,7 +42,7 @@ class SweepRequest:
     resume: bool
     keep: Sequence[str]
     workers: int
-    warm_starts: bool | None
+    warm_starts: bool
     chunk: int | None
 
     @property
@@ -65,7 +64,7 @@ def sweep_request(
     resume: bool = False,
     keep: Sequence[str] = KEPT,
     workers: int | None = None,
-    warm_starts: bool | None = None,
+    warm_starts: bool = False,
     chunk: int | None = None,
     **options: Any,
 ) -> SweepRequest:

@@ -69,7 +69,7 @@ class Work:
     module: Any = None
 
     def __call__(self, number: int, is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Solve the cases of a chunk, along a path through neighbours where starts are warm.
+        """Solve the cases of a chunk, along a path through neighbours.
 
         Raises Abandoned as soon as it is no longer wanted.
         """
@@ -78,7 +78,7 @@ class Work:
         keys = [self._key(of_case) for of_case in values]
         families = np.unique(np.array([list(self.variants).index(key) for key in keys]), return_inverse=True)[1]
         points = self.cases.points(indices)
-        continuation = Continuation[Attempt](points, families)
+        continuation = Continuation[Attempt](points, families, self.warm_starts)
         rows = self._empty_rows(len(indices))
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
         for place in self._order(number, points, families):
@@ -127,8 +127,6 @@ class Work:
         return Varied(self._module(variant), self.driver, run)
 
     def _order(self, number: int, points: NDArray[np.float64], families: NDArray[np.intp]) -> NDArray[np.intp]:
-        if not self.warm_starts:
-            return np.arange(len(points))
         if self.cases.is_grid:
             return serpentine(self.chunks.extent(number))
         return nearest_chain(np.column_stack([points, APART * families]))
@@ -148,7 +146,7 @@ class Work:
         def attempt(start: Start[Attempt] | None) -> Attempt:
             return solve_case(module, given, start)
 
-        return continuation.solve(place, attempt) if self.warm_starts else [attempt(None)]
+        return continuation.solve(place, attempt)
 
     def _fill(self, rows: Rows, place: int, variant: Variant, attempts: Sequence[Attempt]) -> None:
         """Put the outcome of a case, the last attempt, into its row; iterations and seconds are those of all."""

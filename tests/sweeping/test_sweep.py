@@ -282,7 +282,7 @@ class TestGoingOn:
         codegen.sweep(ORBIT, axes, steps=20, workers=1, out="s.zarr")
         before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         others = ({"vary": {"r1": [5.9, 6.1]}}, {"vary": axes, "steps": 30}, {"vary": axes, "tolerance": 1e-9},
-                  {"vary": axes, "keep": ("q",)}, {"vary": axes, "warm_starts": False})  # fmt: skip
+                  {"vary": axes, "keep": ("q",)}, {"vary": axes, "warm_starts": True})  # fmt: skip
         for other in others:
             with pytest.raises(codegen.CodegenError, match="another sweep"):
                 codegen.sweep(ORBIT, **{"steps": 20, **other}, workers=1, out="s.zarr", resume=True)

@@ -15,9 +15,9 @@ class Found:
     is_start: bool
 
 
-def continuation(places, families=None):
+def continuation(places, families=None, warm=True):
     points = np.array(places, dtype=float)[:, None]
-    return Continuation(points, np.zeros(len(points), int) if families is None else np.array(families))
+    return Continuation(points, np.zeros(len(points), int) if families is None else np.array(families), warm)
 
 
 def secant(start):
@@ -49,7 +49,7 @@ def test_on_a_straight_part_of_the_path_along_the_secant():
     assert recorded(chain, 2)[0] == ["case 0 through case 1 by 1.5"]
     assert recorded(chain, 3)[0] == ["case 1 through case 2 by 0"]
     points = np.array([[0, 0], [0, 1], [0, 2], [1, 2], [1, 1.0]])
-    chain = Continuation(points, np.zeros(5, int))
+    chain = Continuation(points, np.zeros(5, int), True)
     starts = [recorded(chain, place)[0] for place in range(5)]
     assert starts == [[None], ["case 0"], ["case 0 through case 1 by 1"], ["case 2"], ["case 3"]]
 
@@ -88,3 +88,12 @@ def test_cases_of_other_modules_are_no_starts():
     recorded(chain, 0)
     assert recorded(chain, 1)[0] == [None]
     assert recorded(chain, 2)[0] == ["case 0"]
+
+
+def test_unless_starts_are_warm_neighbours_are_for_what_fails():
+    chain = continuation([0, 1, 2], warm=False)
+    assert recorded(chain, 0)[0] == [None]
+    assert recorded(chain, 1)[0] == [None]
+    starts, attempts = recorded(chain, 2, lambda start: start is not None)
+    assert starts == [None, "case 1"]
+    assert attempts[-1].is_start
