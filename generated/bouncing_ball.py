@@ -3957,17 +3957,21 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
     """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
 
-    `primal` are the unknowns without their multipliers, `inside` the same inside the bounds, and `slopes` the gradient
-    of the Lagrangian there.
+    `primal` are the unknowns without their multipliers, `inside` the same inside the bounds, and `slopes` the moduli of
+    the gradient of the Lagrangian, the lesser of both.
     """
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
-            rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+            rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
-    measure_intervals(inside, steps, h, nodes, parameters, tables)
+    measure_intervals(primal, steps, h, nodes, parameters, tables)
+    if (inside != primal).any():
+        on_bounds = np.zeros((3, KINDS, KINDS))
+        measure_intervals(inside, steps, h, nodes, parameters, on_bounds)
+        tables = np.fmin(tables, on_bounds)
     drop_negligible_sizes(size, tables[1])
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
@@ -4140,7 +4144,7 @@ def change_of_cost(slopes, kinds, size, curvature):
     largest, total = 0.0, zero_vector(KINDS)
     for i in range(kinds.size):
         if not KIND_IS_MULTIPLIER[kinds[i]]:
-            total[kinds[i]] += abs(slopes[i])
+            total[kinds[i]] += slopes[i]
     for i in range(KINDS):
         largest = max(largest, total[i] * size[i])
         for j in range(KINDS):
@@ -4240,13 +4244,16 @@ def scaled_unknowns(grid, unknowns):
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
 
-    Derivatives are those inside the bounds: outside, a model may mean nothing.
+    Of derivatives at a guess outside its bounds and on them, the smaller ones count: outside a model may mean nothing,
+    and the bounds may be far from where a solution is.
     """
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
     inside = primal = np.where(grid.is_multiplier, 0.0, unknowns)
     bounds = variable_bounds(grid)
     inside = np.clip(primal, *bounds)
-    slopes = evaluate(grid, inside).gradient
+    slopes = np.abs(evaluate(grid, primal).gradient)
+    if (inside != primal).any():
+        slopes = np.fmin(slopes, np.abs(evaluate(grid, inside).gradient))
     weight, is_scaled = fill_sizes(
         primal, inside, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
@@ -4625,7 +4632,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_7a5fdcadca846bf8"
+_IDENTITY = "codegen_bouncing_ball_a938874ef8072da1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

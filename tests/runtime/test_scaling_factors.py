@@ -194,6 +194,13 @@ def test_a_guess_out_of_bounds_does_not_tell_sizes():
     assert solution.cost == pytest.approx(module.solve(20).cost, rel=1e-8)
 
 
+def test_a_bound_beside_the_guess_does_not_tell_sizes_either():
+    """A thousandth, the least mass of bacteria, became the size of a mass of one; the end was then called inaccurate."""
+    module = as_machine_code(build(PROBLEMS / "published" / "bioreactor.py").path.read_text())
+    grid = module.make_grid(20)
+    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
+
+
 def test_a_search_that_goes_on_and_on_in_parts_of_sizes_leaves_iterations_for_others():
     module = module_of(thrust())
     minimise, limits = module.minimise, []

@@ -119,7 +119,8 @@ def scaled_unknowns(grid, unknowns):
 def scaled_grid(grid, unknowns):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
 
-    Derivatives are those inside the bounds: outside, a model may mean nothing.
+    Of derivatives at a guess outside its bounds and on them, the smaller ones count: outside a model may mean nothing,
+    and the bounds may be far from where a solution is.
     """
     sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
     inside = primal = np.where(grid.is_multiplier, 0.0, unknowns)
@@ -128,7 +129,9 @@ def scaled_grid(grid, unknowns):
         inside = np.clip(primal, *bounds)
         if TIED:
             inside = with_tied_values(grid, inside)  # ends without bounds of their own move along
-    slopes = evaluate(grid, inside).gradient
+    slopes = np.abs(evaluate(grid, primal).gradient)
+    if INEQUALITIES and (inside != primal).any():
+        slopes = np.fmin(slopes, np.abs(evaluate(grid, inside).gradient))
     weight, is_scaled = fill_sizes(
         primal, inside, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )

@@ -25,6 +25,7 @@ from codegen.runtime.stand_ins.example import (
     COUPLINGS,
     END_SHARED,
     END_TIED,
+    INEQUALITIES,
     ROOT,
     SHARED,
     START_SHARED,
@@ -61,17 +62,22 @@ IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") 
 def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
     """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
 
-    `primal` are the unknowns without their multipliers, `inside` the same inside the bounds, and `slopes` the gradient
-    of the Lagrangian there.
+    `primal` are the unknowns without their multipliers, `inside` the same inside the bounds, and `slopes` the moduli of
+    the gradient of the Lagrangian, the lesser of both.
     """
     size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
-            rest[kinds[i]] = max(rest[kinds[i]], abs(slopes[i]))
+            rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound = fit_bounds(lower, upper, kinds, size)
-    measure_intervals(inside, steps, h, nodes, parameters, tables)
+    measure_intervals(primal, steps, h, nodes, parameters, tables)
+    if INEQUALITIES:
+        if (inside != primal).any():
+            on_bounds = np.zeros((3, KINDS, KINDS))
+            measure_intervals(inside, steps, h, nodes, parameters, on_bounds)
+            tables = np.fmin(tables, on_bounds)
     if COUPLINGS:
         matrix = zero_matrix(ROOT, ROOT)
         add_coupling_matrix(inside, parameters[0], 1.0, matrix)
@@ -272,7 +278,7 @@ def change_of_cost(slopes, kinds, size, curvature):
     largest, total = 0.0, zero_vector(KINDS)
     for i in range(kinds.size):
         if not KIND_IS_MULTIPLIER[kinds[i]]:
-            total[kinds[i]] += abs(slopes[i])
+            total[kinds[i]] += slopes[i]
     for i in range(KINDS):
         largest = max(largest, total[i] * size[i])
         for j in range(KINDS):
