@@ -195,7 +195,7 @@ def test_a_guess_out_of_bounds_does_not_tell_sizes():
 
 
 def test_a_bound_beside_the_guess_does_not_tell_sizes_either():
-    """A thousandth, the least mass of bacteria, became the size of a mass of one; the end was then called inaccurate."""
+    """A thousandth, the least mass of bacteria, became the size of a mass of one, and the end was called inaccurate."""
     module = as_machine_code(build(PROBLEMS / "published" / "bioreactor.py").path.read_text())
     grid = module.make_grid(20)
     assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
