@@ -3969,9 +3969,9 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
     bound = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, nodes, parameters, tables)
     if (inside != primal).any():
-        on_bounds = np.zeros((3, KINDS, KINDS))
-        measure_intervals(inside, steps, h, nodes, parameters, on_bounds)
-        tables = np.fmin(tables, on_bounds)
+        others = np.zeros((3, KINDS, KINDS))
+        measure_intervals(inside, steps, h, nodes, parameters, others)
+        tables = np.fmin(tables, others)
     drop_negligible_sizes(size, tables[1])
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
@@ -4632,7 +4632,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_a938874ef8072da1"
+_IDENTITY = "codegen_bouncing_ball_d2db8c6c72956e3b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

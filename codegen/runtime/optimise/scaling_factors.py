@@ -74,9 +74,9 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
     bound = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, nodes, parameters, tables)
     if INEQUALITIES and (inside != primal).any():
-        on_bounds = np.zeros((3, KINDS, KINDS))
-        measure_intervals(inside, steps, h, nodes, parameters, on_bounds)
-        tables = np.fmin(tables, on_bounds)
+        others = np.zeros((3, KINDS, KINDS))
+        measure_intervals(inside, steps, h, nodes, parameters, others)
+        tables = np.fmin(tables, others)
     if COUPLINGS:
         matrix = zero_matrix(ROOT, ROOT)
         add_coupling_matrix(inside, parameters[0], 1.0, matrix)
