@@ -101,3 +101,7 @@ class ImageError(CodegenError):
 
 class ExtraError(CodegenError):
     """A library is not installed that an optional part of this package needs; the remedy names the extra."""
+
+
+class ClusterError(CodegenError):
+    """A scheduler of a cluster does not answer, has no workers, or was lost; what chunks have written stays."""

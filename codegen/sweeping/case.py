@@ -51,6 +51,11 @@ class Attempt:
         return self.outline.status == SOLVED
 
     @property
+    def cost(self) -> float:
+        """What it costs, NaN where it is no solution or costs nothing."""
+        return math.nan if self.outline.cost is None or not self.is_solved else self.outline.cost
+
+    @property
     def is_start(self) -> bool:
         """Whether neighbours may start from it."""
         return self.is_solved and self.outline.unknowns is not None
