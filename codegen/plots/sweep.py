@@ -84,7 +84,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     by = dims[1] if len(dims) > 1 else None
     measures, groups = _measures(data), fans.groups_of(data)
     columns = min(3, max(1, len(groups)))
-    rows = [[f"m{i}"] * columns for i in range(len(measures))]
+    rows: list[Any] = [[f"m{i}"] * columns for i in range(len(measures))]
     names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
     names += ["."] * (-len(names) % columns)
     rows += [names[first : first + columns] for first in range(0, len(names), columns)]
@@ -247,7 +247,7 @@ def _samples(data: Dataset) -> Figure:
     columns = max(2, min(3, 1 + len(varied)))
     blocks = [[f"m{i}", *(f"s{i},{j}" for j in range(len(varied)))] for i in range(len(measures))]
     blocks.append([f"g{i}" for i in range(len(groups))])
-    rows = [
+    rows: list[Any] = [
         [*block[first : first + columns], *["."] * (columns - len(block[first : first + columns]))]
         for block in blocks for first in range(0, len(block), columns)
     ]  # fmt: skip

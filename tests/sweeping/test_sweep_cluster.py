@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,7 @@ from codegen.sweeping.statuses import LOST
 distributed = pytest.importorskip("distributed")
 
 AXES = {"r1": np.linspace(5.8, 6.2, 1500)}
-WORDS = ("sweep", ORBIT, "--vary", "r1=5.8:6.2:1500", "--steps", "100", "--chunk", "20", "--out", "s.zarr")
+WORDS = ("sweep", ORBIT, "--vary", "r1=5.8:6.2:1500", "--steps", "40", "--chunk", "20", "--out", "s.zarr")
 
 
 @pytest.mark.parametrize("name", ENGINES)
@@ -45,8 +45,9 @@ def test_workers_that_are_killed_are_replaced_and_a_chunk_that_kills_all_is_lost
     with engine_for(2, "local")(work, 2) as solve:
         found = {number: done.tally.counts for number, done in solve(range(6))}
     assert found == {number: {LOST: 1} if number == 2 else {"solved": 1} for number in range(6)}
-    first, second = (tmp_path / "0").read_text().split()
-    assert first != second
+    tries = (tmp_path / "0").read_text().split()
+    assert len(tries) > 1
+    assert len(set(tries)) == len(tries)
 
 
 @contextmanager
@@ -65,10 +66,8 @@ def process(*words: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
 
 def kill(process: subprocess.Popen[str]) -> None:
     """End a process and all that it has begun."""
-    try:
+    with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
     process.wait()
 
 
@@ -100,68 +99,63 @@ def finished() -> int:
     return journal.read_text().count("\n") - 1 if journal.exists() else 0
 
 
-def begun(address: str) -> subprocess.Popen[str]:
-    """A sweep on a cluster, some of whose chunks are finished."""
-    command = [sys.executable, "-m", "codegen", *WORDS, "--cluster", address]
+def begun(address: str, *words: str) -> subprocess.Popen[str]:
+    """A sweep on a cluster that has finished some chunks."""
+    command = [sys.executable, "-m", "codegen", *WORDS, "--cluster", address, *words]
     made = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    until(lambda: finished() > 3 or made.poll() is not None)
+    goes_on()
     assert made.poll() is None
     return made
 
 
-def assert_whole() -> None:
-    """Every chunk is in the journal once, and every number is that of one process."""
-    _, *lines = map(json.loads, journal_of(Path("s.zarr")).read_text().splitlines())
-    assert sorted(line["chunk"] for line in lines) == list(range(75))
-    found = xarray.open_zarr("s.zarr", chunks=None)
-    assert_same(found, codegen.sweep(ORBIT, AXES, steps=100, chunk=20, workers=1))
+def goes_on() -> None:
+    """Wait until some more chunks are finished."""
+    before = finished()
+    until(lambda: finished() > before + 4)
 
 
 class TestByHand:
-    def test_a_killed_worker_costs_nothing_and_a_killed_scheduler_what_was_in_flight(self, folder, orbital_transfer):
+    def test_a_worker_a_client_and_a_scheduler_are_killed(self, folder, orbital_transfer):
         with cluster() as (address, scheduler, workers):
             sweep = begun(address)
             kill(workers[0])  # the other one does the rest, and what was lost
-            before = finished()
-            until(lambda: finished() > before + 5)
+            goes_on()
+            sweep.kill()
+            sweep.communicate()
+            assert 4 < finished() < 75
+            sweep = begun(address, "--resume")
+            goes_on()
             kill(scheduler)
             _, error = sweep.communicate(timeout=60)
             assert sweep.returncode == 2
             assert error.startswith("codegen: error: the scheduler of the cluster was lost")
             assert error.count("\n") == 1
-        left = finished()
-        assert 8 < left < 75
+        assert 8 < finished() < 75
         with cluster() as (address, _, _):
             done = run(*WORDS, "--cluster", address, "--resume", "--json")
         assert done.exit_code == 0
         assert json.loads(done.stdout)["solved"] == 1500
-        assert_whole()
-
-    def test_a_killed_client_leaves_what_was_written(self, folder, orbital_transfer):
-        with cluster() as (address, _, _):
-            sweep = begun(address)
-            sweep.kill()
-            sweep.communicate()
-            assert 0 < finished() < 75
-            done = run(*WORDS, "--cluster", address, "--resume")
-        assert done.exit_code == 0
-        assert_whole()
+        _, *lines = map(json.loads, journal_of(Path("s.zarr")).read_text().splitlines())
+        assert sorted(line["chunk"] for line in lines) == list(range(75))
+        assert_same(xarray.open_zarr("s.zarr", chunks=None), codegen.sweep(ORBIT, AXES, steps=40, chunk=20, workers=1))
 
     def test_another_processor_compiles_for_itself_and_says_so(self, folder, pendulum):
         """A worker that makes machine code for any processor stands for one that has another."""
-        axes = {"duration": np.linspace(1.0, 2.0, 6)}
-        here = codegen.sweep(PENDULUM, axes, steps=20, chunk=2, workers=1)
         other = {"NUMBA_CPU_NAME": "generic", "CODEGEN_CACHE_DIR": str(folder / "cache")}
+        axes = {"duration": np.linspace(1.0, 2.0, 6)}
         with cluster(**other) as (address, _, _), distributed.Client(address) as client:
+            words = ("--vary", "duration=1:2:6", "--steps", 20, "--chunk", 2, "--out", "p.zarr", "--cluster", address)
+            first = run("sweep", PENDULUM, *words)
+            assert first.exit_code == 0
+            assert first.stderr.count("\n") == 1
+            assert "compiled pendulum" in first.stderr
+            assert "for generic with numba" in first.stderr
+            assert "; the sweep was begun on" in first.stderr
+            modules = list((folder / "cache" / "workers").glob("*-generic-*/*/*.py"))
+            assert len(modules) == 1  # by two workers
             data = codegen.sweep(PENDULUM, axes, steps=20, chunk=2, cluster=client)
             assert client.status == "running"  # it is not ours to close
-            words = ("--vary", "duration=1:2:6", "--steps", 20, "--chunk", 2, "--out", "p.zarr", "--cluster", address)
-            again = run("sweep", PENDULUM, *words)
-        assert again.exit_code == 0
-        assert again.stderr == ""  # compiled once on a machine
-        assert len(list((folder / "cache" / "workers").glob("*-generic-*/*/*.py"))) == 1
-        np.testing.assert_allclose(data.q, here.q, rtol=1e-12, atol=1e-12)
-        assert (data.status == "solved").all()
+        np.testing.assert_allclose(data.q, codegen.sweep(PENDULUM, axes, steps=20, workers=1).q, rtol=1e-12, atol=1e-12)
 
 
 def test_a_store_that_workers_do_not_see_is_written_by_the_client(folder, orbital_transfer, monkeypatch):

@@ -69,9 +69,10 @@ def connected(cluster: Any) -> Iterator[Any]:
 @contextmanager
 def running(work: Work, workers: int, cluster: Any = LOCAL) -> Iterator[Callable[[Sequence[int]], Solved]]:
     """Have workers of a cluster get ready, a local one of so many if it is none yet; see `codegen.sweeping.engines`."""
+    parcel = parcel_of(work)
     with ExitStack() as stack:
         client = stack.enter_context(_local(workers)) if cluster == LOCAL else cluster
-        crew = _Crew(client, work)
+        crew = _Crew(client, work, parcel)
         try:
             yield crew.solve
         finally:
@@ -121,12 +122,12 @@ def _close(client: Any) -> None:
 class _Crew:
     """The workers of a cluster, as far as this sweep has to do with them."""
 
-    def __init__(self, client: Any, work: Work) -> None:
+    def __init__(self, client: Any, work: Work, parcel: Parcel) -> None:
         self._client, self._work, self._name = client, work, f"codegen-{uuid.uuid4().hex}"
         self._flying: dict[str, tuple[int, Any]] = {}
         self._arrived: SimpleQueue[str] = SimpleQueue()
+        self._sent = 0
         self._threads, self._asked, self._seen = 0, 0.0, time.monotonic()
-        parcel = parcel_of(work)
         self._require_workers()
         try:
             client.register_plugin(Solver(parcel), name=self._name)
@@ -136,20 +137,30 @@ class _Crew:
             raise ClusterError(clause(f"workers of the cluster cannot be made ready ({reason})"), remedy) from None
 
     def solve(self, numbers: Sequence[int]) -> Solved:
-        """Keep as many chunks in flight as workers need; each is done when it comes back."""
-        left = iter(numbers)
+        """Keep as many chunks in flight as workers need; each is done when it comes back.
+
+        A chunk whose workers were lost may only have waited beside the one that was to blame. So it is tried again at
+        the end, alone.
+        """
+        left, suspects = iter(numbers), list[int]()
         while True:
             while len(self._flying) < self._most() and (number := next(left, None)) is not None:
                 self._send(number)
             if not self._flying:
-                return
-            number, future = self._flying.pop(self._next())
-            done = self._received(number, future)
-            future.release()
-            yield number, done
+                break
+            number, done = self._received()
+            if done is None:
+                suspects.append(number)
+            else:
+                yield number, done
+        for number in suspects:
+            self._send(number)
+            _, done = self._received()
+            yield number, done or self._work.lost(number, "several workers were lost with its chunk; look for memory")
 
     def _send(self, number: int) -> None:
-        key = f"{self._name}-{number}"
+        self._sent += 1  # one that comes back without result gets another key
+        key = f"{self._name}-{self._sent}"
         piece = self._work.piece(number)
         try:
             future = self._client.submit(_solve, self._name, piece, key=key, pure=False)
@@ -168,21 +179,23 @@ class _Crew:
                 if time.monotonic() > self._seen + DESERTED:
                     raise ClusterError(f"the cluster has had no workers for {DESERTED:.0f} s", _RESUME) from None
 
-    def _received(self, number: int, future: Any) -> Done:
-        """A chunk that is where it belongs; what a worker could not do is raised here."""
+    def _received(self) -> tuple[int, Done | None]:
+        """The next chunk, where it belongs, or None if its workers were lost; what a worker could not do is raised."""
+        number, future = self._flying.pop(self._next())
         try:
             done = future.result()
         except KilledWorker:
-            return self._work.lost(number, "several workers were lost with its chunk; look for memory")
+            return number, None
         except Exception as error:  # none of our own, which are values
             raise self._lost(error) from None
+        future.release()
         if isinstance(done, BaseException):
             raise done
         assert isinstance(done, Done), "workers send what they have done, or why they could not"
         if done.rows is None or self._work.sink is None:
-            return done
+            return number, done
         self._work.sink.write(self._work.chunks.region(number), done.rows)
-        return replace(done, rows=None)
+        return number, replace(done, rows=None)
 
     def _lost(self, error: Exception) -> CodegenError:
         reason = one_line(str(error) or type(error).__name__, 150)
