@@ -21,6 +21,8 @@ LEAST = 4
 """So many values of a quantity it takes to see a jump along it."""
 BENT, STEEP, ROUNDING = 0.5, 0.05, 1e-6
 """What a difference may lie outside the predictions: in parts of their distance, of the larger one, of the cost."""
+BENT_AT_ENDS = 4.0
+"""As the first of these, where there is no slope beyond and both predictions are guesses."""
 BETTER = 1e-7
 """What part of a cost has to be won for a solution to be another one."""
 
@@ -57,7 +59,9 @@ def _of_lines(costs: Costs, distances: NDArray[np.float64]) -> tuple[NDArray[np.
         right = np.column_stack([slopes[:, 1:], last]) * distances
         low, high = np.minimum(left, right), np.maximum(left, right)
         size = np.maximum(np.abs(costs[:, 1:]), np.abs(costs[:, :-1]))
-        allowed = BENT * (high - low) + STEEP * np.maximum(np.abs(low), np.abs(high)) + ROUNDING * size
+        bent = np.full(distances.size, BENT)
+        bent[[0, -1]] = BENT_AT_ENDS
+        allowed = bent * (high - low) + STEEP * np.maximum(np.abs(low), np.abs(high)) + ROUNDING * size
         return steps - high > allowed, low - steps > allowed
 
 
