@@ -52,17 +52,22 @@ def graded(
     panels: Mapping[str, Any], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: NDArray[np.float64]
 ) -> ScalarMappable:
     """Trajectories over time, each in the colour of its case; returns what a colour bar is made from."""
-    norm = Normalize(float(places.min()), float(places.max()) if np.ptp(places) else float(places.min()) + 1.0)
-    shades = ScalarMappable(norm, body_map())
+    solved = places[data["status"].values.astype(str).ravel() == "solved"]
+    least, most = (float(solved.min()), float(solved.max())) if solved.size else (0.0, 1.0)
+    shades = ScalarMappable(Normalize(least, most if most > least else least + 1.0), body_map())
     for i, group in enumerate(groups):
         axes = panels[f"g{i}"]
         t, values, cases = _curves(data, group, MOST_LINES)
         for times, row, case in zip(t, values, cases):
             axes.plot(times, row, color=shades.to_rgba(places[case]), linewidth=0.9)
-        axes.set_xlabel("time")
-        axes.set_ylabel(label(group[1]))
-        axes.margins(x=0)
+        _over_time(axes, "time", group)
     return shades
+
+
+def _over_time(axes: Any, what: str, group: tuple[str, str]) -> None:
+    axes.set_xlabel(what)
+    axes.set_ylabel(label(group[1]))
+    axes.margins(x=0)
 
 
 def fan(axes: Any, data: Dataset, group: tuple[str, str]) -> None:
@@ -80,9 +85,7 @@ def fan(axes: Any, data: Dataset, group: tuple[str, str]) -> None:
         edges = np.nanquantile(values[:, seen], (low, high), axis=0)
         axes.fill_between(times[seen], *edges, color=colour, alpha=strength, linewidth=0)
     axes.plot(times[seen], np.nanmedian(values[:, seen], axis=0), color=colour)
-    axes.set_xlabel("time" if same else "time in parts of the duration")
-    axes.set_ylabel(label(group[1]))
-    axes.margins(x=0)
+    _over_time(axes, "time" if same else "time in parts of the duration", group)
     handles = [Patch(color=colour, alpha=a, label=f"{100 * (h - low):.0f} %") for low, h, a in BANDS]
     axes.legend(handles=handles, loc="best", ncols=2, handlelength=1.2)
 
@@ -104,5 +107,6 @@ def histogram(axes: Any, name: str, values: NDArray[np.float64], is_wide: bool) 
         value = float(np.quantile(finite, share))
         words = "median" if share == 0.5 else f"{100 * share:.0f} %"
         axes.axvline(value, color=DARK, linestyle=style, linewidth=1.1, label=f"{words}: {value:.4g}")
-    axes.legend(loc="best", handlelength=1.6)
+    axes.legend(loc="upper right", handlelength=1.6, frameon=True, framealpha=0.85, edgecolor="none")
+    axes.margins(y=0.3)
     axes.grid(visible=False, axis="x")

@@ -107,7 +107,7 @@ def heading(figure: Figure, data: Dataset) -> None:
     steps = [f"{own['steps']} steps"] if "steps" in own else []
     status = data["status"].values.astype(str)
     failed = int((status != "solved").sum())
-    outcome = f"{status.size} cases shown" + (f", {failed} FAILED" if failed else "")
+    outcome = f"{status.size} cases" + (f", {failed} FAILED" if failed else "")
     letters = int(10.0 * figure.get_figwidth())
     texts = str(own["title"]).rstrip("."), ", ".join([own["formulation"], own["scheme"], *steps, outcome])
     figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)

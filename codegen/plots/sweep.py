@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from codegen.plots import fans
-from codegen.plots.style import AMBER, BLUE, CRIMSON, DARK, GREY, body_colours, body_map, heading, label
+from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, PINK, body_colours, body_map, heading, label
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -24,7 +25,8 @@ _WIDE = 100.0
 """Positive values whose largest is so many times the smallest are drawn on a logarithmic scale."""
 _FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
 _JUMP: dict[str, Any] = {
-    "color": AMBER, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
+    "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
+    "markeredgewidth": 1.6,
 }  # fmt: skip
 
 
@@ -83,7 +85,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     x, order, words = _places(data, dims[0])
     by = dims[1] if len(dims) > 1 else None
     measures, groups = _measures(data), fans.groups_of(data)
-    columns = min(3, max(1, len(groups)))
+    columns = _columns(len(groups))
     rows: list[Any] = [[f"m{i}"] * columns for i in range(len(measures))]
     names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
     names += ["."] * (-len(names) % columns)
@@ -129,7 +131,9 @@ def _measure(
     for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
         name = f"{label(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
         axes.plot(x, row, marker, linestyle="-", color=colour, markersize=5, label=name)
-        axes.plot(x[jumps[i]], row[jumps[i]], **_JUMP, label="jump" if i == int(np.argmax(jumps.any(1))) else None)
+    if jumps.any():
+        k, i = np.nonzero(jumps)
+        axes.plot(x[i], rows[k, i], **_JUMP, label="jump")
     some = failed.any(axis=0)
     if some.any():
         foot = axes.get_xaxis_transform()
@@ -163,20 +167,31 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
         chosen = sorted({round(i) for i in np.linspace(0, number - 1, min(number, _MOST_MAPS))})
     panels = [(data if k is None else data.isel({dims[2]: k}), k) for k in chosen]
     shown = [(part, k, name, values) for part, k in panels for name, values in _measures(part).items()]
-    columns = min(len(shown), 3)
-    size = max(6.4, 4.6 * columns), 1.0 + 3.9 * math.ceil(len(shown) / columns)
+    columns = _columns(len(shown))
+    size = max(6.4, 4.3 * columns), 1.2 + 3.7 * math.ceil(len(shown) / columns)
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(math.ceil(len(shown) / columns), columns, squeeze=False)
     for axes in grid.ravel()[len(shown) :]:
         axes.set_visible(False)
+    drawn: dict[str, list[Any]] = {}
     for axes, (part, k, name, values) in zip(grid.ravel(), shown):
         norm = _norm(np.concatenate([other[3].ravel() for other in shown if other[2] == name]))
         shades = _map(axes, part, dims, (x, y), values, norm)
-        figure.colorbar(shades, ax=axes, label=name).outline.set_visible(False)
+        drawn.setdefault(name, [shades]).append(axes)
         if k is not None:
             axes.set_title(f"{label(dims[2])} = {_named(data, dims[2])[k]}")
+    for name, (shades, *panels_of) in drawn.items():
+        figure.colorbar(shades, ax=panels_of, label=name).outline.set_visible(False)
+    marks = {name: mark for axes in grid.ravel() for mark, name in zip(*axes.get_legend_handles_labels())}
+    if marks:
+        figure.legend(list(marks.values()), list(marks), loc="outside lower center", ncols=2)
     heading(figure, data)
     return figure
+
+
+def _columns(panels: int) -> int:
+    """How many panels stand in a row."""
+    return {0: 1, 4: 2}.get(panels, min(panels, 3))
 
 
 def _norm(values: NDArray[np.float64]) -> Normalize:
@@ -200,16 +215,17 @@ def _map(
     shades = axes.pcolormesh(x, y, shown, shading="nearest", cmap=body_map(), norm=norm, rasterized=True)
     levels = _levels(norm)
     if min(shown.shape) > 2 and np.isfinite(shown).any() and levels.size:
-        lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.6, alpha=0.8)
-        axes.clabel(lines, fontsize=7.5, fmt="%.4g")
+        halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
+        lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
+        lines.set_path_effects(halo)
+        for text in axes.clabel(lines, fontsize=7.5, fmt="%.4g"):
+            text.set_path_effects(halo)
     for table, look, name in ((laid(_is_failed(data)), _FAILED, "failed"), (laid(_has_jump(data)), _JUMP, "jump")):
         if table.any():
             i, j = np.nonzero(table)
             axes.plot(
                 x[j], y[i], **{**look, "markersize": max(1.5, look["markersize"] * _crowd(table.size))}, label=name
             )
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderpad=0.1)
     axes.grid(visible=False)
     axes.set_xlabel(label(dims[0]))
     axes.set_ylabel(label(dims[1]))
@@ -226,7 +242,8 @@ def _levels(norm: Normalize) -> NDArray[np.float64]:
     least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     if not least < most:
         return np.zeros(0)
-    locator: Any = LogLocator(subs=(1.0, 2.0, 5.0)) if isinstance(norm, LogNorm) else MaxNLocator(8)
+    few = (1.0,) if most > 1e3 * least else (1.0, 2.0, 5.0)
+    locator: Any = LogLocator(subs=few) if isinstance(norm, LogNorm) else MaxNLocator(8)
     found = np.asarray(locator.tick_values(least, most), dtype=float)
     return found[(found > least) & (found < most)]
 
@@ -244,14 +261,14 @@ def _samples(data: Dataset) -> Figure:
     own = {"status", "message", *map(str, data.sizes)}
     varied = [str(name) for name, values in data.coords.items() if values.dims == ("case",) and str(name) not in own]
     varied = [name for name in varied if data[name].dtype.kind in "fiub"][:_MOST_SCATTERS]
-    columns = max(2, min(3, 1 + len(varied)))
+    columns = max(2, min(4, 1 + len(varied)))
     blocks = [[f"m{i}", *(f"s{i},{j}" for j in range(len(varied)))] for i in range(len(measures))]
     blocks.append([f"g{i}" for i in range(len(groups))])
     rows: list[Any] = [
         [*block[first : first + columns], *["."] * (columns - len(block[first : first + columns]))]
         for block in blocks for first in range(0, len(block), columns)
     ]  # fmt: skip
-    figure = Figure(figsize=(3.9 * columns, 1.0 + 2.9 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(3.6 * columns, 1.0 + 2.9 * len(rows)), layout="constrained")
     panels = figure.subplot_mosaic(rows)
     failed = _is_failed(data)
     for i, (name, values) in enumerate(measures.items()):
