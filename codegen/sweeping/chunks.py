@@ -19,7 +19,7 @@ from codegen.tasks import task_of
 
 MOST = 4096
 """The most cases of a chunk: finding neighbours takes time in proportion to their square."""
-OVERHEAD = 1e-3
+OVERHEAD = 3e-4
 """Seconds that a case takes beside its iterations."""
 CONTROL_RATE, SIMULATE_RATE = 1.6e-8, 3e-7
 """Seconds per iteration, interval and square of the unknowns on it; of a simulation per step and number of a state."""

@@ -108,17 +108,25 @@ class Work:
             module = modules[keys[place]]
             return not_built(self.variants[keys[place]]) if module is None else solve_case(module, given[place], start)
 
+        def noted(place: int, start: Start[Attempt] | None) -> Attempt:
+            # What is solved is the outcome. Rows have its arrays at once, and others may start from its unknowns alone:
+            # thousands of arrays that are kept take longer to get than to compute.
+            found = attempt(place, start)
+            self._place(rows, place, self.variants[keys[place]], found)
+            return found.without_arrays()
+
+        rows = self._empty_rows(len(values))
         attempts: list[list[Attempt]] = [[]] * len(values)
         for place in self._order(piece, families).tolist():
             if modules[keys[place]] is None:
                 attempts[place] = [attempt(place, None)]
             else:
-                attempts[place] = continuation.solve(place, partial(attempt, place))
-        rows = self._empty_rows(len(values))
+                attempts[place] = continuation.solve(place, partial(noted, place))
         if self.layout.has_jumps and len(modules) == 1:
-            self._improve(piece, attempts, rows, attempt)
+            for place in self._improve(piece, attempts, rows, attempt):
+                self._place(rows, place, self.variants[keys[place]], attempts[place][-1])
         for place, own in enumerate(attempts):
-            self._fill(rows, place, self.variants[keys[place]], own)
+            self._tell(rows, place, own)
         return self._finished(piece.region, rows)
 
     def _improve(
@@ -127,8 +135,8 @@ class Work:
         attempts: list[list[Attempt]],
         rows: Rows,
         attempt: Callable[[int, Start[Attempt]], Attempt],
-    ) -> None:
-        """Begin what is on the worse side of a jump from the better one; add these attempts, and say what they won."""
+    ) -> list[int]:
+        """Begin what is on the worse side of a jump from the better one, and say what it won; the cases that did."""
         outcomes = [own[-1] for own in attempts]
         places = along_dimensions(piece.points, piece.extent)
         found = improved(outcomes, piece.extent, places, lambda place, solution: attempt(place, Start(solution)))
@@ -136,12 +144,11 @@ class Work:
             kept = min((*more, outcomes[place]), key=lambda one: one.cost if one.is_start else np.inf)
             rest = [own for own in (*attempts[place], *more) if own is not kept]
             attempts[place] = [*rest, kept]
-        rows["improvement"][:] = [
-            before.cost - own[-1].cost if own[-1].is_solved else np.nan for before, own in zip(outcomes, attempts)
-        ]
-        costs = np.array([own[-1].cost if own[-1].is_solved else np.nan for own in attempts])
+        costs = np.array([own[-1].cost for own in attempts])
+        rows["improvement"][:] = np.array([outcome.cost for outcome in outcomes]) - costs
         rows["jump"][:] = 0
         rows["jump"][[worse for worse, _ in jumps_of(costs.reshape(piece.extent), places)]] = 1
+        return [place for place in found if attempts[place][-1] is not outcomes[place]]
 
     def lost(self, number: int, reason: str) -> Done:
         """A chunk of which nothing came."""
@@ -185,22 +192,26 @@ class Work:
             return serpentine(piece.extent)
         return nearest_chain(np.column_stack([piece.points, APART * families]))
 
-    def _fill(self, rows: Rows, place: int, variant: Variant, attempts: Sequence[Attempt]) -> None:
-        """Put the outcome of a case, the last attempt, into its row; iterations and seconds are those of all."""
+    def _tell(self, rows: Rows, place: int, attempts: Sequence[Attempt]) -> None:
+        """Put how a case ended, the last attempt, into its row; iterations and seconds are those of all."""
         outcome = attempts[-1]
         outline = outcome.outline
         rows["status"][place], rows["message"][place] = outline.status, outline.message
         rows["residual"][place] = outline.residual
         rows["iterations"][place] = sum(attempt.iterations for attempt in attempts)
         rows["seconds"][place] = sum(attempt.seconds for attempt in attempts)
+        if outcome.is_solved:
+            rows["cost"][place] = np.nan if outline.cost is None else outline.cost
+
+    def _place(self, rows: Rows, place: int, variant: Variant, outcome: Attempt) -> None:
+        """Put the arrays of a solution into its row."""
         if not outcome.is_solved:
             return
-        rows["cost"][place] = np.nan if outline.cost is None else outline.cost
         assert variant.shapes is not None, "what is solved has a module"
         for name in self.layout.dims:
-            if name in outline.arrays:
+            if name in outcome.outline.arrays:
                 columns = variant.shapes.columns.get(name, ())
-                rows[name][place] = self.layout.placed(name, outline.arrays[name], columns)
+                rows[name][place] = self.layout.placed(name, outcome.outline.arrays[name], columns)
 
     def _finished(self, region: tuple[slice, ...], rows: Rows) -> Done:
         """A chunk whose rows are where they belong."""
