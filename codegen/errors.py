@@ -30,6 +30,10 @@ class CodegenError(Exception):
         self.finding, self.remedy = plain(finding), plain(remedy)
         super().__init__(f"{self.finding}; {self.remedy}")
 
+    def __reduce__(self) -> tuple[type[CodegenError], tuple[str, str]]:
+        """What makes the same error in another process, which may have met it first."""
+        return type(self), (self.finding, self.remedy)
+
 
 class ProblemFileError(CodegenError):
     """The problem file cannot be read, imported or called."""

@@ -103,8 +103,8 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
     steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), varied.run.steps))
     assert outline is not None, "what cannot be swept was refused"
     try:
-        run = _run(varied, own, steps, start)
         begin = time.perf_counter()
+        run = _run(varied, own, steps, start)
         attempt = varied.function(own, run)
         seconds = time.perf_counter() - begin
         return Attempt(outline(own, varied.driver, run, attempt), steps, attempt.iterations, seconds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -10,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from test_sweep_processes import StandIn
 
 import codegen
 from codegen.errors import ArgumentError, ClusterError, ExtraError
+from codegen.files import refused
 from codegen.sweeping.engines import ENGINES, engine_for
 from codegen.sweeping.journal import journal_of
 from codegen.sweeping.statuses import LOST
@@ -158,6 +161,38 @@ class TestByHand:
         np.testing.assert_allclose(data.q, codegen.sweep(PENDULUM, axes, steps=20, workers=1).q, rtol=1e-12, atol=1e-12)
 
 
+def test_an_interrupt_by_a_terminal_is_one_line(folder, orbital_transfer):
+    """It goes to all processes of the terminal, of which workers are some."""
+    command = [sys.executable, "-m", "codegen", *WORDS, "--cluster", "local", "--workers", "2"]
+    made = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    goes_on()
+    os.killpg(made.pid, signal.SIGINT)
+    _, error = made.communicate(timeout=60)
+    assert made.returncode == 130
+    assert error.count("\n") == 1
+
+
+def test_what_a_worker_may_not_write_is_one_line(folder, orbital_transfer, monkeypatch):
+    words = ("--steps", 30, "--chunk", 10, "--out", "s.zarr", "--workers", 1, "--cluster", "local")
+    monkeypatch.setattr("codegen.sweeping.work.Work.without_cases", lambda self: replace(self, sink=Full()))
+    monkeypatch.setattr("codegen.sweeping.store.Store.mark", lambda self: (1,))
+    assert_refused(run("sweep", ORBIT, "--vary", "r1=5.9:6:40", *words), "s.zarr cannot be written", "make room")
+
+
+@dataclass(frozen=True)
+class Full:
+    """A store on a full disk."""
+
+    def mark(self):
+        return (1,)
+
+    def write(self, region, rows):
+        raise refused(OSError(errno.ENOSPC, "No space left on device"), Path("s.zarr"))
+
+
 def test_a_store_that_workers_do_not_see_is_written_by_the_client(folder, orbital_transfer, monkeypatch):
     monkeypatch.setattr("codegen.sweeping.store.Store.mark", lambda self: (os.getpid(),))
     axes = {"r1": AXES["r1"][:40]}
@@ -169,8 +204,8 @@ class TestRefusals:
     @pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:9", "http://127.0.0.1:8786", "127.0.0.1", " "])
     def test_an_address_where_nothing_answers(self, folder, address, monkeypatch):
         monkeypatch.setattr("codegen.sweeping.engines.dask.PATIENCE", 0.5)
-        refused = run("sweep", ORBIT, "--vary", "r1=5:6:3", "--out", "s.zarr", "--cluster", address)
-        assert_refused(refused, "--cluster", "such as tcp://")
+        done = run("sweep", ORBIT, "--vary", "r1=5:6:3", "--out", "s.zarr", "--cluster", address)
+        assert_refused(done, "--cluster", "such as tcp://")
         assert not list(folder.iterdir())
 
     def test_workers_belong_to_the_cluster(self, folder):

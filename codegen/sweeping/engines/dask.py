@@ -8,6 +8,7 @@ is resumed: chunks count when they are in the journal, and writing one twice wri
 from __future__ import annotations
 
 import logging
+import signal
 import threading
 import time
 import uuid
@@ -71,8 +72,9 @@ def running(work: Work, workers: int, cluster: Any = LOCAL) -> Iterator[Callable
     """Have workers of a cluster get ready, a local one of so many if it is none yet; see `codegen.sweeping.engines`."""
     parcel = parcel_of(work)
     with ExitStack() as stack:
-        client = stack.enter_context(_local(workers)) if cluster == LOCAL else cluster
-        crew = _Crew(client, work, parcel)
+        is_ours = cluster == LOCAL
+        client = stack.enter_context(_local(workers)) if is_ours else cluster
+        crew = _Crew(client, work, Solver(parcel, is_ours))
         try:
             yield crew.solve
         finally:
@@ -94,7 +96,12 @@ def _client(address: str) -> Any:
 def _local(workers: int) -> Iterator[Any]:
     with _quiet(), dask.config.set({"distributed.scheduler.allowed-failures": TRIES - 1}):
         cluster = _CLUSTER(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
         )
         with cluster, _CLIENT(cluster, set_as_default=False) as client:
             yield client
@@ -122,7 +129,7 @@ def _close(client: Any) -> None:
 class _Crew:
     """The workers of a cluster, as far as this sweep has to do with them."""
 
-    def __init__(self, client: Any, work: Work, parcel: Parcel) -> None:
+    def __init__(self, client: Any, work: Work, solver: Solver) -> None:
         self._client, self._work, self._name = client, work, f"codegen-{uuid.uuid4().hex}"
         self._flying: dict[str, tuple[int, Any]] = {}
         self._arrived: SimpleQueue[str] = SimpleQueue()
@@ -130,7 +137,7 @@ class _Crew:
         self._threads, self._asked, self._seen = 0, 0.0, time.monotonic()
         self._require_workers()
         try:
-            client.register_plugin(Solver(parcel), name=self._name)
+            client.register_plugin(solver, name=self._name)
         except Exception as error:  # raised there, where codegen may not even be installed
             reason = one_line(f"{type(error).__name__}: {error}", 200)
             remedy = "install the same version of variational-codegen for the scheduler and all workers"
@@ -231,14 +238,17 @@ class _Crew:
 class Solver(WorkerPlugin):
     """What a worker has of a sweep: the parcel until the first chunk comes, then the work, and one thread to do it."""
 
-    def __init__(self, parcel: Parcel) -> None:
-        self._parcel = parcel
+    def __init__(self, parcel: Parcel, is_ours: bool) -> None:
+        self._parcel, self._is_ours = parcel, is_ours
 
     def setup(self, worker: Any) -> None:
         """Be there; compiling would keep the worker from answering."""
         self._lock = threading.Lock()
         self._libraries = ThreadpoolController()
         self._work: Work | None = None
+        if self._is_ours and threading.current_thread() is threading.main_thread():
+            # A terminal interrupts all of its processes. It is the client that is meant, and ends this one.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def __call__(self, piece: Piece) -> Done:
         """Solve a chunk; what is to be said of this machine comes with the first."""
