@@ -44,7 +44,7 @@ class Parts:
         if self.scheduler is None or self.scheduler.poll() is not None:
             self.file.unlink(missing_ok=True)
             self.scheduler = dask("scheduler", self.file)
-            while not self.file.exists():
+            while not (self.file.exists() and self.file.read_text().rstrip().endswith("}")):
                 time.sleep(0.05)
         for k, worker in enumerate(self.workers):
             if worker is None or worker.poll() is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -63,8 +64,9 @@ def test_a_planted_jump_is_found_and_mended(hill):
 
 def test_a_jump_between_chunks_is_left_and_told(hill):
     words = ("sweep", hill, "--vary", "c=-1:1:41", "--chunk", 23, "--workers", 1, "--out", "s.zarr")
-    done = run(*words)
+    done = run(*words, "--plot", "s.png")
     assert done.exit_code == 0
+    assert Path("s.png").stat().st_size > 1000
     assert "1 cases were improved" in done.stderr
     assert "1 jumps of the cost remain" in done.stderr
     assert "a larger --chunk" in done.stderr

@@ -85,8 +85,13 @@ def cluster(**environment: str) -> Iterator[tuple[str, subprocess.Popen[str], li
         process("worker", *one, **environment) as first,
         process("worker", *one, **environment) as second,
     ):
-        until(file.exists)
-        yield json.loads(file.read_text())["address"], scheduler, [first, second]
+        yield address_in(file), scheduler, [first, second]
+
+
+def address_in(file: Path) -> str:
+    """What a scheduler writes when it is there."""
+    until(lambda: file.exists() and file.read_text().rstrip().endswith("}"))
+    return json.loads(file.read_text())["address"]
 
 
 def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
@@ -223,10 +228,8 @@ class TestRefusals:
     def test_a_scheduler_without_workers(self, folder, monkeypatch, orbital_transfer):
         monkeypatch.setattr("codegen.sweeping.engines.dask.PATIENCE", 2.0)
         with process("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", "s.json"):
-            until(Path("s.json").exists)
-            address = json.loads(Path("s.json").read_text())["address"]
             with pytest.raises(ClusterError, match="no workers"):
-                codegen.sweep(ORBIT, {"r1": [6.0]}, steps=20, cluster=address)
+                codegen.sweep(ORBIT, {"r1": [6.0]}, steps=20, cluster=address_in(Path("s.json")))
 
     def test_without_dask_one_line_names_the_command(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "distributed", None)
