@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from codegen.plots.panels import KINDS
-from codegen.plots.style import BLUE, DARK, body_map, label
+from codegen.plots.style import BLUE, DARK, body_map, label, statuses
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -35,11 +35,14 @@ def groups_of(data: Dataset) -> list[tuple[str, str]]:
 def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.intp]]:
     """Times and values (cases, times) of some cases that are solved, and which these are."""
     name, column = group
-    solved = np.flatnonzero(data["status"].values.astype(str).ravel() == "solved")
+    solved = np.flatnonzero(statuses(data).ravel() == "solved")
     solved = solved[:: max(1, -(-solved.size // most))]
     dim = str(data["status"].dims[0])
     part = data[["t", name]].isel({dim: solved})
-    t, values = part["t"].values, part[name].sel({_COLUMNS[name][0]: column})
+    t, values = (
+        part["t"].values,
+        part[name].isel({_COLUMNS[name][0]: data[_COLUMNS[name][0]].values.tolist().index(column)}),
+    )
     if "stage" in values.dims:
         values = values.mean("stage")
     table = np.asarray(values.transpose(dim, ...).values, dtype=float)
@@ -52,7 +55,7 @@ def graded(
     panels: Mapping[str, Any], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: NDArray[np.float64]
 ) -> ScalarMappable:
     """Trajectories over time, each in the colour of its case; returns what a colour bar is made from."""
-    solved = places[data["status"].values.astype(str).ravel() == "solved"]
+    solved = places[statuses(data).ravel() == "solved"]
     least, most = (float(solved.min()), float(solved.max())) if solved.size else (0.0, 1.0)
     shades = ScalarMappable(Normalize(least, most if most > least else least + 1.0), body_map())
     for i, group in enumerate(groups):

@@ -8,7 +8,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from codegen.solutions.result import Result
 
@@ -101,11 +103,17 @@ def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
     figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)
 
 
+def statuses(data: Dataset) -> NDArray[np.str_]:
+    """The status of each case of a sweep, of whatever type of words a file has them."""
+    values = data["status"].values
+    return np.array(values.ravel().tolist(), dtype=np.str_).reshape(values.shape)
+
+
 def heading(figure: Figure, data: Dataset) -> None:
     """What a sweep has solved, how, and how many of its cases failed."""
     own = data.attrs
     steps = [f"{own['steps']} steps"] if "steps" in own else []
-    status = data["status"].values.astype(str)
+    status = statuses(data)
     failed = int((status != "solved").sum())
     outcome = f"{status.size} cases" + (f", {failed} FAILED" if failed else "")
     letters = int(10.0 * figure.get_figwidth())

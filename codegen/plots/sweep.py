@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from codegen.plots import fans
-from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, PINK, body_colours, body_map, heading, label
+from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, PINK, body_colours, body_map, heading, label, statuses
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -64,7 +64,7 @@ def _at_end(data: Dataset) -> NDArray[np.float64]:
 
 
 def _is_failed(data: Dataset) -> NDArray[np.bool_]:
-    return np.asarray(data["status"].values.astype(str) != "solved")
+    return np.asarray(statuses(data) != "solved")
 
 
 def _has_jump(data: Dataset) -> NDArray[np.bool_]:
@@ -132,8 +132,8 @@ def _measure(
         name = f"{label(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
         axes.plot(x, row, marker, linestyle="-", color=colour, markersize=5, label=name)
     if jumps.any():
-        k, i = np.nonzero(jumps)
-        axes.plot(x[i], rows[k, i], **_JUMP, label="jump")
+        places = np.nonzero(jumps)
+        axes.plot(x[places[1]], rows[places], **_JUMP, label="jump")
     some = failed.any(axis=0)
     if some.any():
         foot = axes.get_xaxis_transform()

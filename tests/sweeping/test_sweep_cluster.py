@@ -227,9 +227,11 @@ class TestRefusals:
 
     def test_a_scheduler_without_workers(self, folder, monkeypatch, orbital_transfer):
         monkeypatch.setattr("codegen.sweeping.engines.dask.PATIENCE", 2.0)
-        with process("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", "s.json"):
-            with pytest.raises(ClusterError, match="no workers"):
-                codegen.sweep(ORBIT, {"r1": [6.0]}, steps=20, cluster=address_in(Path("s.json")))
+        with (
+            process("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", "s.json"),
+            pytest.raises(ClusterError, match="no workers"),
+        ):
+            codegen.sweep(ORBIT, {"r1": [6.0]}, steps=20, cluster=address_in(Path("s.json")))
 
     def test_without_dask_one_line_names_the_command(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "distributed", None)
