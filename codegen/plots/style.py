@@ -103,6 +103,12 @@ def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
     figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)
 
 
+def quantity(name: str) -> str:
+    """What a varied quantity is called; prescribed values have the end and the name, as in `start.r`."""
+    end, dot, own = name.partition(".")
+    return f"{label(own)} at the {end}" if dot else label(name)
+
+
 def statuses(data: Dataset) -> NDArray[np.str_]:
     """The status of each case of a sweep, of whatever type of words a file has them."""
     values = data["status"].values

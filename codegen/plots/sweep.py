@@ -13,7 +13,19 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from codegen.plots import fans
-from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, PINK, body_colours, body_map, heading, label, statuses
+from codegen.plots.style import (
+    BLUE,
+    CRIMSON,
+    DARK,
+    GREY,
+    PINK,
+    body_colours,
+    body_map,
+    heading,
+    label,
+    quantity,
+    statuses,
+)
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -94,16 +106,20 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     panels = figure.subplot_mosaic(rows)
     failed, jumps = (_rows(table, data, dims)[:, order] for table in (_is_failed(data), _has_jump(data)))
     for i, (name, values) in enumerate(measures.items()):
-        _measure(panels[f"m{i}"], x, _rows(values, data, dims)[:, order], failed, jumps, data, by)
+        _measure(panels[f"m{i}"], x, _rows(values, data, dims)[:, order], failed, jumps, data, by, bool(words))
         panels[f"m{i}"].set_ylabel(name)
-        panels[f"m{i}"].set_xlabel(label(dims[0]))
+        panels[f"m{i}"].set_xlabel(quantity(dims[0]))
         if words:
             panels[f"m{i}"].set_xticks(x, words)
     if any(name != "." for name in names):
         flat = data if by is None else data.isel({by: 0})
         shades = fans.graded(panels, groups, flat.isel({dims[0]: order}), dims[0], x)
-        bar = figure.colorbar(shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=label(dims[0]), aspect=30)
+        bar = figure.colorbar(
+            shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0]), aspect=30
+        )
         bar.outline.set_visible(False)
+        if words:
+            bar.set_ticks(x, labels=words)
     heading(figure, data)
     return figure
 
@@ -123,14 +139,15 @@ def _measure(
     jumps: NDArray[np.bool_],
     data: Dataset,
     by: str | None,
+    is_of_words: bool,
 ) -> None:
     """Lines of one measure, failed cases at the foot of the panel, and jumps where they are."""
     _scale(axes, rows)
-    marker = "." if x.size <= 60 else ""
+    marker = "o" if is_of_words else "." if x.size <= 60 else ""
     values = [] if by is None else _named(data, by)
     for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
-        name = f"{label(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
-        axes.plot(x, row, marker, linestyle="-", color=colour, markersize=5, label=name)
+        name = f"{quantity(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
+        axes.plot(x, row, marker, linestyle="none" if is_of_words else "-", color=colour, markersize=5, label=name)
     if jumps.any():
         places = np.nonzero(jumps)
         axes.plot(x[places[1]], rows[places], **_JUMP, label="jump")
@@ -179,7 +196,7 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
         shades = _map(axes, part, dims, (x, y), values, norm)
         drawn.setdefault(name, [shades]).append(axes)
         if k is not None:
-            axes.set_title(f"{label(dims[2])} = {_named(data, dims[2])[k]}")
+            axes.set_title(f"{quantity(dims[2])} = {_named(data, dims[2])[k]}")
     for name, (shades, *panels_of) in drawn.items():
         figure.colorbar(shades, ax=panels_of, label=name).outline.set_visible(False)
     marks = {name: mark for axes in grid.ravel() for mark, name in zip(*axes.get_legend_handles_labels())}
@@ -227,8 +244,8 @@ def _map(
                 x[j], y[i], **{**look, "markersize": max(1.5, look["markersize"] * _crowd(table.size))}, label=name
             )
     axes.grid(visible=False)
-    axes.set_xlabel(label(dims[0]))
-    axes.set_ylabel(label(dims[1]))
+    axes.set_xlabel(quantity(dims[0]))
+    axes.set_ylabel(quantity(dims[1]))
     for words, at, put in ((x_words, x, axes.set_xticks), (y_words, y, axes.set_yticks)):
         if words:
             put(at, words)
@@ -273,9 +290,9 @@ def _samples(data: Dataset) -> Figure:
     failed = _is_failed(data)
     for i, (name, values) in enumerate(measures.items()):
         fans.histogram(panels[f"m{i}"], name, values, _is_wide(values))
-        for j, quantity in enumerate(varied):
-            _scatter(panels[f"s{i},{j}"], data[quantity].values, values, failed)
-            panels[f"s{i},{j}"].set_xlabel(label(quantity))
+        for j, varied_one in enumerate(varied):
+            _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, failed)
+            panels[f"s{i},{j}"].set_xlabel(quantity(varied_one))
             panels[f"s{i},{j}"].set_ylabel(name)
     for i, group in enumerate(groups):
         fans.fan(panels[f"g{i}"], data, group)

@@ -27,9 +27,10 @@ BETTER = 1e-7
 """What part of a cost has to be won for a solution to be another one."""
 
 
-def jumps_of(costs: Costs, places: Sequence[NDArray[np.float64]]) -> list[Pair]:
+def jumps_of(costs: Costs, places: Sequence[NDArray[np.float64]], certain: bool = False) -> list[Pair]:
     """Pairs of neighbours on a grid of costs between which the cost jumps; NaN, where there is no solution, is skipped.
 
+    Those that are `certain` are no kinks either, in which one curved branch of optima ends and another begins.
     `places` has the place (n,) of each row of a dimension along it, or nothing for a dimension that is none of numbers.
     """
     numbers = np.arange(costs.size).reshape(costs.shape)
@@ -39,13 +40,15 @@ def jumps_of(costs: Costs, places: Sequence[NDArray[np.float64]]) -> list[Pair]:
             continue
         rows = np.moveaxis(costs, axis, -1).reshape(-1, costs.shape[axis])
         own = np.moveaxis(numbers, axis, -1).reshape(rows.shape)
-        after, before = _of_lines(rows, np.diff(along))
+        after, before = _of_lines(rows, np.diff(along), certain)
         for worse, better in ((own[:, 1:][after], own[:, :-1][after]), (own[:, :-1][before], own[:, 1:][before])):
             found += zip(worse.tolist(), better.tolist())
     return sorted(found)
 
 
-def _of_lines(costs: Costs, distances: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _of_lines(
+    costs: Costs, distances: NDArray[np.float64], certain: bool
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Between which neighbours of each line (lines, n) the later one is the worse, and the earlier one: (lines, n - 1).
 
     Values may decrease along a line, but none may be there twice: a pair that is has no slope, and is none.
@@ -62,6 +65,11 @@ def _of_lines(costs: Costs, distances: NDArray[np.float64]) -> tuple[NDArray[np.
         bent = np.full(distances.size, BENT)
         bent[[0, -1]] = BENT_AT_ENDS
         allowed = bent * (high - low) + STEEP * np.maximum(np.abs(low), np.abs(high)) + ROUNDING * size
+        if certain:
+            # Each side goes on changing its slope up to the pair.
+            before = 2.0 * left - np.column_stack([left[:, :1], left[:, :-1]])
+            after = 2.0 * right - np.column_stack([right[:, 1:], right[:, -1:]])
+            low, high = np.minimum.reduce([low, before, after]), np.maximum.reduce([high, before, after])
         return steps - high > allowed, low - steps > allowed
 
 

@@ -151,7 +151,7 @@ def _marked(
     others = {work.cases.axes[name] for name in arguments}
     places = [none if axis in others else along(work.cases.points_along(axis)) for axis in range(costs.ndim)]
     flags = np.zeros(costs.shape, np.int32)
-    flags.ravel()[[worse for worse, _ in jumps_of(costs, places)]] = 1
+    flags.ravel()[[worse for worse, _ in jumps_of(costs, places, certain=True)]] = 1
     if flags.any() or tally.jumps:
         write((slice(None),) * costs.ndim, {"jump": flags})
     jumps = int(flags.sum())

@@ -147,7 +147,7 @@ class Work:
         costs = np.array([own[-1].cost for own in attempts])
         rows["improvement"][:] = np.array([outcome.cost for outcome in outcomes]) - costs
         rows["jump"][:] = 0
-        rows["jump"][[worse for worse, _ in jumps_of(costs.reshape(piece.extent), places)]] = 1
+        rows["jump"][[worse for worse, _ in jumps_of(costs.reshape(piece.extent), places, certain=True)]] = 1
         return [place for place in found if attempts[place][-1] is not outcomes[place]]
 
     def lost(self, number: int, reason: str) -> Done:
