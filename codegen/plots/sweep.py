@@ -119,7 +119,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
         )
         bar.outline.set_visible(False)
         if words:
-            bar.set_ticks(x, labels=words)
+            bar.set_ticks(x.tolist(), labels=words)
     heading(figure, data)
     return figure
 
