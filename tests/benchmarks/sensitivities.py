@@ -93,12 +93,12 @@ def extrapolated(
         return None, {}
     best, noise = {}, {}
     for kind in KINDS:
+        floor = FLOOR * np.abs(middle[kind]).max(initial=0.0) / max(1.0, size)
+        largest = max(np.abs(found[-1][kind]).max(initial=0.0), floor)
         changes = [np.abs(b[kind] - a[kind]).max(initial=0.0) for a, b in pairwise(found)]
         least = int(np.argmin(changes))
         before, behind = changes[least - 1] if least else math.inf, [*changes, math.inf][least + 1]
-        if len(bends) > 2 and bends[2][kind] > max(
-            0.3 * bends[1][kind], KINK * np.abs(found[-1][kind]).max(initial=0.0)
-        ):
+        if len(bends) > 2 and bends[2][kind] > max(0.3 * bends[1][kind], KINK * largest):
             changes[least] = math.inf
         best[kind], noise[kind] = found[least + 1 if behind < before else least][kind], changes[least]
     return best, noise

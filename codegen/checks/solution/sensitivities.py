@@ -81,7 +81,7 @@ def _compared(module: Any, steps: int, solution: Any, direction: _Direction) -> 
     pairs = [pair[:2] for pair in references if pair is not None]
     if len(pairs) < len(references):
         return not_measured(_NAME, subject, "the problem beside the solution is not solved")
-    if any(_bends(references, kind) for kind in _KINDS):  # type: ignore[arg-type]  # all are there
+    if any(_bends(references, kind, _array(solution, kind)) for kind in _KINDS):  # type: ignore[arg-type]  # all are there
         return not_measured(_NAME, subject, "derivatives to both sides differ, as where bounds begin to hold")
     said = _along(module, grid, solution, found, direction)
     worst, beyond, rough, of = 0.0, 0.0, 0.0, ""
@@ -140,11 +140,12 @@ def _extrapolated(differences: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {kind: (4.0 * fine[kind] - coarse[kind]) / 3.0 for kind in _KINDS}
 
 
-def _bends(references: Sequence[tuple[dict[str, Any], ...]], kind: str) -> bool:
+def _bends(references: Sequence[tuple[dict[str, Any], ...]], kind: str, values: Any) -> bool:
     """Whether derivatives to both sides differ by more than curvature makes them, which is in proportion to lengths."""
     _, _, longer = references[-2]
     _, fine, bend = references[-1]
-    return bool(bend[kind] > max(0.3 * longer[kind], _KINK * float(np.abs(fine[kind]).max(initial=0.0))))
+    largest = max(float(np.abs(fine[kind]).max(initial=0.0)), _FLOOR * float(np.abs(values).max(initial=0.0)))
+    return bool(bend[kind] > max(0.3 * longer[kind], _KINK * largest))
 
 
 def _array(solution: Any, kind: str) -> Any:

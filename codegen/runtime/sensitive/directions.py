@@ -253,7 +253,7 @@ if COUPLINGS:
             by_data, mixed = zero_vector(DATA), zero_matrix(width, DATA)
             for a in range(COUPLING_COUNTS[i]):
                 read[a] = unknowns[first + COUPLING_INDICES[i, a]]
-            coupling_term(COUPLING_KINDS[i], read, parameters, slopes, curvatures)
+            term = coupling_term(COUPLING_KINDS[i], read, parameters, slopes, curvatures)
             coupling_mixed(COUPLING_KINDS[i], read, parameters, by_data, mixed)
             row = multipliers + COUPLING_ROWS[i]
             for d in range(len(values)):
@@ -267,4 +267,4 @@ if COUPLINGS:
                         follows += mixed[a, j] * rates[d, 0, j]
                     products[d, index] += unknowns[row] * follows
                     change += slopes[a] * vectors[d, index]
-                values[d] += unknowns[row] * change
+                values[d] += unknowns[row] * change + term * vectors[d, row]

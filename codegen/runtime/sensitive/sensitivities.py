@@ -32,7 +32,7 @@ from codegen.runtime.unknowns.time_grid import plain_grid
 # leave much to refinement; where large ones, or dependent equations, make elimination inaccurate, others do not.
 ATTEMPTS = ((1e8, 0.0), (1e6, 0.0), (1e10, 1e-10), (1e6, 1e-10))
 LOOSE = 1e-10  # curvature of what has bounds that do not hold, which makes the blocks of slacks regular
-DOUBTFUL = 1e-5  # in parts of sizes: where multiplier and distance of a bound are both below, either may be zero
+DOUBTFUL = 3e-5  # in parts of sizes: where multiplier and distance of a bound are both below, either may be zero
 EXACT = 1e-10  # what substitutions may leave of linear equations, in parts of their terms
 LOST = 1e-6  # what tells that there is no solution
 SUBSTITUTIONS = 6  # for a quantity at most: refinement, where one leaves more
