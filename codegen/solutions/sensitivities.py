@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 INACCURATE = 1e-7
 """Parts of their terms that linear equations may leave: beyond it derivatives are not what they should be."""
+SHARP = 1e-12
+"""The tolerance to which solutions are found again that have no sensitivities."""
 _NAMED = 3
 """Places that are told of those where strict complementarity fails."""
 
@@ -103,13 +105,27 @@ def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ())
     if not result.solved or result.unknowns is None:
         missing = Sensitivities(names, none, "the problem was not solved", (), np.nan, {})
         return replace(result, sensitivity=missing)
-    grid = time_grid(module, result.steps, result.grid)
-    found = module.sensitivities(grid, result.unknowns, given)
+    grid, unknowns = time_grid(module, result.steps, result.grid), result.unknowns
+    found = module.sensitivities(grid, unknowns, given)
+    if found.failure:
+        unknowns = _sharpened(module, result)
+        found = module.sensitivities(grid, unknowns, given)
     doubtful = tuple(_place(module, grid, int(index)) for index in found.doubtful)
     if found.failure:
         return replace(result, sensitivity=Sensitivities(names, none, found.failure, doubtful, np.nan, {}))
-    by_name = {name: _derivatives(result, module, grid, found, i) for i, name in enumerate(names)}
+    there = replace(result, unknowns=unknowns)
+    by_name = {name: _derivatives(there, module, grid, found, i) for i, name in enumerate(names)}
     return replace(result, sensitivity=Sensitivities(names, found.cost, "", doubtful, found.inaccuracy, by_name))
+
+
+def _sharpened(module: Any, result: Result) -> Vector:
+    """The unknowns of the solution to a lower tolerance, where that is reached.
+
+    Where curvatures are small, multipliers that are known to the tolerance may leave no minimum.
+    """
+    given = {} if result.grid is None else {"grid": result.grid}
+    found = module.solve(result.steps, guess=result.unknowns, warm=True, tolerance=SHARP, **given)
+    return np.asarray(found.unknowns if found.status == "solved" else result.unknowns)
 
 
 def _derivatives(result: Result, module: Any, grid: Grid, found: Any, i: int) -> Derivatives:

@@ -119,6 +119,7 @@ def compare(name: str, steps: int | None, verbose: bool) -> dict[str, Any]:
         sharp = module.solve(steps, guess=solution.unknowns, warm=True, tolerance=tolerance)
         if sharp.status == "solved":
             break
+    sharp = sharp if sharp.status == "solved" else solution
     grid, start = module.make_grid(steps), sharp.unknowns
     times = []
     for _ in range(5):

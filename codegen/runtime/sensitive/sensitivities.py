@@ -28,13 +28,13 @@ from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.shared import root_index
 from codegen.runtime.unknowns.time_grid import plain_grid
 
-# Curvatures, in parts of sizes, that hold an unknown, and shifts of equations: the first that do are taken. Small ones
-# leave much to refinement; where large ones, or dependent equations, make elimination inaccurate, others do not.
-ATTEMPTS = ((1e8, 0.0), (1e6, 0.0), (1e10, 1e-10), (1e6, 1e-10))
-LOOSE = 1e-10  # curvature of what has bounds that do not hold, which makes the blocks of slacks regular
+# Curvatures, in parts of sizes, that hold an unknown, and shifts of equations: the first that do are taken. What they
+# change is left to refinement. Larger curvatures would hide that active bounds contradict the equations.
+ATTEMPTS = ((1e8, 0.0), (1e8, 1e-12), (1e6, 0.0))
+LOOSE = 1e-12  # curvature of what has bounds that do not hold, which makes the blocks of slacks regular
 DOUBTFUL = 3e-5  # in parts of sizes: where multiplier and distance of a bound are both below, either may be zero
 EXACT = 1e-10  # what substitutions may leave of linear equations, in parts of their terms
-LOST = 1e-6  # what tells that there is no solution
+LOST = 1e-8  # what tells that there is no solution
 SUBSTITUTIONS = 6  # for a quantity at most: refinement, where one leaves more
 DEPENDENT = "equations, or active bounds, depend on each other at the solution"
 SIGNS = np.where(np.random.default_rng(0).random(10_000) < 0.5, -1.0, 1.0)
