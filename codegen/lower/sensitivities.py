@@ -185,7 +185,7 @@ def _text(program: ControlProgram) -> SensitivityText:
         rate_inputs=_scalar_inputs(program, read) if _is_same(program) else inputs(program, read, column=False),
         rates=tuple(rates),
         following=tuple(following),
-        pin_inputs=(*inputs(program, pinned, column=False), *_rate_inputs(program, pinned, "rates[:, :, {}]")),
+        pin_inputs=_pin_inputs(program, pinned),
         pins=tuple(pins),
         duration_inputs=_duration_inputs(program, durations) if program.scaled_time else (),
         durations=_durations_code(program, durations),
@@ -272,6 +272,18 @@ def _pins(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
                 lines.append(Line(f"chains[:, :, {place.format(index)}]", array_code(along), program.node[index].name))
                 values.append(along)
     return lines, values
+
+
+def _pin_inputs(program: ControlProgram, pinned: Sequence[Expr]) -> tuple[Line, ...]:
+    """The unknowns of each body as a view, and what derivatives of pinned values read."""
+    if not pinned:
+        return ()
+    return (
+        Line("chain", "grid.steps * STRIDE + NODE"),
+        Line("chains", "moves[:, : BODIES * chain].reshape(len(rates), BODIES, chain)"),
+        *inputs(program, pinned, column=False),
+        *_rate_inputs(program, pinned, "rates[:, :, {}]"),
+    )
 
 
 def _durations(durations: Sequence[Expr], symbols: Sequence[Symbol]) -> list[Expr]:

@@ -274,6 +274,21 @@ def test_planted_defect_of_conditions_between_bodies_is_found(of_hovercraft, nam
         verify.verify(program, changed(text, *COUPLING_DEFECTS[name]))
 
 
+@pytest.mark.parametrize(
+    ("function", "pattern", "replacement"),
+    [
+        ("coupling_1_mixed", r"slopes\[3\] = (.*?)(  #|\n)", r"slopes[3] = -(\1)\2"),
+        ("coupling_2_mixed", r"slopes\[4\]", "slopes[5]"),
+    ],
+)
+def test_planted_defect_of_data_of_conditions_is_found(function, pattern, replacement):
+    program = prepared_file("hovercraft")[0]
+    text = emit.render(lower.lower(program, derive.derivatives(program), control_sensitivities(program)), ORIGIN)
+    verify.verify(program, text)
+    with pytest.raises(VerificationError, match="of the condition"):
+        verify.verify(program, changed(text, function, pattern, replacement))
+
+
 def test_a_term_that_reads_another_unknown_is_found(of_hovercraft):
     program, text = of_hovercraft
     verify.verify(program, text)
