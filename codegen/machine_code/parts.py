@@ -69,6 +69,8 @@ def _sensitivity_parts(module: Any, grid: Any, unknowns: Any) -> Calls:
         lambda: module.change_along(*data, moves, rates, times, mask, moves.copy(), np.zeros(count)),
         lambda: module.add_steps(moves, moves, np.ones(unknowns.size), mask, mask, moves.copy(), np.zeros((2, count))),
     ]
+    if hasattr(module, "follow_ties"):
+        calls.append(lambda: module.follow_ties(grid.steps, moves, moves.copy()))
     if hasattr(module, "momenta_along"):
         room = np.zeros((module.BODIES, grid.steps + 1, module.EQUATIONS.size))
         calls.append(lambda: module.momenta_along(*data, moves[0], rates[0], times[0], room))

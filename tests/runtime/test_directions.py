@@ -45,7 +45,7 @@ def require_exact(module, steps, seed, scale):
     own = np.where(free, generator.normal(scale=0.3, size=offsets.shape), 0.0)
     moves = offsets + own
     if module.metadata["shared"] and hasattr(module, "follow_ties"):
-        module.follow_ties(grid, offsets, moves)
+        module.follow_ties(grid.steps, offsets, moves)
     times = module.kernel_times(grid, rates, duration)
     changes, values = np.empty_like(moves), np.empty(count)
     data = unknowns, grid.steps, grid.h, grid.nodes, grid.parameters

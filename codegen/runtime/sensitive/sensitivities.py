@@ -69,7 +69,7 @@ def sensitivities(grid, unknowns, given=()):
             raise ValueError(f"{name!r} is none of {', '.join(QUANTITIES)}")
     grid = plain_grid(grid)
     scaled, (rates, duration) = scaled_grid(grid, unknowns), data_rates(grid, given)
-    moves, is_solved_for = pinned_rates(grid, rates), free_unknowns(grid)
+    moves, is_solved_for = pinned_rates(grid, rates), free_unknowns(grid).copy()
     is_held = is_bounded = np.zeros(unknowns.size, bool)
     doubtful = np.zeros(0, np.int64)
     if INEQUALITIES:
@@ -81,7 +81,7 @@ def sensitivities(grid, unknowns, given=()):
                 moves[i, is_held] = np.where(is_below, lower, upper)[is_held]
     offsets = moves.copy()
     if TIED:
-        follow_ties(grid, offsets, moves)
+        follow_ties(grid.steps, offsets, moves)
     case = Case(grid, scaled, unknowns, is_solved_for, offsets, rates, kernel_times(grid, rates, duration))
     changes, cost = changes_along(case, moves, case.rates, case.times)
     failure, best, inaccuracy = DEPENDENT, moves, np.inf
@@ -144,7 +144,7 @@ def solved_along(case, system, moves, changes):
             solve_kkt(case.scaled, system, changes[i], steps[i])
         add_steps(steps, changes, case.roots, case.is_solved_for, is_multiplier, moves, sizes)
         if TIED:
-            follow_ties(case.grid, case.offsets, moves)
+            follow_ties(case.grid.steps, case.offsets, moves)
         # One sum of all, in parts of their sizes and with signs at random, tells whether any is inaccurate.
         weights, every = SIGNS[: len(moves)] / sizes[0], (moves, case.rates, case.times)
         sums = [(weights @ each.reshape(len(moves), -1)).reshape(1, *each.shape[1:]) for each in every]
@@ -216,16 +216,20 @@ if INEQUALITIES:
 
 if TIED:
 
-    def follow_ties(grid, offsets, moves):
+    @njit(cache=True, error_model="numpy")
+    def follow_ties(steps, offsets, moves):
         """Let unknowns of the ends move with the shared ones that they equal, but for `offsets` (m, n)."""
-        chain, shared = grid.steps * STRIDE + NODE, moves.shape[1] - ROOT
+        shared = moves.shape[1] - ROOT
         for body in range(BODIES):
-            for tied, own, first in (
-                (START_TIED, START_SHARED, body * chain),
-                (END_TIED, END_SHARED, (body + 1) * chain - NODE),
-            ):
-                for i, j in zip(tied, own):
-                    moves[:, first + i] = offsets[:, first + i] + moves[:, shared + root_index(body, j)]
+            first = body * (steps * STRIDE + NODE)
+            last = first + steps * STRIDE
+            for d in range(len(moves)):
+                for i in range(START_SHARED.size):
+                    own = moves[d, shared + root_index(body, START_SHARED[i])]
+                    moves[d, first + START_TIED[i]] = offsets[d, first + START_TIED[i]] + own
+                for i in range(END_SHARED.size):
+                    own = moves[d, shared + root_index(body, END_SHARED[i])]
+                    moves[d, last + END_TIED[i]] = offsets[d, last + END_TIED[i]] + own
 
 
 def kernel_times(grid, rates, duration):
