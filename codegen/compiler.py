@@ -174,10 +174,20 @@ def generate_from_model(
 
 
 def _require_sensitive(model: Model | PairwiseModel) -> None:
-    """ArgumentError for a problem whose solutions have no sensitivities."""
+    """ArgumentError for a problem whose solutions have no sensitivities: samples lie at times, not in parts of any."""
+    from codegen.model.pairwise import PairwiseModel
+
     if model.task != "control":
         noun = TASKS[model.task].noun
         raise ArgumentError(f"sensitivities are those of an optimisation, not of {noun}", "leave them out")
+    assert not isinstance(model, PairwiseModel), "particles are no optimisation"
+    parts = model.phases or (model,)
+    times = [part.duration for part in parts] + [
+        i.time for part in parts for i in part.inner_times if i.time is not None
+    ]
+    if any(part.measurements for part in parts) and any(time.free_symbols & {*model.parameters} for time in times):
+        finding = "sensitivities of measurements need times that follow no parameters"
+        raise ArgumentError(finding, "give the duration and inner times as numbers, or leave sensitivities out")
 
 
 def derivatives_by_data(program: Any) -> ControlSensitivities:

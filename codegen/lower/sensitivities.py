@@ -65,7 +65,12 @@ def added(program: ControlProgram, found: ControlSensitivities | None, curved: b
 def quantities(program: ControlProgram) -> tuple[str, ...]:
     """What derivatives are by, with the names that sweeps have: parameters, boundary values, a given duration."""
     names = [*(p.name for p in program.model.parameters), *(f"{v.where}.{v.quantity}" for v in program.boundary_values)]
-    return (*names, *(() if program.scaled_time else ("duration",)))
+    return (*names, *(("duration",) if _varies_duration(program) else ()))
+
+
+def _varies_duration(program: ControlProgram) -> bool:
+    """Whether a duration is given that may be another: not where samples, which lie at times, would move in it."""
+    return not program.scaled_time and program.sample is None
 
 
 def _kernels(program: ControlProgram, found: ControlSensitivities, codes: Codes) -> tuple[Kernel, ...]:
@@ -211,14 +216,14 @@ def _rates(program: ControlProgram) -> tuple[list[Line], list[tuple[str, tuple[L
         read.extend(slope for _, _, slope in slopes)
         return tuple(Line(target.format(j), code(slope), f"by {parameter}") for j, parameter, slope in slopes)
 
-    own = [Line("duration[-1]", "1.0", "by itself")] if not program.scaled_time else []
+    own = [Line("duration[-1]", "1.0", "by itself")] if _varies_duration(program) else []
     for i, value in enumerate(program.inner.values):
         own += lines(f"rates[{{}}, :, {count + i}]", value, numbers)
     following = [
         (f"{v.where}.{v.quantity}", lines(f"rates[{{}}, :, {i}]", v.value, numbers))
         for i, v in enumerate(program.boundary_values, start=len(model.parameters))
     ]
-    if not program.scaled_time:
+    if _varies_duration(program):
         code = scalar_code if _is_same(program) else common_code
         following.append(("duration", lines("duration[{}]", model.duration, code)))
     return own, [(name, found) for name, found in following if found], read

@@ -6,6 +6,8 @@ import json
 
 import numpy as np
 import pytest
+from measured_decay import interpreted as interpreted_file
+from measured_decay import write_decay
 
 import codegen
 from codegen.errors import ArgumentError, NumericsError
@@ -136,6 +138,40 @@ def test_records_and_arrays(solved, tmp_path):
         assert archive["d_q"][i] == pytest.approx(result.sensitivities()["r1"].q)
         assert archive["d_cost"].shape == (len(found["by"]),)
     assert output.sensitivities_table(record["sensitivities"]).row_count == len(found["by"])
+
+
+MEASURED = '''"""A substance decays, and what is measured of it is off."""
+from codegen import Control, Measurements, free_parameter, parameters, states
+def problem() -> Control:
+    (x,) = states("x")
+    k, (a, T) = free_parameter("k", 1, lower=0.01), parameters(a=2, T=3)
+    observations = Measurements("decay.csv", time="t", values={{x + a/10: "z"}}, sigma=0.05)
+    return Control(dynamics={{x: -k*x}}, observations=observations, duration={duration}, start={{x: a}}, steps=20)
+'''
+
+
+def test_what_is_fitted_follows_parameters(tmp_path):
+    write_decay(tmp_path)
+    path = tmp_path / "measured.py"
+    path.write_text(MEASURED.format(duration=3))
+    module = interpreted_file(path, sensitivities=True)
+    result = codegen.solve(module, sensitivities=True, tolerance=1e-12)
+    assert tuple(result.sensitivities()) == ("a", "start.x")
+    for name, given in (("a", lambda e: {"a": 2 + e}), ("start.x", lambda e: {"start": {"x": 2 + e}})):
+        above, below = (
+            module.solve(**given(e), guess=result.unknowns, warm=True, tolerance=1e-12) for e in (1e-4, -1e-4)
+        )
+        found = result.sensitivities()[name]
+        assert found.cost == pytest.approx((above.cost - below.cost) / 2e-4, rel=1e-6)
+        assert found.unknowns == pytest.approx((above.unknowns - below.unknowns) / 2e-4, rel=1e-5, abs=1e-5)
+
+
+def test_samples_in_times_that_follow_parameters_are_refused(tmp_path):
+    write_decay(tmp_path)
+    path = tmp_path / "measured.py"
+    path.write_text(MEASURED.format(duration="T"))
+    with pytest.raises(ArgumentError, match="measurements need times that follow no parameters; give the duration"):
+        codegen.build(path, sensitivities=True)
 
 
 def test_delays_are_put_together(solved):
