@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import cache_from_source
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from codegen import cache, emit
 from codegen.author.data_files import recorded_files
@@ -29,8 +29,10 @@ from codegen.deadline import BUILD, Stages, described, extent
 from codegen.errors import ArgumentError, FileError
 from codegen.naming import Choices, chosen, origin_of
 from codegen.runtime.machine_code_cache import remove_partial_bytecode
+from codegen.tasks import TASKS
 
 if TYPE_CHECKING:
+    from codegen.derive.mixed import ControlSensitivities
     from codegen.lower.module import Module, Origin
     from codegen.model import Model
     from codegen.model.pairwise import PairwiseModel
@@ -58,19 +60,21 @@ def build(
     method: str | None = None,
     controls: str = "interval",
     general: bool = False,
+    sensitivities: bool = False,
     out: Path | str | None = None,
     time_limit: float = BUILD,
 ) -> Build:
     """Derive, emit and write the module of a problem file into the folder `out`.
 
-    `arguments` are those of problem(), as values or as the text that `--set` takes. Without `out` the module stays in
-    the user's cache, unless ./generated already holds the very same text: then that file is used, and with it the
-    machine code that numba keeps beside it. A derivation may take `time_limit` seconds of processor time; what takes
-    longer is a SizeError, which names the stage and what is large. Raises a kind of CodegenError when the problem or a
-    choice is unusable; then nothing is written.
+    `arguments` are those of problem(), as values or as the text that `--set` takes. With `sensitivities` the module of
+    an optimisation has what derivatives of its solutions by parameters and boundary values need. Without `out` the
+    module stays in the user's cache, unless ./generated already holds the very same text: then that file is used, and
+    with it the machine code that numba keeps beside it. A derivation may take `time_limit` seconds of processor time;
+    what takes longer is a SizeError, which names the stage and what is large. Raises a kind of CodegenError when the
+    problem or a choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
-    path, choices = Path(path), chosen(scheme, method, controls, general)
+    path, choices = Path(path), chosen(scheme, method, controls, general, sensitivities)
     settings = split_points(path, arguments or {})[0]
     for key, value in settings.items():
         if not value.isprintable():
@@ -154,17 +158,43 @@ def generate_from_model(
 
     if choices.general:
         return emit.render(_general_module(model, choices), origin)
+    if choices.sensitivities:
+        _require_sensitive(model)
     stages = stages or Stages(math.inf)
     stages.begin("writing the equations of an interval", lambda: described(model))
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     stages.begin("differentiating the equations of an interval", lambda: extent(program, described(model)))
-    derivatives = derive.derivatives(program)
+    derivatives, by_data = derive.derivatives(program), derivatives_by_data(program) if choices.sensitivities else None
     stages.begin("writing the kernels of the derivatives")
-    module = lower.lower(program, derivatives)
+    module = lower.lower(program, derivatives, by_data)
     text = emit.render(module, origin)
     stages.begin("verifying the kernels")
     verify.verify(program, text)
     return text
+
+
+def _require_sensitive(model: Model | PairwiseModel) -> None:
+    """ArgumentError for a problem whose solutions have no sensitivities: samples lie at times, not in parts of any."""
+    from codegen.model.pairwise import PairwiseModel
+
+    if model.task != "control":
+        noun = TASKS[model.task].noun
+        raise ArgumentError(f"sensitivities are those of an optimisation, not of {noun}", "leave them out")
+    assert not isinstance(model, PairwiseModel), "particles are no optimisation"
+    parts = model.phases or (model,)
+    times = [part.duration for part in parts] + [
+        i.time for part in parts for i in part.inner_times if i.time is not None
+    ]
+    if any(part.measurements for part in parts) and any(time.free_symbols & {*model.parameters} for time in times):
+        finding = "sensitivities of measurements need times that follow no parameters"
+        raise ArgumentError(finding, "give the duration and inner times as numbers, or leave sensitivities out")
+
+
+def derivatives_by_data(program: Any) -> ControlSensitivities:
+    """What the module of an optimisation needs more where sensitivities are asked for."""
+    from codegen.derive.mixed import control_sensitivities
+
+    return control_sensitivities(program)
 
 
 def _general_module(model: Model | PairwiseModel, choices: Choices) -> Module:

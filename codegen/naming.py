@@ -26,19 +26,25 @@ class Choices:
     """What a user chooses beside the problem: None stands for the default.
 
     `general` forces the form of a module that leaves nothing out, to measure what leaving out saves; no command has it.
+    With `sensitivities` the module makes derivatives of solutions by parameters and boundary values.
     """
 
     scheme: str | None = None
     method: str | None = None
     controls: str = "interval"
     general: bool = False
+    sensitivities: bool = False
 
 
 def chosen(
-    scheme: str | None = None, method: str | None = None, controls: str = "interval", general: bool = False
+    scheme: str | None = None,
+    method: str | None = None,
+    controls: str = "interval",
+    general: bool = False,
+    sensitivities: bool = False,
 ) -> Choices:
     """What a user chooses, in the form in which a module records it: the default scheme needs no name."""
-    return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general)
+    return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general, sensitivities)
 
 
 def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices, files: Iterable[DataFile] = ()) -> Origin:
@@ -53,6 +59,7 @@ def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices, files:
     for option in ("scheme", "method"):
         words += [f"--{option} {value}" for value in (getattr(choices, option),) if value]
     words += [f"--controls {choices.controls}"] if choices.controls != "interval" else []
+    words += ["--sensitivities"] if choices.sensitivities else []
     words += ["(in the general form, for measurements)"] if choices.general else []
     inputs = input_digest(path, arguments, *choice_texts(choices), *versions())
     reads = dict.fromkeys(f"{file.path}, sha256 {file.digest}" for file in files)
@@ -68,6 +75,8 @@ def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> s
         parts.append(choices.scheme)
     if choices.controls != "interval":
         parts.append(f"{choices.controls}_controls")
+    if choices.sensitivities:
+        parts.append("sensitivities")
     if choices.general:
         parts.append("general_form")
     parts += [f"{key}_{value}" for key, value in sorted(arguments.items())]
@@ -88,4 +97,5 @@ def choice_texts(choices: Choices) -> tuple[str, ...]:
     """The choices as a digest takes them; ArgumentError where controls live nowhere."""
     if choices.controls not in ("interval", "nodal", "stages"):
         raise ArgumentError(f"controls is {choices.controls!r}", "use interval, stages or nodal")
-    return (choices.scheme or "", choices.method or "", choices.controls, *(["general"] if choices.general else []))
+    words = [word for word in ("general", "sensitivities") if getattr(choices, word)]
+    return (choices.scheme or "", choices.method or "", choices.controls, *words)

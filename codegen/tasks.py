@@ -75,7 +75,7 @@ TASKS = {
         _task(
             "control",
             "optimisation",
-            "warm doublings accuracy guesses tables observations",
+            "warm doublings accuracy guesses tables observations sensitivities",
             "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
             "constraints jacobian hessian stationarity evaluate worst_row unpack",
         ),

@@ -39,6 +39,7 @@ from codegen.checks.module import (
 )
 from codegen.checks.particles import pairwise
 from codegen.checks.solution import delays, holonomic_drift, inner_times, optimum, second_order
+from codegen.checks.solution import sensitivities as of_sensitivities
 from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.loading import is_of_particles, load
 from codegen.model import Model
@@ -73,6 +74,7 @@ _ROWS = (
     Check("delays", delays.check),
     Check("second-order condition", second_order.check),
     Check("optimum", optimum.check),
+    Check("sensitivities", of_sensitivities.check),
 )
 
 _NOTHING_TO_SAY = {
@@ -88,6 +90,7 @@ _NOTHING_TO_SAY = {
         "path between nodes": "a simulation has no path conditions",
         "second-order condition": "a simulation minimises nothing",
         "optimum": "a simulation minimises nothing",
+        "sensitivities": "a simulation minimises nothing",
     },
     "first-order": {
         "discrete Noether": "a first-order system has no momenta",
@@ -109,6 +112,7 @@ def run(
     scheme: str | None = None,
     method: str | None = None,
     controls: str = "interval",
+    sensitivities: bool = False,
     module: Path | None = None,
     time_limit: float = CHECK,
 ) -> list[Finding]:
@@ -121,9 +125,11 @@ def run(
     end = time.process_time() + time_limit
     path = Path(path)
     arguments = split_points(path, arguments or {})[0]
-    choices = naming.chosen(scheme, method, controls)
+    choices = naming.chosen(scheme, method, controls, sensitivities=sensitivities)
     if module is None:
-        module = compiler.build(path, arguments, scheme=scheme, method=method, controls=controls).path
+        module = compiler.build(
+            path, arguments, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities
+        ).path
     if is_of_particles(load(module)):
         return list(pairwise.findings(path, arguments, choices, module))
     context, text = _prepared(path, arguments, choices, module)
@@ -185,7 +191,8 @@ def _prepared(path: Path, arguments: Mapping[str, str], choices: Choices, module
         model = load_problem(path, arguments)
     assert isinstance(model, Model), "particles have checks of their own"
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
-    fresh = lower.lower(program, derive.derivatives(program))
+    by_data = compiler.derivatives_by_data(program) if choices.sensitivities else None
+    fresh = lower.lower(program, derive.derivatives(program), by_data)
     text = emit.render(fresh, naming.origin_of(path, arguments, choices, files))
     scheme = schemes.find(program.scheme, program.method)
     return Context(choices, model, program, scheme, load(module)), text

@@ -20,6 +20,9 @@ def build(
     scheme: Scheme = None,
     method: Method = None,
     controls: ControlSites = Controls.INTERVAL,
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="With what derivatives of solutions need.")
+    ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the module.")] = Path("generated"),
     no_compile: Annotated[bool, typer.Option("--no-compile", help="Leave compilation to the first solve.")] = False,
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,
@@ -37,7 +40,7 @@ def build(
         with working("Deriving"):
             made = compiler.build(
                 problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out,
-                time_limit=time_limit,
+                time_limit=time_limit, sensitivities=sensitivities,
             )  # fmt: skip
         if processes is not None:
             with working("Compiling"):

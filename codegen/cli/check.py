@@ -24,6 +24,9 @@ def check(
     scheme: Scheme = None,
     method: Method = None,
     controls: ControlSites = Controls.INTERVAL,
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Of the module with sensitivities, these as well.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder of the module to check. [default: generated]")] = None,
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of all checks.")] = CHECK,
 ) -> None:
@@ -38,10 +41,12 @@ def check(
     with working("Checking"):
         from codegen import checks
 
-        made = _module(problem, arguments, naming.chosen(scheme, method, controls.value), out)
+        made = _module(
+            problem, arguments, naming.chosen(scheme, method, controls.value, sensitivities=sensitivities), out
+        )
         findings = checks.run(
             problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made,
-            time_limit=time_limit,
+            time_limit=time_limit, sensitivities=sensitivities,
         )  # fmt: skip
     console().print(output.findings_table(findings))
     failed = [finding for finding in findings if not finding.passed]
@@ -60,7 +65,10 @@ def _module(problem: Path, arguments: Mapping[str, str], choices: Choices, out: 
     kept = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
     if kept.is_file():
         return kept
-    made = compiler.build(problem, arguments, scheme=choices.scheme, method=choices.method, controls=choices.controls)
+    made = compiler.build(
+        problem, arguments, scheme=choices.scheme, method=choices.method, controls=choices.controls,
+        sensitivities=choices.sensitivities,
+    )  # fmt: skip
     for line in ahead_of_time.require(made.path, load(made.path), made.written, nullcontext)[1]:
         typer.echo(line, err=True)
     return made.path

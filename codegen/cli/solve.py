@@ -76,6 +76,9 @@ def solve(
     guesses: Annotated[
         int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
     ] = 1,
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
+    ] = False,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
     animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
@@ -93,6 +96,7 @@ def solve(
         controls=controls.value, out=out, steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings,
         accuracy=accuracy, guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit,
         scaling=scaling, log=log, tables=files_of(table), observations=observations or None,
+        sensitivities=sensitivities,
     )  # fmt: skip
     if save is not None:
         output.require_writable(save, output.ARCHIVES, "--save")
@@ -133,7 +137,7 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
-    told = result.estimates.notes if result.estimates else []
+    told = [note for found in (result.estimates, result.sensitivity) if found is not None for note in found.notes]
     for note in (*notes.notes(outcome.module.metadata), *told):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
@@ -143,6 +147,8 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
     console().print(output.as_table(record, result.intervals))
     if result.estimates:
         console().print(*output.estimates_tables(record["estimates"]))
+    if result.sensitivity is not None and not result.sensitivity.reason:
+        console().print(output.sensitivities_table(record["sensitivities"]))
 
 
 def with_options(outcome: Outcome) -> Outcome:

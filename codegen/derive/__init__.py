@@ -21,7 +21,7 @@ Entry = tuple[int, int, Expr]
 """Row, column and value of a structurally nonzero derivative."""
 
 
-_LONG = 200
+LONG = 200
 """Operations from which on a scalar is differentiated on its graph; shorter ones read better from plain derivatives."""
 _LONG_STEP = 1000
 """The same for all equations of a step together."""
@@ -135,7 +135,7 @@ def _tidy_derivative(expression: Expr, symbol: Symbol) -> Expr:
 
 def _element(scalar: Expr, unknowns: Sequence[Symbol], cost: Expr, given: Collection[int] = ()) -> ElementDerivatives:
     """Derivatives by the unknowns; those at the `given` indices are numbers, and nobody asks for their derivatives."""
-    if scalar.count_ops() >= _LONG:
+    if scalar.count_ops() >= LONG:
         return _long_element(scalar, unknowns, cost, given)
     gradient = tuple(sympy.S.Zero if i in given else sympy.diff(scalar, x) for i, x in enumerate(unknowns))
     hessian: list[Entry] = []

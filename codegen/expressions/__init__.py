@@ -21,9 +21,11 @@ from codegen.expressions.zeros import vanishing
 
 __all__ = [
     "Assignment",
+    "MixedDerivatives",
     "SecondDerivatives",
     "StraightLine",
     "jacobian",
+    "mixed_derivatives",
     "program_of",
     "second_derivatives",
     "values_of",
@@ -60,6 +62,36 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
     second = [entries[index] for index in indices]
     taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
     return SecondDerivatives(_written(graph, [*first, *further], taken), _written(graph, second, taken), indices)
+
+
+@dataclass(frozen=True)
+class MixedDerivatives:
+    """A straight-line program for a scalar's derivatives by data, and for second ones by an unknown and a datum.
+
+    Its values are those by the data of the indices `slopes`, then those at the `entries` (unknown, datum).
+    """
+
+    program: StraightLine
+    slopes: tuple[int, ...]
+    entries: tuple[tuple[int, int], ...]
+
+
+def mixed_derivatives(scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[Symbol]) -> MixedDerivatives:
+    """Differentiate a scalar by data, and by unknowns and data, leaving out what is identically zero."""
+    graph, count = Graph([*unknowns, *data]), len(unknowns)
+    leaves = range(count + len(data))
+    adjoints = accumulate(graph, graph.of(scalar), leaves)
+    first = {leaf - count: adjoints.first[leaf] for leaf in leaves[count:] if leaf in adjoints.first}
+    second = {
+        (min(pair), max(pair) - count): node
+        for pair, node in adjoints.second.items()
+        if min(pair) < count <= max(pair) < len(leaves)
+    }
+    absent = vanishing(graph, [*first.values(), *second.values()])
+    slopes = tuple(sorted(index for index, node in first.items() if node not in absent))
+    entries = tuple(sorted(pair for pair, node in second.items() if node not in absent))
+    roots = [*(first[index] for index in slopes), *(second[pair] for pair in entries)]
+    return MixedDerivatives(program_of(graph, roots), slopes, entries)
 
 
 def jacobian(

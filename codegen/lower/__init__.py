@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from codegen.derive import ControlDerivatives, StepDerivatives
+from codegen.derive.mixed import ControlSensitivities
 from codegen.derive.pairwise import PairDerivatives
 from codegen.lower.connect import lower_connect, lower_particles
 from codegen.lower.control import lower_control
@@ -15,13 +16,14 @@ from codegen.transcribe.program import ControlProgram, StepProgram
 def lower(
     program: ControlProgram | StepProgram | PairwiseProgram,
     derivatives: ControlDerivatives | StepDerivatives | PairDerivatives,
+    by_data: ControlSensitivities | None = None,
 ) -> Module:
-    """Write a program and its derivatives as strings."""
+    """Write a program and its derivatives as strings; with derivatives `by_data` the module makes sensitivities."""
     if isinstance(program, PairwiseProgram):
         assert isinstance(derivatives, PairDerivatives)
         return (lower_connect if program.model.task == "connect" else lower_particles)(program, derivatives)
     if isinstance(program, ControlProgram):
         assert isinstance(derivatives, ControlDerivatives)
-        return lower_control(program, derivatives)
+        return lower_control(program, derivatives, by_data)
     assert isinstance(derivatives, StepDerivatives)
     return lower_step(program, derivatives)

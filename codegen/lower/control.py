@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import sympy
-from sympy import Dummy, Expr, Symbol, expand
+from sympy import Expr, Symbol
 
 from codegen.derive import ControlDerivatives, ElementDerivatives
-from codegen.discretise import STEP, at_nodes
+from codegen.derive.mixed import ControlSensitivities
+from codegen.discretise import STEP
 from codegen.expressions.table_functions import tables_of
-from codegen.lower import control_guesses, inner_times, phases
+from codegen.lower import control_guesses, inner_times, phases, sensitivities
 from codegen.lower import control_layout as layout
 from codegen.lower.control_text import left_out, metadata
 from codegen.lower.coupling import lower_couplings
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.lower.module import ControlModule, arguments_of
+from codegen.lower.notable import notable
 from codegen.lower.printer import array_code, scalar_code
 from codegen.lower.samples import data_arguments, sample_constants, sample_kernels, sample_metadata
 from codegen.lower.statement import description
@@ -28,15 +29,14 @@ from codegen.lower.tables import (
     table_metadata,
     table_runtime,
 )
-from codegen.model import Model
-from codegen.model.definitions import prescribed
-from codegen.model.nonsmooth_costs import kinks
 from codegen.tables.data import TableData
 from codegen.transcribe.program import ControlProgram, EndElement
 
 
-def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> ControlModule:
-    """Write every kernel and table of a control problem as strings."""
+def lower_control(
+    program: ControlProgram, derivatives: ControlDerivatives, by_data: ControlSensitivities | None = None
+) -> ControlModule:
+    """Write every kernel and table of a control problem as strings; with derivatives `by_data` it has sensitivities."""
     model, tables = program.model, tables_of(program.model)
     couplings, curved = lower_couplings(program), layout.has_nonlinear_ends(derivatives)
     first = len(layout.parameters(program))
@@ -50,6 +50,8 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         *couplings.kernels,
         *_inputs_kernels(program, ranged),
     )
+    added = sensitivities.added(program, by_data, curved, lambda unknowns: _codes(program, unknowns))
+    kernels += added.kernels
     boundary_code = array_code if program.bodies > 1 else scalar_code
     numbers_bodies = program.body is not None and any(v.value.has(program.body) for v in program.boundary_values)
     given = next(iter(program.boundary_values), None)
@@ -63,7 +65,13 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         title=model.title,
         description=tuple(description(program, kernels, described_tables(tables))),
         left_out=tuple(left_out(program, derivatives)),
-        metadata=(*metadata(program, kernels), *_warnings(program), *table_metadata(tables), *sample_metadata(program)),
+        metadata=(
+            *metadata(program, kernels),
+            *notable(program),
+            *table_metadata(tables),
+            *sample_metadata(program),
+            *added.metadata,
+        ),
         constants=(
             *layout.constants(program, derivatives),
             *inner_times.constants(program),
@@ -72,6 +80,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
             *table_constants(tables),
             *range_constants(ranged),
             *sample_constants(program, tables),
+            *added.constants,
         ),
         kernels=(*table_kernels(tables, first), *guess_kernels(guessed), *kernels),
         runtime=(
@@ -80,9 +89,11 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
             *(("table_ranges",) if ranged else ()),
             *(("table_guesses",) if guessed else ()),
             *_runtime(program, derivatives),
+            *added.runtime,
         ),
         sizes=(
             *layout.sizes(program, derivatives),
+            *added.sizes,
             ("RANGED", len(ranged)),
             ("SAMPLED", len(model.measurements)),
         ),
@@ -98,86 +109,9 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         **inner_times.times_and_values(program, boundary_code),
         **layout.pins(program),
         **layout.views(program),
+        sensitivities=added.text,
         **told,
     )
-
-
-def _warnings(program: ControlProgram) -> list[tuple[str, str]]:
-    """Entries of the metadata that are there only where a user should know of them."""
-    redundant, unseen = program.redundant_couplings, _unseen_controls(program)
-    model = program.model
-    entries = [("unseen_controls", repr(unseen))] if unseen else []
-    entries += [("unused", repr(model.unused))] if model.unused else []
-    entries += [("maximised", "True")] if model.maximised else []
-    if jumps := _jumps_from_history(model.authored):
-        entries.append(("history_jumps", repr(jumps)))
-    if (segments := model.segments) and segments.number > 1:
-        names = {own: (whole, number) for own, whole, number in segments.names}
-        entries.append(("segments", repr({"number": segments.number, "names": names})))
-    if integrals := _integral_multipliers(program):
-        entries.append(("integrals", repr(integrals)))
-    entries += inner_times.metadata(program)
-    if bends := _kinks(program):
-        entries.append(("kinks", repr(bends)))
-    if redundant:
-        entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
-        entries.append(("redundant_conditions", repr(redundant)))
-    ends = (("start", program.start), ("end", program.end))
-    if dependent := tuple((name, where) for where, end in ends for name in end.dependent):
-        entries.append(("dependent_values", repr(dependent)))
-    if decided := tuple((name, where) for where, end in ends for _, name in end.determined if name):
-        entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
-    return entries
-
-
-def _jumps_from_history(model: Model) -> tuple[tuple[str, str, str], ...]:
-    """Quantities whose given value at the start is not where their history ends, with both values."""
-    given, found = prescribed(model, "start"), {}
-    for delay in model.delays:
-        last = delay.history.xreplace({model.time: sympy.S.Zero})
-        value = given.get(delay.quantity, last)
-        if sympy.simplify(value - last) != 0:
-            found[delay.quantity.name] = (sympy.sstr(value), sympy.sstr(last))
-    return tuple((name, *values) for name, values in found.items())
-
-
-def _integral_multipliers(program: ControlProgram) -> tuple[tuple[str, int], ...]:
-    """The name of every condition on an integral, and the index of its multiplier among the unknowns of no node."""
-    own, bodies = program.own, program.bodies
-    found = []
-    for index, integrals in [(0, program.integrals), *((i, p.integrals) for i, p in enumerate(program.phases, 1))]:
-        for integral in integrals:
-            j = program.shared_symbols.index(integral.multiplier)
-            where = f" in phase {index}" if index else ""
-            for body in range(bodies if j < own else 1):
-                of_body = f" of body {body}" if bodies > 1 else ""
-                found.append((f"{integral.condition.name}{where}{of_body}", body * own + j))
-    return tuple(found)
-
-
-def _kinks(program: ControlProgram) -> tuple[str, ...]:
-    """Terms of the cost, of any phase, whose slope jumps where a motion may be."""
-    models = program.model.phases or (program.model,)
-    found: dict[str, None] = {}
-    for model in models:
-        moving = (*model.coordinates, *model.rates, *model.controls)
-        for cost in (model.cost or sympy.S.Zero, model.terminal_cost):
-            found |= dict.fromkeys(kinks(cost, moving))
-    return tuple(found)
-
-
-def _unseen_controls(program: ControlProgram) -> tuple[str, ...]:
-    """Nodal controls whose alternation the discrete cost does not see, because only sums of neighbours occur in it.
-
-    `codegen check` decides with numbers what this finds by expanding.
-    """
-    if not program.nodal_controls or program.model.cost is None:
-        return ()
-    controls = [u for u in program.model.controls if program.model.cost.has(u)]
-    left, right = at_nodes(controls, "_k"), at_nodes(controls, "_k1")
-    total = Dummy("sum", real=True)
-    alone = (expand(program.cost.xreplace({b: total - a})).has(a) for a, b in zip(left, right, strict=True))
-    return tuple(u.name for u, is_seen in zip(controls, alone, strict=True) if not is_seen)
 
 
 def _codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:

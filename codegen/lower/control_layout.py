@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from sympy import Expr, Symbol
+from sympy import Expr, Symbol, oo
 
 from codegen.derive import ControlDerivatives
 from codegen.expressions.table_functions import tables_of
@@ -168,52 +169,67 @@ def duration_inputs(program: ControlProgram, durations: Sequence[Expr]) -> tuple
     return tuple(Line(s.name, code) for s, code in codes.items() if s in used)
 
 
+@dataclass(frozen=True)
+class Bound:
+    """Where a bound stands, its value, what it bounds, and whether that is one number for all bodies."""
+
+    target: str
+    value: Expr
+    name: str
+    is_common: bool = False
+
+    @property
+    def line(self) -> Line:
+        """The assignment of the bound."""
+        code = common_code(self.value) if self.is_common else array_code(self.value)
+        return Line(self.target, {oo: "np.inf", -oo: "-np.inf"}.get(self.value) or code, self.name)
+
+
 def bounds(program: ControlProgram) -> dict[str, Any]:
     """Bounds as code, where there are inequalities; the lines assign to lower or upper bounds of views."""
     if not program.has_inequalities:
         return {"bound_inputs": (), "bound_views": (), "bound_lines": ()}
+    found = bound_values(program)
+    return {
+        "bound_inputs": inputs(program, [bound.value for bound in found]),
+        "bound_views": bound_views(program),
+        "bound_lines": ((*(bound.line for bound in found), *slack_bounds(program)),),
+    }
+
+
+def bound_values(program: ControlProgram) -> list[Bound]:
+    """The bounds of all unknowns but slacks."""
     groups: list[tuple[str, Sequence[Unknown]]] = [
         ("nodes", program.node),
         ("intervals", (*program.interval, *program.controls)),
         ("own", program.shared[: program.own]),
         ("common", program.shared[program.own :]),
     ]
-    lines, values = [], []
+    found = []
     for group, unknowns in groups:
         for i, unknown in enumerate(unknowns):
             for side, value in (("lower", unknown.lower), ("upper", unknown.upper)):
                 if value is not None:
-                    target, code = f"{side}_{group}[..., {i}]", array_code(value)
-                    if group == "common":
-                        target, code = f"{side}_{group}[{i}]", common_code(value)
-                    lines.append(Line(target, code, unknown.name))
-                    values.append(value)
+                    is_common = group == "common"
+                    target = f"{side}_{group}[{i}]" if is_common else f"{side}_{group}[..., {i}]"
+                    found.append(Bound(target, value, unknown.name, is_common))
     for number, *limits in program.inner.windows:
         for side, value in zip(("lower", "upper"), limits, strict=True):
             if value is not None:
                 target = f"{side}_nodes[:, grid.inner[{number}], {program.inner.clock}]"
-                lines.append(Line(target, common_code(value), f"the window of waypoint {number + 1}"))
-                values.append(value)
-    at_ends, limits = end_bounds(program)
-    views = bound_views(program)
-    return {
-        "bound_inputs": inputs(program, [*values, *limits]),
-        "bound_views": views,
-        "bound_lines": ((*lines, *at_ends, *slack_bounds(program)),),
-    }
+                found.append(Bound(target, value, f"the window of waypoint {number + 1}", True))
+    return [*found, *end_bounds(program)]
 
 
-def end_bounds(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
-    """The bounds that hold at one end alone as code, beside those of all nodes, and their values."""
-    lines, values = [], []
+def end_bounds(program: ControlProgram) -> list[Bound]:
+    """The bounds that hold at one end alone."""
+    found = []
     for node, end in ((":1", program.start), ("-1:", program.end)):
         for i, bound in end.bounds:
-            for side, tighter, value in (("lower", "maximum", bound.lower), ("upper", "minimum", bound.upper)):
+            for side, value in (("lower", bound.lower), ("upper", bound.upper)):
                 if value is not None:
-                    target = f"{side}_nodes[:, {node}, {i}]"
-                    lines.append(Line(target, f"np.{tighter}({target}, {array_code(value)})", bound.condition))
-                    values.append(value)
-    return lines, values
+                    found.append(Bound(f"{side}_nodes[:, {node}, {i}]", value, bound.condition))
+    return found
 
 
 def common_code(value: Expr) -> str:

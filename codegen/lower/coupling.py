@@ -34,6 +34,11 @@ def lower_couplings(program: ControlProgram) -> Couplings:
     return Couplings(kernels, tuple(_tables(instances)))
 
 
+def term_kinds(program: ControlProgram) -> tuple[Kind, ...]:
+    """The kinds of terms in the conditions."""
+    return sorted_terms([c.expression for c in program.couplings], _indices(program))[0] if program.couplings else ()
+
+
 def _indices(program: ControlProgram) -> dict[Symbol, int]:
     """Index of every shared unknown, of every body and of the whole problem, among those that no node owns."""
     indices = {symbol: body * program.own + j for symbol, body, j in program.coupling_symbols}

@@ -73,21 +73,43 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class SensitivityText:
+    """Functions of a module that makes sensitivities; code, and what it reads.
+
+    `rates` are assignments to derivatives by the quantities; those of `following` hold unless the quantity with the
+    name is given by itself. `pins`, `bounds` (one group, if any move) and `durations` are directional derivatives;
+    `momenta` reads those of momenta.
+    """
+
+    rate_inputs: tuple[Line, ...]
+    rates: tuple[Line, ...]
+    following: tuple[tuple[str, tuple[Line, ...]], ...]
+    pin_inputs: tuple[Line, ...]
+    pins: tuple[Line, ...]
+    duration_inputs: tuple[Line, ...]
+    durations: str
+    momenta: str
+    bound_inputs: tuple[Line, ...]
+    bounds: tuple[tuple[Line, ...], ...]
+    coupling_kinds: tuple[tuple[str, ...], ...]
+    choices: tuple[Choice, ...]
+
+
+@dataclass(frozen=True)
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
     `boundary_values` is code in the arguments and in `boundary_inputs`. `data_arguments` are those that take other
     numbers for tables and measurements, where there are any, each with what is said of it; `grid_code` makes a grid
-    with them. Guesses, pinned values and bounds are
-    assignments to views of the unknowns; their `..._inputs` read what they depend on. `node_times` is code of the times
-    at nodes. The duration is the argument `duration_arguments` with its default, or code of the unknowns where it is
-    free; `grid_duration` is what the grid divides into steps. Where there are inner times, `inner_times` has one group
-    of them, and `inner_values` is what stands among the parameters for them.
-    `bound_lines` has one group where there are inequalities,
-    and `coupling_kinds` one, of kernels, where bodies are coupled. Where there are several phases, `phase_durations`
-    has one group (inputs, code for each phase), `choices` select kernels, `of_each_phase` says whose steps are
-    given, and `fractions` of what intervals last. `positions`, `momenta`, `controls` and `multipliers` are code that
-    reads the solution.
+    with them. Guesses, pinned values and bounds are assignments to views of the unknowns; their `..._inputs` read what
+    they depend on. `node_times` is code of the times at nodes. The duration is the argument `duration_arguments` with
+    its default, or code of the unknowns where it is free; `grid_duration` is what the grid divides into steps. Where
+    there are inner times, `inner_times` has one group of them, and `inner_values` is what stands among the parameters
+    for them. `bound_lines` has one group where there are inequalities, and `coupling_kinds` one, of kernels, where
+    bodies are coupled. Where there are several phases, `phase_durations` has one group (inputs, code for each phase),
+    `choices` select kernels, `of_each_phase` says whose steps are given, and `fractions` of what intervals last.
+    `sensitivities` are there on request. `positions`, `momenta`, `controls` and `multipliers` are code that reads the
+    solution.
     """
 
     boundary_values: tuple[Line, ...]
@@ -124,6 +146,7 @@ class ControlModule(Module):
     controls: str
     multipliers: str
     control_sites: str
+    sensitivities: tuple[SensitivityText, ...] = ()
 
 
 @dataclass(frozen=True)

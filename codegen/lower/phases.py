@@ -8,7 +8,7 @@ from sympy import Expr, Max, Min, oo
 
 from codegen.expressions.table_functions import tables_of
 from codegen.lower.control_guesses import shared_guesses
-from codegen.lower.control_layout import bound_views, common_code, duration_inputs, end_bounds, inputs, slack_bounds
+from codegen.lower.control_layout import Bound, bound_views, duration_inputs, end_bounds, inputs, slack_bounds
 from codegen.lower.kernels import Line
 from codegen.lower.module import Choice
 from codegen.lower.printer import array_code, scalar_code
@@ -31,25 +31,30 @@ def named_elements(program: ControlProgram) -> list[tuple[str, str]]:
 
 def choices(program: ControlProgram) -> tuple[Choice, ...]:
     """The functions that choose the kernel of an interval by its time, which is a whole number where a phase begins."""
-    out = []
-    stems = [stem for stem, _ in named_elements(program)]
-    ends = [_end(stem) for stem in stems[:-1]]
-    for derivative, summary in (
-        ("gradient", "Gradient (ELEMENT + SHARED,) of an interval's share l of the Lagrangian; returns Cd."),
-        ("hessian", "Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian."),
-    ):
-        names = [f"{stem}_{derivative}" for stem in stems]
-        arguments = ("unknowns", "t", "h", "parameters", derivative)
-        branches = tuple(zip(ends, names, strict=False))
-        out.append(Choice(f"interval_{derivative}", summary, arguments, branches, names[-1]))
+    out = [
+        choice(
+            program, "gradient", "Gradient (ELEMENT + SHARED,) of an interval's share l of the Lagrangian; returns Cd."
+        ),
+        choice(
+            program,
+            "hessian",
+            "Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian.",
+        ),
+    ]
     shares = [part for share in program.interval_elements for part in (share.element, share.cost)]
     if any(table.shape.outside == "error" for table in tables_of(shares, program.start, program.end)):
-        names = [f"{stem}_inputs" for stem in stems]
         summary = "Least and greatest `inputs` (RANGED, 2) with which tables are read on an interval."
-        arguments = ("unknowns", "t", "h", "parameters", "inputs")
-        branches = tuple(zip(ends, names, strict=False))
-        out.append(Choice("interval_inputs", summary, arguments, branches, names[-1]))
+        out.append(choice(program, "inputs", summary))
     return tuple(out)
+
+
+def choice(program: ControlProgram, kind: str, summary: str, filled: tuple[str, ...] = ()) -> Choice:
+    """The function that chooses a kind of kernel, which fills the array of that name, or those that are `filled`."""
+    stems = [stem for stem, _ in named_elements(program)]
+    names = [f"{stem}_{kind}" for stem in stems]
+    branches = tuple(zip(map(_end, stems[:-1]), names, strict=False))
+    arguments = ("unknowns", "t", "h", "parameters", *(filled or (kind,)))
+    return Choice(f"interval_{kind}", summary, arguments, branches, names[-1])
 
 
 def _end(stem: str) -> str:
@@ -112,27 +117,29 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
     """Bounds as code, phase by phase, where there are inequalities."""
     if not program.has_inequalities:
         return {"bound_inputs": (), "bound_views": (), "bound_lines": ()}
-    found: list[tuple[str, Expr, str]] = []
+    found = bound_values(program)
+    return {
+        "bound_inputs": inputs(program, [bound.value for bound in found]),
+        "bound_views": (Line("steps", "grid.steps // PHASES"), *bound_views(program)),
+        "bound_lines": ((*(bound.line for bound in found), *slack_bounds(program)),),
+    }
+
+
+def bound_values(program: ControlProgram) -> list[Bound]:
+    """The bounds of all unknowns but slacks, phase by phase."""
+    found = list[Bound]()
     for i, phase in enumerate(program.phases):
         for j, unknown in enumerate(phase.node):
-            found += [(f"{side}_nodes[:, {_nodes(program, i)}, {j}]", v, unknown.name) for side, v in _sides(unknown)]
+            target = f"nodes[:, {_nodes(program, i)}, {j}]"
+            found += [Bound(f"{side}_{target}", v, unknown.name) for side, v in _sides(unknown)]
         for j, unknown in enumerate(phase.inside[: len(program.interval) + len(program.controls)]):
-            where = _intervals(program, i)
-            found += [(f"{side}_intervals[:, {where}, {j}]", v, unknown.name) for side, v in _sides(unknown)]
+            target = f"intervals[:, {_intervals(program, i)}, {j}]"
+            found += [Bound(f"{side}_{target}", v, unknown.name) for side, v in _sides(unknown)]
         if i:
-            found += _common(program.phases[i - 1], phase, _switch(i))
-    infinite = {oo: "np.inf", -oo: "-np.inf"}
-    lines = [Line(target, infinite.get(value) or array_code(value), name) for target, value, name in found]
+            found += _at_switch(program.phases[i - 1], phase, _switch(i))
     for j, unknown in enumerate(program.shared):
-        sides = _sides(unknown)
-        lines += [Line(f"{side}_common[{j}]", common_code(value), unknown.name) for side, value in sides]
-        found += [(side, value, unknown.name) for side, value in sides]
-    at_ends, limits = end_bounds(program)
-    return {
-        "bound_inputs": inputs(program, [*(value for _, value, _ in found), *limits]),
-        "bound_views": (Line("steps", "grid.steps // PHASES"), *bound_views(program)),
-        "bound_lines": ((*lines, *at_ends, *slack_bounds(program)),),
-    }
+        found += [Bound(f"{side}_common[{j}]", value, unknown.name, True) for side, value in _sides(unknown)]
+    return [*found, *end_bounds(program)]
 
 
 def _sides(unknown: Unknown) -> list[tuple[str, Expr]]:
@@ -140,7 +147,7 @@ def _sides(unknown: Unknown) -> list[tuple[str, Expr]]:
     return [(side, value) for side, value in sides if value is not None]
 
 
-def _common(before: Phase, after: Phase, where: str) -> list[tuple[str, Expr, str]]:
+def _at_switch(before: Phase, after: Phase, where: str) -> list[Bound]:
     """At a switch the bounds of both phases hold for what does not jump there, and none for what is given."""
     found = []
     for j, (earlier, later) in enumerate(zip(before.node, after.node, strict=True)):
@@ -149,7 +156,8 @@ def _common(before: Phase, after: Phase, where: str) -> list[tuple[str, Expr, st
             new = {side: -oo if side == "lower" else oo for side in known}
         elif known:
             new = {side: (Max if side == "lower" else Min)(known.get(side, v), v) for side, v in new.items()}
-        found += [(f"{side}_nodes[:, {where}, {j}]", v, f"{later.name} at the switch") for side, v in new.items()]
+        name = f"{later.name} at the switch"
+        found += [Bound(f"{side}_nodes[:, {where}, {j}]", v, name) for side, v in new.items()]
     return found
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from codegen.errors import ArgumentError
 from codegen.files import replacing
-from codegen.solutions import estimates
+from codegen.solutions import estimates, sensitivities
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -61,6 +61,7 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
         **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
         **({"accuracy": _accuracy(result)} if result.accuracy else {}),
         **({"estimates": estimates.as_record(result.estimates)} if result.estimates else {}),
+        **({"sensitivities": sensitivities.as_record(found, result)} if (found := result.sensitivity) else {}),
     }
 
 
@@ -159,6 +160,26 @@ def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
     return [table, beside]
 
 
+def sensitivities_table(record: Mapping[str, Any]) -> Table:
+    """Derivatives of the cost, of free numbers and of the state at the end, a row for each quantity."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="Sensitivities", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    rows = record["by"]
+    first = next(iter(rows.values()))
+    free, end = list(first["free_parameters"]), list(first["end"])[:_SHOWN]
+    table.add_column("by", style="cyan", no_wrap=True)
+    for heading in ("cost", *free, *(f"{name} at the end" for name in end)):
+        table.add_column(heading, justify="right")
+    for name, found in rows.items():
+        numbers = [found["cost"], *found["free_parameters"].values(), *(found["end"][key] for key in end)]
+        table.add_row(_escaped(name), *map(_number, numbers))
+    return table
+
+
+_SHOWN = 4
+"""States whose sensitivities at the end are shown; of more of them those in `--json`."""
 _CORRELATED = 10
 """Parameters whose correlations are shown; of more of them those in `--json`."""
 
@@ -243,6 +264,8 @@ def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
     arrays: dict[str, Any] = {name: getattr(result, name) for name in names if getattr(result, name) is not None}
     if result.u is not None:
         arrays["u_times"] = result.control_times
+    if result.sensitivity is not None:
+        arrays |= sensitivities.as_arrays(result.sensitivity)
     labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays, **labels, result=np.array(as_json(record)))

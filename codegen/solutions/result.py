@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from codegen.author.points import PointSet
+from codegen.errors import ArgumentError
 from codegen.loading import Matrix, Vector
 from codegen.solutions.estimates import Estimates
+
+if TYPE_CHECKING:
+    from codegen.solutions.sensitivities import Sensitivities
 
 STATUSES = {
     "solved": "the equations hold to the driver's tolerance, or to rounding",
@@ -164,8 +168,8 @@ class Result:
     first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made. `levels`
     tells how the grids of a refinement ended. `grid` holds the fractions of the duration, or of every phase, that
     intervals last where they are not equal, `accuracy` what came of a request for it, and `estimates` what measurements
-    say of free parameters. `by_segments` is the result of a problem with delays as its module has it, with columns for
-    every segment.
+    say of free parameters; `sensitivity` is what `sensitivities()` gives. `by_segments` is the result of a problem with
+    delays as its module has it, with columns for every segment.
     """
 
     problem: str
@@ -201,6 +205,17 @@ class Result:
     accuracy: Accuracy | None = None
     estimates: Estimates | None = None
     by_segments: Result | None = field(default=None, repr=False)
+    sensitivity: Sensitivities | None = field(default=None, repr=False)
+
+    def sensitivities(self) -> Sensitivities:
+        """Derivatives by parameters, boundary values and a given duration, of a solve that was asked for them.
+
+        `result.sensitivities()["start.x"].cost` is the one of the cost by a boundary value, `.q` has the shape of `q`.
+        Raises ArgumentError where nobody asked.
+        """
+        if self.sensitivity is None:
+            raise ArgumentError("this result has no sensitivities", "solve with sensitivities=True")
+        return self.sensitivity
 
     @property
     def solved(self) -> bool:

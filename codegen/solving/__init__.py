@@ -55,6 +55,8 @@ def solve(*positional: Any, **options: Any) -> Result:
     - `guesses`: start from the problem's own guess and from variations of it, so many in all, and keep the best;
     - `tolerance`: of the equations, in parts of their sizes; `max_iterations` and `time_limit`, in seconds for all
       guesses and grids together and for each of `repeat` solves by itself; by default the driver's own;
+    - `sensitivities`: of the result, `result.sensitivities()`: derivatives by parameters, boundary values and a given
+      duration, for which a module of its own is built;
     - `scaling`: "auto", or "none" for an optimiser that works in the problem's own units;
     - `log`: refuse drivers that keep no log; `watch`: called at every iterate of newton with its number and its row.
 

@@ -21,6 +21,7 @@ from codegen.machine_code import ahead_of_time
 from codegen.solutions import output
 from codegen.solutions.result import Result, Run, Watch
 from codegen.solutions.segments import put_together, segments_of
+from codegen.solutions.sensitivities import require_sensitive, with_sensitivities
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
 from codegen.solving.other_observations import with_observations
@@ -80,6 +81,8 @@ def outcome_of(
     load_seconds = time.perf_counter() - begin
     module = with_observations(with_tables(module, request.tables), request.observations)
     driver, warm, points = request.driver_for(module), start(module), _points(request, module)
+    if request.sensitivities:
+        require_sensitive(module)
     said: list[str] = []
     if path is not None and driver.name == "newton":
         seconds, said = ahead_of_time.require(path, module, is_new, working)
@@ -87,7 +90,7 @@ def outcome_of(
     said = [*said, *_rounded(request, module)]
     with following() as watch:
         result = _solved(request, module, driver, warm, points, request.watch or watch)
-    result = put_together(result, module.metadata)
+    result = put_together(with_sensitivities(result, module) if request.sensitivities else result, module.metadata)
     if result.compiled:
         return Outcome(module, result, build_seconds + result.seconds_first, load_seconds, said)
     return Outcome(module, result, build_seconds, load_seconds + result.seconds_first, said)
@@ -109,7 +112,7 @@ def _made(request: Request) -> compiler.Build:
     assert isinstance(request.problem, Path | str), "a loaded module is not built"
     build = partial(
         compiler.build, request.problem, request.arguments, method=request.method, controls=request.controls,
-        out=request.out,
+        out=request.out, sensitivities=request.sensitivities,
     )  # fmt: skip
     if request.accuracy is not None and request.scheme is None:
         with suppress(SchemeError):

@@ -47,6 +47,7 @@ class Request:
     doublings: int = 0
     accuracy: float | None = None
     guesses: int = 1
+    sensitivities: bool = False
     points: PointSet | Path | str | None = None
     tables: Mapping[str, Path | str] | None = None
     observations: Any = None
@@ -77,6 +78,8 @@ class Request:
             raise ArgumentError(f"--time-limit {self.time_limit}", "give a positive number of seconds")
         if self.scaling not in SCALINGS:
             raise ArgumentError(f"--scaling {self.scaling}", f"use one of {', '.join(SCALINGS)}")
+        if not isinstance(self.sensitivities, bool):
+            raise ArgumentError(f"sensitivities is {self.sensitivities!r}", "give True or False")
         if self.warm is not None and self.guesses > 1:
             raise ArgumentError("several guesses beside a warm start", "leave one of them out")
         for name in ("scheme", "method", "controls"):

@@ -13,7 +13,7 @@ from codegen.model import Model
 from codegen.model.lines import at_guess
 from codegen.transcribe.determined_ends import with_determined_values
 from codegen.transcribe.determined_inner import with_determined_inner_values
-from codegen.transcribe.ends import End, Ends, pinned_at_zero
+from codegen.transcribe.ends import End, Ends, pinned_at_zero, with_bounds
 from codegen.transcribe.free_times import Clock, clock_of
 from codegen.transcribe.guesses import control_guess, inner_guess
 from codegen.transcribe.inner_times import InnerTerms, inner_terms
@@ -104,7 +104,7 @@ def _laid_out(
     ends: Ends,
 ) -> ControlProgram:
     """The unknowns of nodes and intervals and the share of an interval; the ends' own shares are still empty."""
-    before = _bounded((*motion.node, *nodal.unknowns), model)
+    before = with_bounds((*motion.node, *nodal.unknowns), model)
     sites = motion.discrete.q
     controls = _controls(model, len(sites.stage_controls))
     node = (*before, *ends.extra, *(controls if sites.nodal else ()))
@@ -170,7 +170,7 @@ def _placed(program: ControlProgram, inner: InnerTerms, motion: Motion, behind: 
 
 def _controls(model: Model, stages: int) -> tuple[Unknown, ...]:
     """The controls of an interval or a node, or of each stage of an interval, with their bounds."""
-    once = _bounded([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
+    once = with_bounds([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
     return (
         tuple(
             replace(u, name=f"{u.name}_stage{i}", meaning=f"{u.meaning} at stage {i}")
@@ -247,17 +247,6 @@ def scaled_in_time(model: Model, expression: Expr) -> Expr:
 
 def _scales(model: Model) -> dict[Symbol, Expr]:
     return {STEP: model.duration * STEP, model.time: model.duration * model.time}
-
-
-def _bounded(unknowns: Sequence[Unknown], model: Model) -> tuple[Unknown, ...]:
-    """Give unknowns the bounds of the quantity that they stand for."""
-    bounds = {bound.symbol.name: bound for bound in model.bounds}
-    return tuple(
-        replace(unknown, lower=bounds[unknown.name].lower, upper=bounds[unknown.name].upper)
-        if unknown.name in bounds
-        else unknown
-        for unknown in unknowns
-    )
 
 
 def _require_identical_bodies(program: ControlProgram) -> None:

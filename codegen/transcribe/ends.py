@@ -7,12 +7,12 @@ vanish wherever it has no meaning.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
-from sympy import Expr, S, Symbol, expand
+from sympy import Expr, Max, Min, S, Symbol, expand
 
 from codegen.errors import BoundaryError
-from codegen.model import Condition
+from codegen.model import Condition, Model
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.program import EndBound, EndElement, Unknown
 
@@ -51,19 +51,19 @@ def conditioned_end(
     suffix: str,
     unknowns: set[Symbol],
     names: Names,
-    own: Mapping[Symbol, str],
+    own: Mapping[Symbol, Unknown],
     known: Collection[Symbol],
 ) -> End:
     """Impose g = 0 by nu g, and g <= 0 by nu (g + s) with a slack s >= 0; add the terminal cost.
 
     `substitution` puts the quantities of this end into a condition, `unknowns` are the symbols that are not given
-    there. An inequality that bounds one of the node's `own` unknowns, which go with their names, by the `known` ones is
-    a bound of it, unless an equation says what it is: it costs no unknowns, which all nodes would have. Raises
-    BoundaryError for a condition on what is given.
+    there. An inequality that bounds one of the node's `own` unknowns by the `known` ones is a bound of it, unless an
+    equation says what it is: it costs no unknowns, which all nodes would have. Raises BoundaryError for a condition on
+    what is given.
     """
     values = [condition.expression.subs(substitution, simultaneous=True) for condition in conditions]
     equations = [value for condition, value in zip(conditions, values, strict=True) if condition.equality]
-    undecided = {symbol: name for symbol, name in own.items() if not any(e.has(symbol) for e in equations)}
+    undecided = {symbol: unknown for symbol, unknown in own.items() if not any(e.has(symbol) for e in equations)}
     out = End(element=cost.subs(substitution, simultaneous=True), cost=cost.subs(substitution, simultaneous=True))
     for condition, value in zip(conditions, values, strict=True):
         if not value.free_symbols & unknowns:
@@ -72,7 +72,7 @@ def conditioned_end(
                 "leave it out, or leave a value free",
             )
         bound = None if condition.equality else _as_bound(condition, value, undecided, known)
-        if bound is not None:
+        if bound is not None and not _is_repeated(bound, out.bounds):
             out += End(bounds=(bound,))
             continue
         extra, term, equation = imposed(condition, value, ("nu", f"at the {_where(suffix)}", suffix), names)
@@ -81,10 +81,21 @@ def conditioned_end(
     return out
 
 
+def with_bounds(unknowns: Sequence[Unknown], model: Model) -> tuple[Unknown, ...]:
+    """Give unknowns the bounds of the quantity that they stand for."""
+    bounds = {bound.symbol.name: bound for bound in model.bounds}
+    return tuple(
+        replace(unknown, lower=bounds[unknown.name].lower, upper=bounds[unknown.name].upper)
+        if unknown.name in bounds
+        else unknown
+        for unknown in unknowns
+    )
+
+
 def _as_bound(
-    condition: Condition, value: Expr, own: Mapping[Symbol, str], known: Collection[Symbol]
+    condition: Condition, value: Expr, own: Mapping[Symbol, Unknown], known: Collection[Symbol]
 ) -> tuple[str, EndBound] | None:
-    """The name of the one unknown in value <= 0, and its bound; None if it is none."""
+    """The name of the one unknown in value <= 0, and its bound; None if it is none, or another one may be tighter."""
     found = value.free_symbols - set(known)
     if len(found) != 1 or not found <= own.keys():
         return None
@@ -95,8 +106,19 @@ def _as_bound(
     limit = expand(symbol - value / slope)
     if limit.has(symbol):
         return None
-    least, greatest = (None, limit) if slope > 0 else (limit, None)
-    return own[symbol], EndBound(least, greatest, condition.name)
+    unknown, is_upper = own[symbol], bool(slope > 0)
+    other = unknown.upper if is_upper else unknown.lower
+    if other is not None:
+        if not (limit.is_number and other.is_number):
+            return None
+        limit = Min(limit, other) if is_upper else Max(limit, other)
+    return unknown.name, EndBound(None if is_upper else limit, limit if is_upper else None, condition.name)
+
+
+def _is_repeated(found: tuple[str, EndBound], before: Sequence[tuple[str, EndBound]]) -> bool:
+    """Whether an unknown has a bound on the same side already."""
+    name, bound = found
+    return any(name == other and (bound.lower is None) == (first.lower is None) for other, first in before)
 
 
 def imposed(

@@ -17,7 +17,7 @@ from sympy import Expr, S, Symbol
 from codegen.errors import BoundaryError
 from codegen.expressions.tangents import gradient
 from codegen.model import Boundary, Condition, Model
-from codegen.transcribe.ends import End, conditioned_end, pinned_at_zero
+from codegen.transcribe.ends import End, conditioned_end, pinned_at_zero, with_bounds
 from codegen.transcribe.forms import occurring
 from codegen.transcribe.holonomic import Constraints
 from codegen.transcribe.names import Names, symbols
@@ -92,12 +92,11 @@ def momentum_end(
     free = {symbol for symbol, value in zip(here, end.boundary.positions, strict=True) if value is None}
     conditions: Sequence[Condition] = (*end.conditions, *constraints.tangency(end.boundary, matched, literal))
     unknowns = free | set(extra_symbols) | shared
-    named = {
-        symbol: q.name
-        for q, symbol in zip(model.coordinates, here, strict=True)
-        if symbol in free and q.name not in end.aliased
-    }
-    named |= {symbol: model.rates[j].name for j, symbol in zip(extra, extra_symbols, strict=True)}
+    own_symbols = [symbol for symbol in here if symbol in free] + list(extra_symbols)
+    own_names = [q.name for q, symbol in zip(model.coordinates, here, strict=True) if symbol in free]
+    own_names += [model.rates[j].name for j in extra]
+    bounded = with_bounds([Unknown(name, "") for name in own_names], model)
+    named = {s: u for s, u in zip(own_symbols, bounded, strict=True) if u.name not in end.aliased}
     imposed = conditioned_end(conditions, end.cost, substitution, end.suffix, unknowns, names, named, model.parameters)
     return own + pinned_at_zero(unmatched) + imposed
 

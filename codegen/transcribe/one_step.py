@@ -18,7 +18,7 @@ from codegen.schemes import FIRST_ORDER, Scheme
 from codegen.transcribe import holonomic, path_conditions
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
-from codegen.transcribe.ends import End, conditioned_end
+from codegen.transcribe.ends import End, conditioned_end, with_bounds
 from codegen.transcribe.forms import in_momenta
 from codegen.transcribe.guesses import coordinate_guess, momentum_guess
 from codegen.transcribe.joined import joined_unknowns
@@ -89,7 +89,8 @@ def _ends(
         unknowns |= {own.symbol for own in shared.all}
         substitution = dict(zip(states, here, strict=True))
         aliased = {name for name, *_ in aliases}
-        own = {s: x.name for x, s in zip(states, here, strict=True) if s in unknowns and x.name not in aliased}
+        free = {s: x.name for x, s in zip(states, here, strict=True) if s in unknowns and x.name not in aliased}
+        own = dict(zip(free, with_bounds([Unknown(name, "") for name in free.values()], phase), strict=True))
         imposed = conditioned_end(conditions, cost, substitution, suffix, unknowns, names, own, model.parameters)
         ends.append(values + imposed)
     return ends[0], ends[1] + End(element=periodic.end_share)

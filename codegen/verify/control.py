@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from sympy import Expr, S, Symbol
 
+from codegen.derive.mixed import data_of
 from codegen.discretise import STEP
 from codegen.errors import VerificationError
 from codegen.lower.control_layout import parameters
@@ -16,6 +17,7 @@ from codegen.lower.phases import named_elements
 from codegen.transcribe.program import ControlProgram
 from codegen.verify.execution import Text
 from codegen.verify.judgement import complex_numbers
+from codegen.verify.mixed import columns_of, mixed_shares, pattern_of
 from codegen.verify.points import GuessedPoints, Values, random_points, with_time
 from codegen.verify.shares import Share, ShareComparison
 from codegen.verify.tape import Tape
@@ -36,7 +38,9 @@ def verify_control(program: ControlProgram, text: Text) -> None:
     intervals = list(_intervals(program, module, guessed))
     block = [_control_block(program, *intervals[0])] if text.defines("control_hessian") else []
     samples = list(_samples(program, intervals))
-    for share, near in (*intervals, *block, *samples, *_ends(program, module, guessed)):
+    ends = list(_ends(program, module, guessed))
+    mixed = _mixed(program, text, intervals, samples, ends) if text.defines("QUANTITIES") else []
+    for share, near in (*intervals, *block, *samples, *ends, *mixed):
         others = [*parameters(program), program.model.time, STEP, *(program.sample.symbols if program.sample else ())]
         symbols = list(dict.fromkeys([*share.unknowns, *others]))
         drawn = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
@@ -86,6 +90,28 @@ def _intervals(
             call_hessian=call,
         )
         yield share, guessed.on_intervals(local, others, part_of_chain(program, stem))
+
+
+def _mixed(
+    program: ControlProgram,
+    text: Text,
+    intervals: Sequence[tuple[Share, Values]],
+    samples: Sequence[tuple[Share, Values]],
+    ends: Sequence[tuple[Share, Values]],
+) -> list[tuple[Share, Values]]:
+    """The shares with derivatives by data in place of those by unknowns, where the text has sensitivities."""
+    found, count = [], len(program.interval_elements)
+    for number, (share, near) in enumerate((*intervals, *samples)):
+        columns = columns_of(program, -1 if count <= number < len(intervals) else 0)
+        kernel = share.gradient.removesuffix("gradient") + "mixed"
+        found += [(one, near) for one in mixed_shares(share, kernel, pattern_of(text), columns)]
+    for (share, near), name in zip(ends, ("start", "end"), strict=True):
+        columns = columns_of(program, -1)
+        first = len(data_of(program))
+        columns |= {first + i: s for i, s in enumerate(share.unknowns) if i not in share.indices}
+        pattern = pattern_of(text, f"{name.upper()}_")
+        found += [(one, near) for one in mixed_shares(share, f"{name}_mixed", pattern, columns)]
+    return found
 
 
 def inner_time_symbols(program: ControlProgram) -> tuple[Symbol, ...]:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-from sympy import Symbol
+from sympy import S, Symbol
 
 from codegen.lower.control_layout import parameters
 from codegen.transcribe.program import ControlProgram, Coupling
 from codegen.verify.execution import Text
+from codegen.verify.mixed import columns_of
 from codegen.verify.points import random_points
 from codegen.verify.shares import Share, ShareComparison
 
 _DRAWN = 30
 _TABLES = ("COUPLING_KINDS", "COUPLING_ROWS", "COUPLING_COUNTS", "COUPLING_INDICES")
-_KERNEL = "coupling_term"
+_KERNEL, _MIXED = "coupling_term", "coupling_mixed"
 
 
 def verify_couplings(program: ControlProgram, text: Text) -> None:
@@ -29,7 +31,41 @@ def verify_couplings(program: ControlProgram, text: Text) -> None:
         share = _share(program, coupling, own)
         symbols = list(dict.fromkeys([*share.unknowns, *parameters(program)]))
         points = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
-        ShareComparison(share, text, [points]).verify()
+        for compared in (share, *(_by_data(program, share, own) if text.defines(_MIXED) else ())):
+            ShareComparison(compared, text, [points]).verify()
+
+
+def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, Sequence[int]]]) -> tuple[Share, Share]:
+    """The share with slopes by data in place of those by unknowns, and with mixed derivatives by both."""
+    every, others, size = shared_symbols(program), parameters(program), len(share.unknowns)
+    data = {column: s for column, s in columns_of(program, -1).items() if s in others}
+    places = dict(zip(data, range(size, size + len(data)), strict=True))
+    pattern = tuple((row, place) for row in range(size) for place in places.values())
+    entry = {pair: i for i, pair in enumerate(pattern)}
+
+    def call(kernel: Any, values: Mapping[Symbol, Any], slopes: list[Any], mixed: list[Any]) -> int:
+        for kind, indices in terms:
+            by_data, by_both = dict[int, Any](), dict[tuple[int, int], Any]()
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, beside, by_data, by_both)
+            for column, value in by_data.items():
+                slopes[places[column]] = value + slopes[places[column]]
+            for (a, column), value in by_both.items():
+                i = entry[share.unknowns.index(every[indices[a]]), places[column]]
+                mixed[i] = value + mixed[i]
+        return 0
+
+    common = replace(share, unknowns=(*share.unknowns, *data.values()), hessian=_MIXED)
+    return (
+        replace(
+            common, beside=S.Zero, indices=tuple(places.values()), pattern=(), pairs=(), gradient=_MIXED,
+            call_gradient=lambda kernel, values, filled: call(kernel, values, filled, [0] * len(pattern)),
+        ),
+        replace(
+            common, pattern=pattern, pairs=pattern,
+            call_hessian=lambda kernel, values, filled: call(kernel, values, [0] * (size + len(data)), filled),
+        ),
+    )  # fmt: skip
 
 
 def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[int, Sequence[int]]]) -> Share:

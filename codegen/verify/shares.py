@@ -29,7 +29,7 @@ class Share:
     """A scalar, what the kernel of its gradient returns beside it, and the two kernels as they are called.
 
     `returned` says what is beside. `indices` are those of the unknowns whose derivatives are emitted; `pattern` has
-    pairs of unknowns.
+    pairs of unknowns. Second derivatives are looked at of all `pairs` of these, unless some are given.
     """
 
     name: str
@@ -43,6 +43,7 @@ class Share:
     call_gradient: Call
     call_hessian: Call
     returned: str = "the cost of"
+    pairs: tuple[tuple[int, int], ...] | None = None
 
 
 class ShareComparison:
@@ -53,7 +54,8 @@ class ShareComparison:
         self.tape = Tape([share.scalar, share.beside])
         self.points, self.count = finite_points(self.tape, candidates)
         rows = (p for p in share.indices)
-        self.pairs = [(row, column) for row in rows for column in share.indices if column <= row]
+        every = [(row, column) for row in rows for column in share.indices if column <= row]
+        self.pairs = every if share.pairs is None else list(share.pairs)
         self._evaluations: dict[Any, tuple[Any, ...]] = {}
         self._sized: dict[tuple[str, int], tuple[list[Any], Any]] = {}
 

@@ -171,3 +171,15 @@ def test_entry_that_is_never_written(prepared, damaged):
 def test_tables(prepared, damaged, old, new):
     (failure,) = failures("layout", damaged(prepared("linear_pendulum"), old, new))
     assert f"{old.partition(' ')[0]} is" in failure.detail
+
+
+def test_what_follows_from_parameters(prepared, damaged):
+    """Boundary values that follow parameters otherwise than the problem says: no other check looks at that."""
+    context = prepared("orbital_transfer", sensitivities=True)
+    line = next(line for line in text_from(context, "data_rates").splitlines() if line.endswith("# by GM"))
+    target, code = re.fullmatch(r"(.* = )(.*)  # by GM", line).groups()
+    damage = damaged(context, line, f"{target}1.00001*({code})  # by GM")
+    assert all(finding.applies for finding in checks.apply("sensitivities", context))
+    (failure,) = failures("sensitivities", damage)
+    assert failure.subject.startswith("parameters, which others follow")
+    assert [name for name in checks.CHECKS if name != "sensitivities" and failures(name, damage)] == []

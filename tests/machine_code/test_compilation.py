@@ -5,16 +5,17 @@ import types
 import numpy as np
 import pytest
 import sympy
-from golden import text_of
+from golden import ROOT, text_of
 from numba import typeof
 from sympy import exp, log
 
+from codegen.compiler import build
 from codegen.lower.printer import stabilised
 from codegen.machine_code.compilation import compile_all
 
 
-def recorded(name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...]]]]:
-    """A committed module, uncompiled, and the calls of functions that are compiled for Python, as they come in."""
+def recorded(text: str, name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...]]]]:
+    """The module of a text, uncompiled, and the calls of functions that are compiled for Python, as they come in."""
     calls: set[tuple[str, tuple[str, ...]]] = set()
     depth = 0
 
@@ -36,7 +37,7 @@ def recorded(name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...
         return decorated
 
     module = types.ModuleType(name)
-    text = text_of(f"{name}.py").replace("from numba import config, njit", "from numba import config")
+    text = text.replace("from numba import config, njit", "from numba import config")
     module.__dict__["njit"] = njit
     exec(compile(text, f"<{name}>", "exec"), module.__dict__)
     return module, calls
@@ -50,12 +51,25 @@ def recorded(name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...
     ],
 )  # fmt: skip
 def test_all_that_solve_calls_is_compiled_beforehand(name):
-    module, calls = recorded(name)
+    module, calls = recorded(text_of(f"{name}.py"), name)
     compile_all(module)
     before = set(calls)
     calls.clear()
     module.solve(steps=4)
     assert calls
+    assert calls <= before
+
+
+@pytest.mark.parametrize("name", ["hovercraft", "linear_pendulum", "bryson_denham", "two_stage_rocket"])
+def test_all_that_sensitivities_call_is_compiled_beforehand(name):
+    text = build(ROOT / "problems" / f"{name}.py", sensitivities=True).path.read_text(encoding="utf-8")
+    module, calls = recorded(text, name)
+    compile_all(module)
+    before = set(calls)
+    grid, unknowns = module.make_grid(4), module.solve(steps=4).unknowns
+    calls.clear()
+    module.unpacked_rates(grid, unknowns, module.sensitivities(grid, unknowns), 0)
+    assert {function for function, _ in calls} >= {"change_along", "add_steps"}
     assert calls <= before
 
 

@@ -100,6 +100,7 @@ def test_end_inequality(method, level, active):
         (lambda q, v, a: [v <= a, v >= -a], {"dq": ("-a", "a")}),  # one unknown between two limits, no slacks
         (lambda q, v, a: [sympy.Eq(q + v, a), q >= 0], {}),  # an equation may say what q is
         (lambda q, v, a: [q + v <= a, q**2 <= a, a * q <= 1], {}),
+        (lambda q, v, a: [q <= a, q <= 3], {"q": (None, "a")}),  # either may be the tighter one
     ],
 )
 def test_inequalities_on_one_unknown_of_an_end_are_its_bounds(method, conditions, bounded):

@@ -28,6 +28,7 @@ from codegen import (
     expressions as differentiate,
 )
 from codegen.compiler import generate_from_model
+from codegen.derive.mixed import control_sensitivities
 from codegen.errors import ExpressionError, VerificationError
 from codegen.expressions.straight_line import written_out
 from codegen.lower.module import Origin
@@ -120,6 +121,33 @@ def test_planted_defect_is_found(of_cart, name):
     broken = changed(text, *DEFECTS[name])
     with pytest.raises(VerificationError, match="the emitted code gives"):
         verify.verify(program, broken)
+
+
+@pytest.fixture(scope="module")
+def of_sensitive_cart():
+    program = transcribe.transcribe(normalise(cart()), None, None, "interval")
+    module = lower.lower(program, derive.derivatives(program), control_sensitivities(program))
+    return program, emit.render(module, ORIGIN)
+
+
+MIXED_DEFECTS = {
+    "slope": ("interval_mixed", r"slopes\[0\] = (.*?)(  #|\n)", r"slopes[0] = -(\1)\2"),
+    "slope by time": ("interval_mixed", r"slopes\[10\] = (.*?)(  #|\n)", r"slopes[10] = 0\2"),
+    "mixed": ("interval_mixed", r"mixed\[3\] = (.*?)(  #|\n)", r"mixed[3] = 1.000001*(\1)\2"),
+    "dropped entry": ("interval_mixed", r"mixed\[2\] = (.*?)(  #|\n)", r"mixed[2] = 0.0\2"),
+    "wrong index": ("interval_mixed", r"mixed\[1\] = ", "mixed[2] = "),
+    "slope at an end": ("end_mixed", r"slopes\[(\d+)\] = (.*?)(  #|\n)", r"slopes[\1] = 2*(\2)\3"),
+    "mixed at an end": ("end_mixed", r"mixed\[0\] = (.*?)(  #|\n)", r"mixed[0] = -(\1)\2"),
+    "mixed at the start": ("start_mixed", r"mixed\[0\] = (.*?)(  #|\n)", r"mixed[0] = 1 + (\1)\2"),
+}
+
+
+@pytest.mark.parametrize("name", MIXED_DEFECTS)
+def test_planted_defect_of_sensitivities_is_found(of_sensitive_cart, name):
+    program, text = of_sensitive_cart
+    verify.verify(program, text)
+    with pytest.raises(VerificationError, match="the emitted code gives"):
+        verify.verify(program, changed(text, *MIXED_DEFECTS[name]))
 
 
 def test_swapped_rows_of_the_pattern_are_found(of_cart):
@@ -244,6 +272,21 @@ def test_planted_defect_of_conditions_between_bodies_is_found(of_hovercraft, nam
     program, text = of_hovercraft
     with pytest.raises(VerificationError, match="of the condition"):
         verify.verify(program, changed(text, *COUPLING_DEFECTS[name]))
+
+
+@pytest.mark.parametrize(
+    ("function", "pattern", "replacement"),
+    [
+        ("coupling_1_mixed", r"slopes\[3\] = (.*?)(  #|\n)", r"slopes[3] = -(\1)\2"),
+        ("coupling_2_mixed", r"slopes\[4\]", "slopes[5]"),
+    ],
+)
+def test_planted_defect_of_data_of_conditions_is_found(function, pattern, replacement):
+    program = prepared_file("hovercraft")[0]
+    text = emit.render(lower.lower(program, derive.derivatives(program), control_sensitivities(program)), ORIGIN)
+    verify.verify(program, text)
+    with pytest.raises(VerificationError, match="of the condition"):
+        verify.verify(program, changed(text, function, pattern, replacement))
 
 
 def test_a_term_that_reads_another_unknown_is_found(of_hovercraft):

@@ -1,0 +1,111 @@
+"""Derivatives of the Lagrangian's shares by data, which sensitivities of a solution need, and mixed ones with unknowns.
+
+Data are what is given when a problem is solved: parameters, boundary values, conditions at inner times, and where an
+interval is in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.derive import LONG, Entry
+from codegen.discretise import STEP
+from codegen.expressions import Assignment, mixed_derivatives
+from codegen.expressions.zeros import identically_zero
+from codegen.transcribe.program import ControlProgram, EndElement
+
+
+@dataclass(frozen=True)
+class DataDerivatives:
+    """First derivatives of a scalar by data (index, value), and second ones by an unknown and a datum (both indices).
+
+    Only what is not identically zero is there; all may read the symbols of one list of assignments.
+    """
+
+    slopes: tuple[tuple[int, Expr], ...]
+    mixed: tuple[Entry, ...]
+    assignments: tuple[Assignment, ...] = ()
+
+
+@dataclass(frozen=True)
+class ControlSensitivities:
+    """Derivatives by data of the shares of all kinds of intervals, whose mixed ones have one pattern, and of both ends.
+
+    That of a `sample` of measurements is a part of the pattern.
+    """
+
+    elements: tuple[DataDerivatives, ...]
+    start: DataDerivatives
+    end: DataDerivatives
+    sample: DataDerivatives | None = None
+
+
+def data_of(program: ControlProgram) -> tuple[Symbol, ...]:
+    """Data in their order: what stands among the parameters, time and length of an interval, numbers of its left node.
+
+    The numbers are those of conditions at inner times.
+    """
+    model, inner = program.model, program.inner
+    given = (*model.parameters, *(value.symbol for value in program.boundary_values), *inner.parameters)
+    return (*given, model.time, STEP, *inner.symbols)
+
+
+def control_sensitivities(program: ControlProgram) -> ControlSensitivities:
+    """Differentiate the shares of intervals, samples and ends by data, and by unknowns and data."""
+    unknowns, data = program.element_symbols, data_of(program)
+    own = [_derivatives(share.element, unknowns, data) for share in program.interval_elements]
+    samples = [_derivatives(s.element, unknowns, data) for s in (program.sample,) if s is not None]
+    return ControlSensitivities(
+        elements=tuple(_with_one_pattern([*own, *samples])[: len(own)]),
+        start=_of_end(program.start, (*program.left_symbols, *program.shared_symbols), data),
+        end=_of_end(program.end, (*program.right_symbols, *program.shared_symbols), data),
+        sample=next(iter(samples), None),
+    )
+
+
+def _of_end(end: EndElement, unknowns: Sequence[Symbol], data: Sequence[Symbol]) -> DataDerivatives:
+    """Those of an end's share, where what is pinned counts as data behind all others, by its index in the node."""
+    pinned = sorted({index for index, _ in end.pins})
+    every = (*data, *(unknowns[index] for index in pinned))
+    found = _derivatives(end.element, unknowns, every, pinned)
+    places = [*range(len(data)), *(len(data) + index for index in pinned)]
+    return replace(
+        found,
+        slopes=tuple((places[i], value) for i, value in found.slopes),
+        mixed=tuple((row, places[column], value) for row, column, value in found.mixed),
+    )
+
+
+def _derivatives(
+    scalar: Expr, unknowns: Sequence[Symbol], data: Sequence[Symbol], given: Collection[int] = ()
+) -> DataDerivatives:
+    free = [index for index in range(len(unknowns)) if index not in given]
+    if scalar.count_ops() >= LONG:
+        found = mixed_derivatives(scalar, [unknowns[index] for index in free], data)
+        values = found.program.values
+        slopes = tuple(zip(found.slopes, values[: len(found.slopes)], strict=True))
+        entries = zip(found.entries, values[len(found.slopes) :], strict=True)
+        mixed = tuple((free[row], column, value) for (row, column), value in entries)
+        return DataDerivatives(slopes, mixed, found.program.assignments)
+    slopes = tuple((i, sympy.diff(scalar, datum)) for i, datum in enumerate(data) if scalar.has(datum))
+    pairs = [
+        (row, i, sympy.diff(slope, unknowns[row])) for i, slope in slopes for row in free if slope.has(unknowns[row])
+    ]
+    return DataDerivatives(
+        tuple(pair for pair in slopes if not identically_zero(pair[1])),
+        tuple(sorted((pair for pair in pairs if not identically_zero(pair[2])), key=lambda pair: pair[:2])),
+    )
+
+
+def _with_one_pattern(shares: Sequence[DataDerivatives]) -> list[DataDerivatives]:
+    """The same derivatives, with zeros where another share has a mixed one."""
+    pattern = sorted({(row, column) for share in shares for row, column, _ in share.mixed})
+    values = [{(row, column): value for row, column, value in share.mixed} for share in shares]
+    return [
+        replace(share, mixed=tuple((*pair, own.get(pair, sympy.S.Zero)) for pair in pattern))
+        for share, own in zip(shares, values, strict=True)
+    ]

@@ -1,0 +1,1 @@
+"""Sensitivities: how a solution follows parameters, boundary values and a given duration."""

@@ -1,0 +1,39 @@
+"""Sensitivities pass where they are right, and say nothing where a solution has none."""
+
+import pytest
+
+from codegen import checks
+
+
+@pytest.mark.parametrize(
+    ("problem", "choices"),
+    [
+        ("linear_pendulum", {}),
+        ("linear_pendulum", {"method": "hamiltonian", "scheme": "stormer-verlet"}),
+        ("hovercraft", {}),
+        ("brachistochrone", {}),
+        ("bouncing_ball", {}),
+        ("spherical_pendulum", {}),
+        ("van_der_pol", {"scheme": "trapezoidal"}),
+    ],
+)
+def test_passes(prepared, problem, choices):
+    findings = checks.apply("sensitivities", prepared(problem, sensitivities=True, **choices))
+    assert findings
+    for finding in findings:
+        assert finding.passed, finding.detail
+        assert finding.applies, finding.detail
+        assert "differ by at most" in finding.detail
+
+
+def test_vertex_is_not_measured(prepared):
+    findings = checks.apply("sensitivities", prepared("double_integrator", sensitivities=True))
+    assert all(finding.passed and not finding.applies for finding in findings)
+    assert {finding.detail for finding in findings} == {
+        "not measured: equations, or active bounds, depend on each other at the solution"
+    }
+
+
+def test_modules_without_sensitivities_are_not_asked(prepared):
+    (finding,) = checks.apply("sensitivities", prepared("linear_pendulum"))
+    assert finding.detail == "does not apply: the module has none, unless it is built with --sensitivities"

@@ -1,0 +1,87 @@
+"""How the gradient of the Lagrangian changes with unknowns and data, against differences: every kind of problem."""
+
+import numpy as np
+import pytest
+from control_variants import VARIANTS, trial_point
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from interpreted import of_problem
+from random_problems import phase_problems, single_problems
+
+from codegen.sweeping.quantities import given_to, quantities
+
+STEPS = 3
+MORE = [
+    ("bouncing_ball", None, {}),
+    ("drone_gates", None, {}),
+    ("bryson_denham", None, {}),
+    ("delayed_oscillator", None, {}),
+    ("two_stage_rocket", None, {}),
+]
+LENGTHS = (2e-4, 1e-4)
+
+
+@pytest.mark.parametrize(("name", "text", "choices"), [*VARIANTS, *MORE])
+def test_changes_of_variants(interpreted, name, text, choices):
+    module = interpreted(f"{name}_changes" if text else name, text, sensitivities=True, **choices)
+    steps = max(STEPS, module.metadata.get("inner_times", 0) + 2)
+    require_exact(module, steps, seed=3, scale=0.02)
+
+
+@pytest.mark.parametrize("problems", [single_problems(), phase_problems()], ids=["single", "phases"])
+@settings(max_examples=6, phases=[Phase.explicit, Phase.reuse, Phase.generate])  # a smaller failure takes minutes
+@given(data=st.data(), seed=st.integers(0, 1000))
+def test_changes_of_random_problems(problems, data, seed):
+    problem, choices = data.draw(problems)
+    require_exact(of_problem(problem, sensitivities=True, **choices), STEPS, seed, 0.1)
+
+
+def require_exact(module, steps, seed, scale):
+    """Compare, for every quantity, changes along it and along a random motion of all unknowns."""
+    grid, generator = module.make_grid(steps), np.random.default_rng(seed)
+    unknowns = trial_point(module, grid, seed, scale)
+    count, (rates, duration) = len(module.QUANTITIES), module.data_rates(grid, ())
+    offsets, free = module.pinned_rates(grid, rates), module.free_unknowns(grid)
+    own = np.where(free, generator.normal(scale=0.3, size=offsets.shape), 0.0)
+    moves = offsets + own
+    if module.metadata["shared"] and hasattr(module, "follow_ties"):
+        module.follow_ties(grid.steps, offsets, moves)
+    times = module.kernel_times(grid, rates, duration)
+    changes, values = np.empty_like(moves), np.empty(count)
+    data = unknowns, grid.steps, grid.h, grid.nodes, grid.parameters
+    module.change_along(*data, moves, rates, times, free, changes, values)
+    now = [*grid.parameters[:, : module.OWN_QUANTITIES].T, grid.steps * grid.h]
+    for i, quantity in enumerate(quantities(module.QUANTITIES, module, ())):
+        value = now[i] if quantity.kind == "boundary" else float(np.max(now[i]))
+
+        def at(length, i=i, quantity=quantity, value=value):
+            moved = module.make_grid(steps, **given_to({quantity: value + length}))
+            there = module.with_pinned_values(moved, unknowns + length * own[i])
+            point = module.evaluate(moved, there)
+            bounds = module.variable_bounds(moved) if module.metadata["inequalities"] else ()
+            duration = module.duration_of(moved, there)
+            return point.gradient, module.lagrangian(moved, point), duration, there, bounds
+
+        coarse, fine = (difference(at, length) for length in LENGTHS)
+        gradient, lagrangian, length, motion, *bounds = [(4.0 * f - c) / 3.0 for c, f in zip(coarse, fine, strict=True)]
+        about = 2e-7 * max(1.0, np.abs(gradient).max())
+        assert changes[i] == pytest.approx(np.where(free, gradient, 0.0), rel=2e-7, abs=about), quantity.name
+        assert values[i] == pytest.approx(lagrangian, rel=2e-7, abs=about), quantity.name
+        assert moves[i] == pytest.approx(motion, rel=1e-8, abs=1e-8), quantity.name
+        lengths = module.duration_rates(grid, unknowns, moves, rates, duration)
+        if "phases" not in module.metadata:
+            assert lengths[i].sum() == pytest.approx(length, rel=1e-7, abs=1e-8), quantity.name
+        if hasattr(module, "bound_rates"):
+            for found, expected in zip(module.bound_rates(grid, rates[i]), bounds, strict=True):
+                assert np.where(free, found, 0.0) == pytest.approx(expected, rel=1e-7, abs=1e-8), quantity.name
+
+
+def difference(at, length):
+    """Central differences of all that is returned; of bounds that there are not, nothing."""
+    *above, bounds_above = at(length)
+    *below, bounds_below = at(-length)
+    found = [(np.asarray(a) - np.asarray(b)) / (2.0 * length) for a, b in zip(above, below, strict=True)]
+    for a, b in zip(bounds_above, bounds_below, strict=True):
+        there = np.isfinite(a)
+        found.append(np.where(there, np.where(there, a, 0.0) - np.where(there, b, 0.0), 0.0) / (2.0 * length))
+    return found
