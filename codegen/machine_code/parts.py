@@ -49,7 +49,9 @@ def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
     barrier = grid.is_multiplier, *places, duals, 1.0
     return [
         lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *places, duals),
-        lambda: module.measure_step(unknowns, gradient, step, *barrier, 0.99, result),
+        lambda: module.slopes_without_multipliers(
+            gradient, grid.is_multiplier, *places[:2], duals, np.empty_like(step), np.empty_like(step)
+        ),
         lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
         lambda: module.moved(search, iterate, taken, 0.0),
         lambda: module.approach(unknowns.copy(), *bounds[:1], *bounds[2:], 0.0, 0.0, distance, result),

@@ -103,6 +103,15 @@ def moved(search: Any, iterate: Any, step: Any, length: float) -> bounded.Iterat
     return bounded.Iterate(point, iterate.mu, distance, logarithms, duals, bounded.Measured(*measured))
 
 
+def step_along(search: Any, iterate: Any, gradient: Vector, primal: Vector, inertia: Any) -> bounded.Step:
+    """As in bounded.py, without the iterate at its end, which `moved` finds when it is asked for."""
+    (indices, _, side, _), dual = search.bounds, np.empty(iterate.duals.size)
+    places = search.grid.is_multiplier, indices, side, iterate.distance, iterate.duals
+    tau = max(0.99, 1.0 - iterate.mu)
+    measured = barrier.measure_step(iterate.point.unknowns, gradient, primal, *places, iterate.mu, tau, dual)
+    return bounded.Step(primal, dual, gradient, *measured, inertia)
+
+
 def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
@@ -111,7 +120,7 @@ def linear_residual(grid: Dense, unknowns: Vector, diagonal: Vector, gradient: V
     return np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
 
 
-def sizes_of_terms(grid: Dense, unknowns: Vector) -> tuple[float, float]:
+def sizes_of_terms(grid: Dense, unknowns: Vector, *_enough: float) -> tuple[float, float]:
     """Largest sum of absolute terms in an equation, and in a stationarity condition."""
     sums = np.abs(kkt_matrix(grid, unknowns)) @ np.abs(unknowns)
     return float(sums[grid.is_multiplier].max(initial=0.0)), float(sums[~grid.is_multiplier].max(initial=0.0))

@@ -50,6 +50,8 @@ def dense_linear_algebra() -> Iterator[None]:
         patch.setattr(unbounded, "regularisation", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))
         for module in (line_search, restoration, exact_bounds):
             patch.setattr(module, "moved", dense_problem.moved)
+        for module in (line_search, restoration, newton_steps):
+            patch.setattr(module, "step_along", dense_problem.step_along)
         for module in loop:
             patch.setattr(module, "INEQUALITIES", 1)
         for module in (cascade, newton_steps):

@@ -67,20 +67,32 @@ def push_inside(lower, upper, unknowns, push):
 
 @njit(cache=True, error_model="numpy")
 def follow(
-    unknowns, step, length, indices, side, distance, duals, dual_step, dual_length, mu, sizes, weight, steps, h, nodes,
-    parameters, is_multiplier, trial, moved, moved_duals, gradient,
+    is_new, unknowns, right, step, length, indices, side, distance, duals, dual_step, dual_length, mu, sizes, weight,
+    steps, h, nodes, parameters, is_multiplier, trial, moved, moved_duals, gradient,
 ):  # fmt: skip
     """Move unknowns and duals by parts of their steps, and evaluate and measure there what belongs to an iterate.
 
-    Fills `trial`, its distances `moved`, `moved_duals` and the `gradient`; returns the sum of logarithms of distances,
-    what `measured_gradient` returns and what `measure_optimality` does. It is one function, because that of a short
-    motion is over before Python has called another three.
+    A step that `is_new`, solved for with the gradient `right`, is measured before, fills `dual_step`, and is followed
+    for its longest lengths in place of those given. Fills `trial`, its distances `moved`, `moved_duals` and the
+    `gradient`; returns what `measure_step` does, the sum of logarithms of distances, what a Point holds beside unknowns
+    and gradient, with these duals in its stationarity, and what `measure_optimality` does. It is one function, because
+    that of a short motion is over before Python has called another four.
     """
+    slope, is_of_rounding = 0.0, False
+    if is_new:
+        barrier = is_multiplier, indices, side, distance, duals, mu, max(0.99, 1.0 - mu)
+        slope, is_of_rounding, length, dual_length = measure_step(unknowns, right, step, *barrier, dual_step)
     logarithms = move(unknowns, step, length, indices, side, distance, trial, moved)
-    evaluated = measured_gradient(trial, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient)
+    cost, residual, violation, _, error = measured_gradient(
+        trial, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient
+    )
     places = is_multiplier, indices, side, moved
     measured = move_duals(gradient, trial, *places, duals, dual_step, dual_length, mu, moved_duals)
-    return logarithms, evaluated, measured
+    stationarity = measured[0]
+    if error < np.inf:
+        error = stationarity if stationarity > residual else residual
+    evaluated = cost, residual, violation, stationarity, error
+    return (slope, is_of_rounding, length, dual_length), logarithms, evaluated, measured
 
 
 @njit(error_model="numpy")
@@ -136,6 +148,16 @@ def measure_optimality(gradient, unknowns, is_multiplier, indices, side, distanc
 
 
 @njit(cache=True, error_model="numpy")
+def slopes_without_multipliers(gradient, is_multiplier, indices, side, duals, slopes, diagonal):
+    """Fill `slopes` with the gradient less the duals, zero by multipliers, and the `diagonal` of least squares."""
+    for i in range(gradient.size):
+        slopes[i] = 0.0 if is_multiplier[i] else gradient[i]
+        diagonal[i] = -1e-12 if is_multiplier[i] else 1.0
+    for j in range(indices.size):
+        slopes[indices[j]] -= side[j] * duals[j]
+
+
+@njit(cache=True, error_model="numpy")
 def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, delta_w, delta_c, right, diagonal):
     """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
     for i in range(gradient.size):
@@ -147,7 +169,7 @@ def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, del
         diagonal[indices[j]] += duals[j] * inverse
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def measure_step(unknowns, gradient, step, is_multiplier, indices, side, distance, duals, mu, tau, dual_step):
     """Fill `dual_step`; return what `slope_of` does of the step, and its longest primal and dual lengths.
 

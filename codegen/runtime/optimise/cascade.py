@@ -72,7 +72,7 @@ if UNBOUNDED:
 
     def is_gross(grid, point):
         """Whether the residual is more than a small part of the equations' largest terms."""
-        terms, _ = sizes_of_terms(grid, point.unknowns)
+        terms, _ = sizes_of_terms(grid, point.unknowns, 2.0 * point.residual / GROSS, 0.0)
         return point.residual > GROSS * terms
 
     def from_nearby(search, guess, tolerance, max_iterations, log):

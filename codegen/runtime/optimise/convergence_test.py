@@ -1,5 +1,6 @@
 """How large the terms of the equations are: what a residual has to be compared with."""
 
+import numpy as np
 from numba import njit
 
 from codegen.runtime.arrays import zero_vector
@@ -23,14 +24,15 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 
 
 @njit(cache=True, error_model="numpy")
-def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier):
+def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    Terms only add up: once the former has reached `enough` and the latter `as_many`, no more intervals are looked at.
     """
-    hessian = zero_vector(HESSIAN_ROWS.size)
-    sums = zero_vector(unknowns.size)
+    hessian, sums = zero_vector(HESSIAN_ROWS.size), zero_vector(unknowns.size)
+    equations, stationarity = 0.0, 0.0
     if SCALED and sizes.size:
         unknowns = unknowns * sizes
     for body in range(BODIES):
@@ -49,8 +51,18 @@ def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multipli
                 sums[row] += abs(hessian[j] * unknowns[column])
                 if row != column:
                     sums[column] += abs(hessian[j] * unknowns[row])
+            if enough < np.inf:
+                for i in range(first, first + ELEMENT):
+                    size = sums[i]
+                    if SCALED and sizes.size:
+                        size *= weight * sizes[i]
+                    if is_multiplier[i]:
+                        equations = max(equations, size)
+                    else:
+                        stationarity = max(stationarity, size)
+                if equations >= enough and stationarity >= as_many:
+                    return equations, stationarity
         add_end_terms(unknowns, body, steps, h, parameters[body], sums)
-    equations, stationarity = 0.0, 0.0
     for i in range(sums.size):
         if SCALED and sizes.size:
             sums[i] *= weight * sizes[i]
@@ -62,11 +74,10 @@ def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multipli
     return equations, stationarity
 
 
-def sizes_of_terms(grid, unknowns):
+def sizes_of_terms(grid, unknowns, enough=np.inf, as_many=np.inf):
     """The same of a grid, in parts of sizes where it has them."""
-    return term_sizes(
-        unknowns, grid.sizes, grid.weight, grid.steps, grid.h, grid.nodes, grid.parameters, grid.is_multiplier
-    )
+    steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = grid
+    return term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many)
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):
@@ -77,7 +88,9 @@ def is_solved(grid, point, tolerance, roundings=1.0):
     """
     if SCALED and point.error > max(tolerance, WORTH_MEASURING):
         return False
-    equations, stationarity = sizes_of_terms(grid, point.unknowns)
+    # Terms beyond one make no difference to what is within the tolerance.
+    limit = 1.0 if max(point.residual, point.stationarity) <= tolerance else np.inf
+    equations, stationarity = sizes_of_terms(grid, point.unknowns, limit, limit)
     return is_small(point.residual, equations, tolerance, roundings) and is_small(
         point.stationarity, stationarity, tolerance, roundings
     )
