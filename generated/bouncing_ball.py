@@ -2726,6 +2726,7 @@ def damped(damping, step, length, shortened):
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+LARGEST_DAMPING = 1e12  # in units of the first one, where that exceeds one: residuals have their own units
 
 
 def restore(search, iterate, reduction, filtered, is_late):
@@ -2734,7 +2735,7 @@ def restore(search, iterate, reduction, filtered, is_late):
     When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up. With
     bounds, the weight and the duals are those of the restoration.
     """
-    grid, damping = search.grid, 0.0
+    grid, damping, largest = search.grid, 0.0, 0.0
     first, current = iterate.point.violation, restoration_start(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
@@ -2742,11 +2743,12 @@ def restore(search, iterate, reduction, filtered, is_late):
         point = current.point
         pull = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, pull)
+        largest = largest or LARGEST_DAMPING * max(1.0, damping)
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
             return "infeasible", current
         current = current._replace(mu=lower_weight(current.mu, error))
-        taken = damped_step(search, current, pull, damping)
+        taken = damped_step(search, current, pull, damping, largest)
         if taken is None:
             return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
         current, damping = taken
@@ -2763,7 +2765,8 @@ def restoration_start(search, iterate):
     grid = search.grid
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
     nu = max(1e-12, 1e-2 * iterate.point.residual**2)
-    start = start._replace(mu=nu, duals=central_duals(nu, start.distance))
+    # Smaller duals would let steps run into bounds that are close, where the barrier of a large weight is steep.
+    start = start._replace(mu=nu, duals=nu / start.distance)
     return start
 
 
@@ -2798,11 +2801,11 @@ def lower_weight(nu, error):
     return nu
 
 
-def damped_step(search, current, pull, damping):
-    """(iterate, damping) after a step that lowers the sum of squares, or None."""
+def damped_step(search, current, pull, damping, largest):
+    """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none."""
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
     least = restoration_objective(grid, current)
-    while damping < 1e12:
+    while damping < largest:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
@@ -3021,6 +3024,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     steps of the restoration are not counted.
     """
     search, first, total = search_on(grid), None, 0
+    lower, upper = search.box
+    if (lower > upper).any():
+        return "infeasible", evaluate(grid, unknowns), 0
     primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
     guess = begin(search, primal, cascade[0])
     for attempt in cascade:
@@ -3409,6 +3415,13 @@ def at_bounds(grid, unknowns):
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
 
 
+def contradictory_bounds(grid):
+    """Index of an unknown whose least value is above its greatest, or -1."""
+    lower, upper = bounds_of(grid)
+    (indices,) = (lower > upper).nonzero()
+    return int(indices[0]) if indices.size else -1
+
+
 def prescribed_beyond(grid, unknowns):
     """Which prescribed value or path condition at an end violates what holds farther inside, or nothing.
 
@@ -3631,6 +3644,12 @@ def describe(grid, guess, point, status):
     beyond = prescribed_beyond(grid, point.unknowns)
     if beyond:
         return "infeasible", f"infeasible: {beyond}; change the value or the bound"
+    index = contradictory_bounds(grid)
+    if index >= 0:
+        least, greatest = (float(bound[index] * units_of(grid)[index]) for bound in bounds_of(grid))
+        name = unknown_name(grid, point.unknowns, index)
+        limits = f"at least {least:g} and at most {greatest:g}"
+        return "infeasible", f"infeasible: {name} is to be {limits}; change one of the bounds"
     if status == "solved":
         return status, f"all equations hold to {point.error:.1e}"
     if grid.sizes.size:
@@ -4672,7 +4691,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_031ecdc67d44d838"
+_IDENTITY = "codegen_bouncing_ball_67249ee3548132ec"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -2378,6 +2378,7 @@ def damped(damping, step, length, shortened):
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+LARGEST_DAMPING = 1e12  # in units of the first one, where that exceeds one: residuals have their own units
 
 
 def restore(search, iterate, reduction, filtered, is_late):
@@ -2386,7 +2387,7 @@ def restore(search, iterate, reduction, filtered, is_late):
     When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up. With
     bounds, the weight and the duals are those of the restoration.
     """
-    grid, damping = search.grid, 0.0
+    grid, damping, largest = search.grid, 0.0, 0.0
     first, current = iterate.point.violation, restoration_start(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
@@ -2394,10 +2395,11 @@ def restore(search, iterate, reduction, filtered, is_late):
         point = current.point
         pull = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, pull)
+        largest = largest or LARGEST_DAMPING * max(1.0, damping)
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
             return "infeasible", current
-        taken = damped_step(search, current, pull, damping)
+        taken = damped_step(search, current, pull, damping, largest)
         if taken is None:
             return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
         current, damping = taken
@@ -2437,11 +2439,11 @@ def restoration_error(search, current, pull):
     return np.abs(pull).max()
 
 
-def damped_step(search, current, pull, damping):
-    """(iterate, damping) after a step that lowers the sum of squares, or None."""
+def damped_step(search, current, pull, damping, largest):
+    """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none."""
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
     least = restoration_objective(grid, current)
-    while damping < 1e12:
+    while damping < largest:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
@@ -4129,7 +4131,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_be1d8f9a83b3c03f"
+_IDENTITY = "codegen_hovercraft_603a43e7f05a5e9b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
