@@ -118,11 +118,25 @@ class Standstill(Kind):
         return iter(())
 '''
 
+ORDERS = '''"""The command `codegen orders`: schemes by their orders."""
+
+import typer
+
+
+def orders() -> None:
+    """List schemes with their orders."""
+    from codegen import schemes
+
+    for name, scheme in schemes.METHODS["hamiltonian"].items():
+        typer.echo(f"{name} {scheme.order}")
+'''
+
 FILES = {
     "schemes/radau.py": RADAU,
     "drivers/marquardt.py": MARQUARDT,
     "checks/solution/cost_of_motion.py": SUM_OF_SHARES,
     "model/conditions/standstill.py": STANDSTILL,
+    "cli/orders.py": ORDERS,
 }
 """One file for each."""
 
@@ -151,6 +165,7 @@ REGISTRIES = {
         ("from codegen", "from codegen.model.conditions.standstill import Standstill\nfrom codegen"),
         ("CONDITIONS: tuple[Kind, ...] = (", "CONDITIONS: tuple[Kind, ...] = (Standstill(),"),
     ],
+    "cli/__init__.py": [("COMMANDS = (", 'COMMANDS = ("orders", ')],
     "author/problem.py": [("    periodic: ", "    standstill: Sequence[Any] = ()\n    periodic: ")],
     "sweeping/samples.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
 }
@@ -326,3 +341,8 @@ def test_sampling_method(extended):
     )
     assert done.returncode == 0, done.stderr
     assert all(value in done.stdout for value in ("4.0", "2.0"))
+
+
+def test_command(extended):
+    assert "radau-3 3\n" in extended.command("orders")
+    assert "List schemes with their orders." in extended.command("--help")
