@@ -133,8 +133,8 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
-    estimated = result.estimates.notes if result.estimates else []
-    for note in (*notes.notes(outcome.module.metadata), *estimated):
+    told = result.estimates.notes if result.estimates else []
+    for note in (*notes.notes(outcome.module.metadata), *told):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))

@@ -56,7 +56,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
     parts = (control_guesses.guesses, layout.duration, layout.bounds)
     if program.phases:
         parts = (phases.guesses, phases.duration, phases.bounds)
-    fields = {name: value for part in parts for name, value in part(program).items()}
+    told = {name: value for part in parts for name, value in part(program).items()}
     return ControlModule(
         template="control.py.j2",
         name=model.name,
@@ -87,7 +87,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
             ("SAMPLED", len(model.measurements)),
         ),
         arguments=arguments_of(model),
-        **data_arguments(program, tables, inner_times.grid_code(program, fields["grid_duration"])),
+        **data_arguments(program, tables, inner_times.grid_code(program, told["grid_duration"])),
         steps=model.steps,
         boundary_values=tuple(
             Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values
@@ -98,7 +98,7 @@ def lower_control(program: ControlProgram, derivatives: ControlDerivatives) -> C
         **inner_times.times_and_values(program, boundary_code),
         **layout.pins(program),
         **layout.views(program),
-        **fields,
+        **told,
     )
 
 

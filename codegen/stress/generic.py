@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError
-from codegen.loading import load
+from codegen.loading import is_connect, load
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
 from codegen.stress.families.common import registered
 
@@ -56,7 +56,7 @@ def _schemes(metadata: Mapping[str, Any]) -> Sequence[tuple[str | None, str]]:
 
 
 def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[tuple[float, ...], ...]:
-    if module.metadata["task"] != "connect":
+    if not is_connect(module):
         return ()
     from codegen.author.points import read_points
     from codegen.author.problem_file import split_points
