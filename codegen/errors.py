@@ -30,6 +30,10 @@ class CodegenError(Exception):
         self.finding, self.remedy = plain(finding), plain(remedy)
         super().__init__(f"{self.finding}; {self.remedy}")
 
+    def __reduce__(self) -> tuple[type[CodegenError], tuple[str, str]]:
+        """What makes the same error in another process, which may have met it first."""
+        return type(self), (self.finding, self.remedy)
+
 
 class ProblemFileError(CodegenError):
     """The problem file cannot be read, imported or called."""
@@ -101,3 +105,7 @@ class ImageError(CodegenError):
 
 class ExtraError(CodegenError):
     """A library is not installed that an optional part of this package needs; the remedy names the extra."""
+
+
+class ClusterError(CodegenError):
+    """A scheduler of a cluster does not answer, has no workers, or was lost; what chunks have written stays."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,13 @@ def machine() -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """The versions of codegen, Python and the packages that decide about numbers and times."""
-    packages = {name: metadata.version(name) for name in _PACKAGES}
-    return {"codegen": __version__, "python": platform.python_version(), **packages}
+    return {"codegen": __version__, "python": platform.python_version(), **dict(_packages())}
+
+
+@cache
+def _packages() -> tuple[tuple[str, str], ...]:
+    """Versions of packages, whose files take longer to read than some sweeps to solve."""
+    return tuple((name, metadata.version(name)) for name in _PACKAGES)
 
 
 def _processor() -> str:

@@ -114,6 +114,12 @@ class DenseLayout:
             for end, k in ((program.start, 0), (program.end, self.steps)):
                 for slack, _ in end.slacks:
                     lower[self.node_indices(body, k)[slack]] = 0.0
+                for own, bound in end.bounds:
+                    index = self.node_indices(body, k)[own]
+                    if bound.lower is not None:
+                        lower[index] = max(lower[index], self.number(bound.lower, body=body))
+                    if bound.upper is not None:
+                        upper[index] = min(upper[index], self.number(bound.upper, body=body))
         return lower[self.free], upper[self.free]
 
     def initial(self) -> np.ndarray:

@@ -45,6 +45,9 @@ def sweep(
     workers: Annotated[
         int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
     ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to begin one.")
+    ] = None,
     warm_starts: Annotated[
         bool, typer.Option("--warm-starts", help="Begin from solved neighbours, not only where the own guess fails.")
     ] = False,
@@ -65,10 +68,13 @@ def sweep(
     ] = None,
     time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a solve.")] = None,
     scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve.")] = "auto",
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
     json: Json = False,
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.author.problem_file import parse_arguments
+    from codegen.cli.pictures import PLOTS
+    from codegen.solutions.output import require_writable
     from codegen.sweeping.cases import assigned, axis_of
     from codegen.sweeping.layout import KEPT
     from codegen.sweeping.outcome import outcome_of
@@ -76,6 +82,8 @@ def sweep(
 
     if out is None:
         raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
+    if plot is not None:
+        require_writable(plot, PLOTS, "--plot")
     request = sweep_request(
         problem,
         _once("--vary", [axis_of(item) for item in vary]),
@@ -83,14 +91,25 @@ def sweep(
         samples=_once("--sample", [assigned("--sample", item, '"m=normal(100, 5)"') for item in sample]),
         cases=int(cases) if cases is not None and cases.isascii() and cases.isdigit() and len(cases) < 13 else cases,
         method=method, seed=seed, out=out, resume=resume, keep=_kept(keep) if keep else KEPT, workers=workers,
-        warm_starts=warm_starts, chunk=chunk, driver=driver, arguments=parse_arguments(set_, problem), scheme=scheme,
-        formulation=formulation, controls=controls.value, steps=steps, every=every, tolerance=tolerance,
-        max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
+        warm_starts=warm_starts, chunk=chunk, cluster=cluster, driver=driver, arguments=parse_arguments(set_, problem),
+        scheme=scheme, formulation=formulation, controls=controls.value, steps=steps, every=every,
+        tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
     )  # fmt: skip
     outcome = outcome_of(request, working, progress)
+    if plot is not None:
+        with working("Drawing"):
+            _draw(outcome, plot)
     _tell(outcome, json)
     if outcome.tally.failed:
         raise typer.Exit(1)
+
+
+def _draw(outcome: Any, path: Path) -> None:
+    from codegen import plots
+    from codegen.files import replacing
+
+    with replacing(path) as temporary:
+        plots.save_sweep(outcome.dataset(), temporary)
 
 
 def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
@@ -120,6 +139,10 @@ def _tell(outcome: Any, json: bool) -> None:
     else:
         console().print(table_of(tally))
         console().print(f"{tally.cases} cases in {outcome.seconds:.3g} s: {outcome.out}", markup=False)
+    if tally.improved:
+        typer.echo(f"{tally.improved} cases were improved from neighbours beyond a jump of the cost", err=True)
+    if tally.jumps:
+        typer.echo(f"{tally.jumps} jumps of the cost remain: where jump is 1, a neighbour is better", err=True)
     if tally.failed:
         number = tally.cases - tally.solved
         typer.echo(

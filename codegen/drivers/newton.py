@@ -13,6 +13,8 @@ from codegen.solutions.result import ControlAttempt, Run, SimulateAttempt
 __all__ = ["connect", "control", "simulate"]
 
 TOLERANCE = 1e-10
+_OWN = ("tolerance", "trajectories")
+"""What an attempt has beside what a module's solution calls the same."""
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
@@ -20,7 +22,8 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     warm = run.guess is not None and run.near
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **_stops(run))
-    return ControlAttempt(**_claimed(ControlAttempt, solution), tolerance=tolerance)
+    trajectories = (solution.t, solution.q, solution.p, solution.u, solution.multipliers)
+    return ControlAttempt(**_claimed(ControlAttempt, solution), tolerance=tolerance, trajectories=trajectories)
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
@@ -31,7 +34,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:
     """What an attempt takes from a module's solution, which calls it the same."""
-    return {f.name: getattr(solution, f.name) for f in fields(attempt) if f.name != "tolerance"}
+    return {f.name: getattr(solution, f.name) for f in fields(attempt) if f.name not in _OWN}
 
 
 def _stops(run: Run) -> dict[str, Any]:

@@ -194,12 +194,26 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
                 target = f"{side}_nodes[:, grid.inner[{number}], {program.inner.clock}]"
                 lines.append(Line(target, common_code(value), f"the window of waypoint {number + 1}"))
                 values.append(value)
+    at_ends, limits = end_bounds(program)
     views = bound_views(program)
     return {
-        "bound_inputs": inputs(program, values),
+        "bound_inputs": inputs(program, [*values, *limits]),
         "bound_views": views,
-        "bound_lines": ((*lines, *slack_bounds(program)),),
+        "bound_lines": ((*lines, *at_ends, *slack_bounds(program)),),
     }
+
+
+def end_bounds(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
+    """The bounds that hold at one end alone as code, beside those of all nodes, and their values."""
+    lines, values = [], []
+    for node, end in ((":1", program.start), ("-1:", program.end)):
+        for i, bound in end.bounds:
+            for side, tighter, value in (("lower", "maximum", bound.lower), ("upper", "minimum", bound.upper)):
+                if value is not None:
+                    target = f"{side}_nodes[:, {node}, {i}]"
+                    lines.append(Line(target, f"np.{tighter}({target}, {array_code(value)})", bound.condition))
+                    values.append(value)
+    return lines, values
 
 
 def common_code(value: Expr) -> str:

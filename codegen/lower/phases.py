@@ -8,7 +8,7 @@ from sympy import Expr, Max, Min, oo
 
 from codegen.expressions.table_functions import tables_of
 from codegen.lower.control_guesses import shared_guesses
-from codegen.lower.control_layout import bound_views, common_code, duration_inputs, inputs, slack_bounds
+from codegen.lower.control_layout import bound_views, common_code, duration_inputs, end_bounds, inputs, slack_bounds
 from codegen.lower.kernels import Line
 from codegen.lower.module import Choice
 from codegen.lower.printer import array_code, scalar_code
@@ -127,10 +127,11 @@ def bounds(program: ControlProgram) -> dict[str, Any]:
         sides = _sides(unknown)
         lines += [Line(f"{side}_common[{j}]", common_code(value), unknown.name) for side, value in sides]
         found += [(side, value, unknown.name) for side, value in sides]
+    at_ends, limits = end_bounds(program)
     return {
-        "bound_inputs": inputs(program, [value for _, value, _ in found]),
+        "bound_inputs": inputs(program, [*(value for _, value, _ in found), *limits]),
         "bound_views": (Line("steps", "grid.steps // PHASES"), *bound_views(program)),
-        "bound_lines": ((*lines, *slack_bounds(program)),),
+        "bound_lines": ((*lines, *at_ends, *slack_bounds(program)),),
     }
 
 

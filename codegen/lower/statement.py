@@ -242,6 +242,7 @@ def _end(program: ControlProgram, where: str, end: EndElement, symbols: Sequence
         for label, value in end.conditions
         if label.partition(" (")[2].removesuffix(")") not in lasting
     ]
+    relations += [bound.condition for _, bound in end.bounds if bound.condition not in lasting]
     if given or relations:
         yield _block(f"At the {where}:", [*_side_by_side(given), *relations])
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib
+from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
 from codegen.loading import GeneratedModule, is_connect, is_control
@@ -12,9 +14,22 @@ from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.simulation import simulation_figure
 from codegen.plots.style import STYLE, label
+from codegen.plots.sweep import sweep_figure
 from codegen.solutions.result import Result
 
-__all__ = ["Drawings", "connect_figure", "control_figure", "label", "save", "simulation_figure"]
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+__all__ = [
+    "Drawings",
+    "connect_figure",
+    "control_figure",
+    "label",
+    "save",
+    "save_sweep",
+    "simulation_figure",
+    "sweep_figure",
+]
 
 
 def save(
@@ -30,5 +45,15 @@ def save(
         else:
             assert not isinstance(drawings, Drawings)
             figure = simulation_figure(result, drawings, unit)
-        metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
-        figure.savefig(path, dpi=150, metadata=metadata)
+        _write(figure, path)
+
+
+def save_sweep(data: Dataset, path: Path) -> None:
+    """Draw a sweep into a file whose ending matplotlib knows."""
+    with matplotlib.rc_context(STYLE):
+        _write(sweep_figure(data), path)
+
+
+def _write(figure: Figure, path: Path) -> None:
+    metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
+    figure.savefig(path, dpi=150, metadata=metadata)

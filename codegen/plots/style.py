@@ -5,12 +5,17 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from codegen.solutions.result import Result
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 BLUE, RED, GREEN, PINK, AMBER, SKY = "#0072B2", "#D55E00", "#009E73", "#B8578F", "#E69F00", "#56B4E9"
 """Colours that remain distinct for colour-blind readers: Okabe and Ito (2008), Color universal design."""
@@ -95,4 +100,28 @@ def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
     outcome += [] if result.solved else [f"NOT SOLVED: {result.status}"]
     letters = int(10.0 * figure.get_figwidth())
     texts = result.title.rstrip("."), ", ".join([*outcome, *notes])
+    figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)
+
+
+def quantity(name: str) -> str:
+    """What a varied quantity is called; prescribed values have the end and the name, as in `start.r`."""
+    end, dot, own = name.partition(".")
+    return f"{label(own)} at the {end}" if dot else label(name)
+
+
+def statuses(data: Dataset) -> NDArray[np.str_]:
+    """The status of each case of a sweep, of whatever type of words a file has them."""
+    values = data["status"].values
+    return np.array(values.ravel().tolist(), dtype=np.str_).reshape(values.shape)
+
+
+def heading(figure: Figure, data: Dataset) -> None:
+    """What a sweep has solved, how, and how many of its cases failed."""
+    own = data.attrs
+    steps = [f"{own['steps']} steps"] if "steps" in own else []
+    status = statuses(data)
+    failed = int((status != "solved").sum())
+    outcome = f"{status.size} cases" + (f", {failed} FAILED" if failed else "")
+    letters = int(10.0 * figure.get_figwidth())
+    texts = str(own["title"]).rstrip("."), ", ".join([own["formulation"], own["scheme"], *steps, outcome])
     figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)

@@ -258,8 +258,10 @@ def _ends(program: ControlProgram | StepProgram) -> Iterator[Block]:
             for name, condition in end.conditions
             if name not in named
         ]
-    remarks = (_MOMENTA,) if program.method == "variational" else ()
-    yield Block("Boundary conditions", of_the_whole(program.model, rows), remarks)
+    remarks = [_MOMENTA] if program.method == "variational" else []
+    for where, end in (("start", program.start), ("end", program.end)):
+        remarks += [(f"{bound.condition} at the {where}",) * 2 for _, bound in end.bounds]
+    yield Block("Boundary conditions", of_the_whole(program.model, rows), tuple(remarks))
 
 
 def _layout(program: ControlProgram | StepProgram, notation: Notation) -> Block:

@@ -102,7 +102,7 @@ def control_outline(module: ControlModule, driver: str, run: Run, attempt: Contr
     grid = time_grid(module, run.steps, run.grid)
     verdict = control_verdict(module, driver, run, attempt, grid)
     names = ("t", "q", "p", "u", "multipliers")
-    arrays = dict(zip(names, module.unpack(grid, attempt.unknowns), strict=True))
+    arrays = dict(zip(names, attempt.trajectories or module.unpack(grid, attempt.unknowns), strict=True))
     return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns)
 
 

@@ -77,7 +77,10 @@ class ConnectAttempt:
 
 @dataclass(frozen=True)
 class ControlAttempt:
-    """What a driver claims about an optimal-control problem; `tolerance` is the accuracy that it promises."""
+    """What a driver claims about an optimal-control problem; `tolerance` is the accuracy that it promises.
+
+    `trajectories` are what a module makes of the unknowns (`unpack`), where a driver has them anyway.
+    """
 
     status: str
     message: str
@@ -85,6 +88,7 @@ class ControlAttempt:
     unknowns: Vector
     tolerance: float
     log: Matrix | None = None
+    trajectories: tuple[Matrix, ...] = ()
 
 
 @dataclass(frozen=True)

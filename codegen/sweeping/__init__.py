@@ -32,6 +32,7 @@ def sweep(*positional: Any, **options: Any) -> Dataset:
     - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, t, q and u unless said;
     - `workers`: how many processes share the work, unless said as many as there are processors. Results do not depend
       on it. With `spawn` as the only way to start a process, a script needs its `if __name__ == "__main__"`;
+    - `cluster`: the address of a scheduler of dask, a `distributed.Client`, or "local", for workers of a cluster;
     - `warm_starts`: whether an optimisation begins from its last solved neighbour, which takes fewer iterations where
       solutions change little, but stays with its local optimum. Otherwise it begins from the problem's own guess, and
       only where that fails from neighbours;
@@ -41,11 +42,13 @@ def sweep(*positional: Any, **options: Any) -> Dataset:
 
     The data set has t (..., node), q and p (..., node, names), u and multipliers on nodes or intervals, padded with NaN
     where `steps` vary; cost, residual (evaluated again outside the driver), iterations and seconds of all attempts at a
-    case, status and message. A case that fails is a row with these, and NaN in cost and arrays. All quantities are in
-    the units of the problem file.
+    case, status and message; of optimisations on a grid `improvement`, what a case has won by a start from beyond a
+    jump of the cost, and `jump`, 1 where a better neighbour is left. A case that fails is a row with these, and NaN in
+    cost and arrays. All quantities are in the units of the problem file.
 
-    Raises ArgumentError for names and options that do not exist or do not apply, ExtraError without xarray and zarr,
-    and what `codegen.solve` raises for a problem that cannot be read, derived or stored.
+    Raises ArgumentError for names and options that do not exist or do not apply, ExtraError without xarray and zarr, or
+    dask for a cluster, ClusterError when its scheduler does not answer, has no workers or is lost, and what
+    `codegen.solve` raises for a problem that cannot be read, derived or stored.
     """
     from codegen.sweeping.outcome import outcome_of
 

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +45,21 @@ class Attempt:
     iterations: int
     seconds: float
 
+    def without_arrays(self) -> Attempt:
+        """The same, with no more numbers than others need to start from it."""
+        own = self.outline
+        outline = Outline(own.status, own.message, own.cost, own.residual, {}, own.unknowns)
+        return Attempt(outline, self.steps, self.iterations, self.seconds)
+
     @property
     def is_solved(self) -> bool:
         """Whether it is a solution."""
         return self.outline.status == SOLVED
+
+    @property
+    def cost(self) -> float:
+        """What it costs, NaN where it is no solution or costs nothing."""
+        return math.nan if self.outline.cost is None or not self.is_solved else self.outline.cost
 
     @property
     def is_start(self) -> bool:
@@ -78,8 +89,8 @@ class Varied:
     def given(self, values: Mapping[Quantity, float]) -> Any:
         """The module with the values of a case, until those of the next one are given."""
         given = given_to(values)
-        for name in ("make_grid", "solve"):
-            setattr(self._own, name, partial(getattr(self.module, name), **given))
+        self._own.make_grid = lru_cache(1)(partial(self.module.make_grid, **given))  # the guess and the verdict ask
+        self._own.solve = partial(self.module.solve, **given)
         return self._own
 
 
@@ -92,8 +103,8 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
     steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), varied.run.steps))
     assert outline is not None, "what cannot be swept was refused"
     try:
-        run = replace(varied.run, steps=steps, guess=None if start is None else _unknowns(own, steps, start))
         begin = time.perf_counter()
+        run = _run(varied, own, steps, start)
         attempt = varied.function(own, run)
         seconds = time.perf_counter() - begin
         return Attempt(outline(own, varied.driver, run, attempt), steps, attempt.iterations, seconds)
@@ -101,6 +112,15 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
         return failed(UNUSABLE, str(error))
     except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package
         return failed(UNUSABLE, f"{UNUSABLE}: {error.args[-1] if error.args else type(error).__name__}")
+
+
+def _run(varied: Varied, own: Any, steps: int, start: Start[Attempt] | None) -> Run:
+    """The run of a case; of an optimisation the guess is made here, for the driver and the verdict."""
+    if start is not None:
+        return replace(varied.run, steps=steps, guess=_unknowns(own, steps, start))
+    if varied.task.name != "control":
+        return replace(varied.run, steps=steps)
+    return replace(varied.run, steps=steps, guess=own.initial_guess(own.make_grid(steps)), near=False)
 
 
 def _unknowns(module: Any, steps: int, start: Start[Attempt]) -> Vector:

@@ -10,6 +10,7 @@ import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -57,22 +58,52 @@ class Cases:
         along = np.unravel_index(indices, self.shape)
         return {name: np.asarray(along[axis]) for name, axis in self.axes.items()}
 
+    def chosen(self, indices: NDArray[np.intp]) -> dict[str, Values]:
+        """The values of some cases, a column (n,) for each quantity."""
+        return {name: self.columns[name][place] for name, place in self.places(indices).items()}
+
     def values(self, indices: NDArray[np.intp]) -> list[dict[str, float | str]]:
         """The values of some cases by name."""
-        columns = {name: self.columns[name][place].tolist() for name, place in self.places(indices).items()}
-        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        return rows_of(self.chosen(indices))
 
     def points(self, indices: NDArray[np.intp]) -> NDArray[np.float64]:
         """Cases as points (n, quantities), every quantity in parts of its range; words are numbered."""
-        return np.column_stack([_scaled(self.columns[name])[place] for name, place in self.places(indices).items()])
+        return np.column_stack([self._ranges[name].parts(column) for name, column in self.chosen(indices).items()])
+
+    def points_along(self, axis: int) -> NDArray[np.float64]:
+        """The values of what varies along a dimension as points (n, quantities), in parts of ranges."""
+        own = [name for name, place in self.axes.items() if place == axis]
+        return np.column_stack([self._ranges[name].parts(self.columns[name]) for name in own])
+
+    @cached_property
+    def _ranges(self) -> dict[str, _Range]:
+        """The range of each quantity, looked for once: columns may be long, and chunks many."""
+        return {name: _range(column) for name, column in self.columns.items()}
 
 
-def _scaled(column: Values) -> NDArray[np.float64]:
+def rows_of(columns: Mapping[str, Values]) -> list[dict[str, float | str]]:
+    """Columns (n,) of values by name as n cases, each with its values by name."""
+    return [dict(zip(columns, row)) for row in zip(*(column.tolist() for column in columns.values()), strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Range:
+    """The least value of a quantity and its extent, or its words."""
+
+    least: float
+    extent: float
+    words: NDArray[np.str_] | None
+
+    def parts(self, column: Values) -> NDArray[np.float64]:
+        if self.words is not None:
+            return np.searchsorted(self.words, column).astype(float)
+        return np.asarray((np.asarray(column, dtype=float) - self.least) / self.extent)
+
+
+def _range(column: Values) -> _Range:
     if column.dtype.kind == "U":
-        return np.unique(column, return_inverse=True)[1].astype(float)
-    numbers = np.asarray(column, dtype=float)
-    extent = float(np.ptp(numbers))
-    return np.asarray((numbers - numbers.min()) / (extent or 1.0))
+        return _Range(0.0, 1.0, np.unique(column))
+    return _Range(float(np.min(column)), float(np.ptp(column)) or 1.0, None)
 
 
 def grid(axes: Mapping[str, Any], zipped: Sequence[Sequence[str]] = ()) -> Cases:

@@ -6,8 +6,9 @@ They belong to the sweep and not to who solves it: results are the same however 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from codegen.tasks import task_of
 
 MOST = 4096
 """The most cases of a chunk: finding neighbours takes time in proportion to their square."""
-OVERHEAD = 1e-3
+OVERHEAD = 3e-4
 """Seconds that a case takes beside its iterations."""
 CONTROL_RATE, SIMULATE_RATE = 1.6e-8, 3e-7
 """Seconds per iteration, interval and square of the unknowns on it; of a simulation per step and number of a state."""
@@ -57,6 +58,25 @@ class Chunks:
         """The cases of a block (n,), with its last dimension varying fastest."""
         parts = np.ix_(*(np.arange(part.start, part.stop) for part in self.region(number)))
         return np.asarray(np.ravel_multi_index(parts, self.shape)).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A chunk as whoever solves it needs it: where it lies, and its cases in the order in which they are counted.
+
+    `columns` has the values (n,) of each quantity, `points` (n, quantities) has them in parts of their ranges.
+    """
+
+    number: int
+    region: tuple[slice, ...]
+    is_grid: bool
+    columns: Mapping[str, NDArray[Any]]
+    points: NDArray[np.float64]
+
+    @property
+    def extent(self) -> tuple[int, ...]:
+        """The shape of the block."""
+        return tuple(part.stop - part.start for part in self.region)
 
 
 def blocks_of(shape: Sequence[int], size: int, whole: Sequence[bool]) -> Chunks:

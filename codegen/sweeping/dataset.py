@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from codegen.errors import ExtraError
 from codegen.files import replacing
 from codegen.sweeping.cases import Cases
-from codegen.sweeping.layout import NUMBERS, RESERVED, WORDS, Layout
+from codegen.sweeping.layout import RESERVED, WORDS, Layout
 from codegen.sweeping.work import Rows
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class Frame:
             name: ((*dims, *self.layout.dims[name]), (*shape, *self.layout.shapes[name]), "f8")
             for name in self.layout.dims
         }
-        found |= {name: (dims, shape, kind) for name, kind in NUMBERS.items()}
+        found |= {name: (dims, shape, kind) for name, kind in self.layout.numbers.items()}
         return found | dict.fromkeys(WORDS, (dims, shape, "str"))
 
 

@@ -22,11 +22,13 @@ from codegen.tasks import task_of
 KEPT = ("t", "q", "u")
 """What is kept of each case where nothing is said."""
 NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
+JUMPS = {"improvement": "f8", "jump": "i4"}
+"""What there is beside where jumps of the cost are looked for: what was won by them, and whether one is left."""
 WORDS = ("status", "message")
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
 """The dimension of the columns of an array; others have none."""
 _ALL = ("t", "q", "p", "u", "multipliers", "energy")
-RESERVED = frozenset((*_ALL, *NUMBERS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"))
+RESERVED = frozenset((*_ALL, *NUMBERS, *JUMPS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"))
 """Names of variables and dimensions, which no varied quantity may have."""
 
 
@@ -82,6 +84,12 @@ class Layout:
     dims: Mapping[str, tuple[str, ...]]
     sizes: Mapping[str, int]
     names: Mapping[str, tuple[str, ...]]
+    has_jumps: bool = False
+
+    @property
+    def numbers(self) -> dict[str, str]:
+        """The numbers of each case and their kinds."""
+        return {**NUMBERS, **JUMPS} if self.has_jumps else NUMBERS
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:

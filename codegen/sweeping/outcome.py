@@ -22,14 +22,15 @@ from codegen.sweeping.case import Attempt
 from codegen.sweeping.cases import Cases
 from codegen.sweeping.chunks import Chunks, about_a_second, blocks_of
 from codegen.sweeping.dataset import Frame, Memory, require_xarray, write_netcdf
-from codegen.sweeping.engines import engine_for
+from codegen.sweeping.engines import connected, engine_for
+from codegen.sweeping.jumps import Costs, along, jumps_of
 from codegen.sweeping.layout import layout_of
 from codegen.sweeping.modules import Modules, Working, modules_of
 from codegen.sweeping.quantities import STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
 from codegen.sweeping.statuses import Tally
 from codegen.sweeping.store import Store
-from codegen.sweeping.work import Done, Work
+from codegen.sweeping.work import Done, Rows, Work
 from codegen.tasks import task_of
 
 if TYPE_CHECKING:
@@ -37,6 +38,10 @@ if TYPE_CHECKING:
 
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
 """(what, count) -> a context that is told (parts done, what is going on)."""
+
+
+MOST_LOOKED_THROUGH = 10_000_000
+"""In a grid of so many cases jumps are looked for across chunks, which takes all costs at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +60,7 @@ class SweepOutcome:
         tally = self.tally
         return {
             "cases": tally.cases, "solved": tally.solved, "failed": tally.failed, "seconds": self.seconds,
-            "out": None if self.out is None else str(self.out),
+            "out": None if self.out is None else str(self.out), **tally.won,
         }  # fmt: skip
 
 
@@ -68,33 +73,41 @@ def outcome_of(request: SweepRequest, working: Working = nullcontext, progress: 
     """Do what is asked; see `codegen.sweep`. What is wrong with the request is said before anything takes long."""
     begin = time.perf_counter()
     require_xarray()
-    modules = modules_of(request.solve, request.cases, working)
-    work, frame = _planned(request, modules)
-    finish = _into_store if request.is_store else _into_memory
-    tally, dataset = finish(request, modules, work, frame, Signs(working, progress))
-    return SweepOutcome(tally, time.perf_counter() - begin, modules.said, request.out, dataset)
+    with connected(request.cluster) as cluster:
+        modules = modules_of(request.solve, request.cases, working)
+        work, frame = _planned(request, modules)
+        finish = _into_store if request.is_store else _into_memory
+        team = Team(request.workers, cluster, working, progress, {})
+        tally, dataset = finish(request, modules, work, frame, team)
+    said = (*modules.said, *team.notes)
+    return SweepOutcome(tally, time.perf_counter() - begin, said, request.out, dataset)
 
 
 @dataclass(frozen=True)
-class Signs:
-    """Signs of life, of one thing that takes long and of many."""
+class Team:
+    """Who solves: processes or a cluster; signs of life, of one thing that takes long and of many; what they say."""
 
+    workers: int
+    cluster: Any
     working: Working
     progress: Progress
+    notes: dict[str, None]
 
 
 def _into_memory(
-    request: SweepRequest, modules: Modules, work: Work, frame: Frame, signs: Signs
+    request: SweepRequest, modules: Modules, work: Work, frame: Frame, team: Team
 ) -> tuple[Tally, Callable[[], Dataset]]:
     """All rows in memory, and then in a file, if there is to be one."""
     memory = Memory(frame)
-    work = replace(work, chunks=_chunks(request, modules, work, _tried(work, signs)))
+    work = replace(work, chunks=_chunks(request, modules, work, _tried(work, team)))
 
     def keep(number: int, done: Done) -> None:
         assert done.rows is not None, "without a sink rows come here"
         memory.write(work.chunks.region(number), done.rows)
 
-    tally = _solved(work, request.workers, range(work.chunks.number), signs, Tally(), keep)
+    tally = _solved(work, range(work.chunks.number), team, Tally(), keep)
+    if _is_cut(work):
+        tally = _marked(work, tally, memory.arrays["cost"], memory.write, team)
     found = memory.dataset()
     if request.out is not None:
         write_netcdf(found, request.out)
@@ -102,22 +115,51 @@ def _into_memory(
 
 
 def _into_store(
-    request: SweepRequest, modules: Modules, work: Work, frame: Frame, signs: Signs
+    request: SweepRequest, modules: Modules, work: Work, frame: Frame, team: Team
 ) -> tuple[Tally, Callable[[], Dataset]]:
     """Chunk after chunk into a store that is laid out before, or was begun before."""
     assert request.out is not None, "a store has a place"
-    digest, place = _digest(request, modules, work), Store(request.out)
+    digest, place = _digest(request, modules, work), Store(request.out.absolute())
     if request.resume and request.out.exists():
         journal = store.resumed(request.out, digest)
         if len(journal.finished) < journal.chunks.number:
-            _tried(work, signs)
+            _tried(work, team)
     else:
-        journal = store.begun(request.out, frame, _chunks(request, modules, work, _tried(work, signs)), digest)
+        journal = store.begun(request.out, frame, _chunks(request, modules, work, _tried(work, team)), digest)
     work = replace(work, chunks=journal.chunks, sink=place)
     left = [number for number in range(journal.chunks.number) if number not in journal.finished]
     before = sum(journal.finished.values(), Tally())
-    tally = _solved(work, request.workers, left, signs, before, lambda number, done: journal.add(number, done.tally))
+    tally = _solved(work, left, team, before, lambda number, done: journal.add(number, done.tally))
+    if _is_cut(work):
+        tally = _marked(work, tally, place.read("cost"), place.write, team)
     return tally, place.dataset
+
+
+def _is_cut(work: Work) -> bool:
+    """Whether jumps of the cost may lie between chunks, and there is memory for looking."""
+    return work.layout.has_jumps and work.chunks.number > 1 and work.cases.number <= MOST_LOOKED_THROUGH
+
+
+def _marked(
+    work: Work, tally: Tally, costs: Costs, write: Callable[[tuple[slice, ...], Rows], None], team: Team
+) -> Tally:
+    """Mark the jumps that are left in all of the grid, where chunks have seen their own; the tally with their number.
+
+    Those between chunks were not tried from the other side, whose solution another process had.
+    """
+    none, arguments = np.zeros(0), {own.name for own in work.quantities if own.kind == "argument"}
+    others = {work.cases.axes[name] for name in arguments}
+    places = [none if axis in others else along(work.cases.points_along(axis)) for axis in range(costs.ndim)]
+    flags = np.zeros(costs.shape, np.int32)
+    flags.ravel()[[worse for worse, _ in jumps_of(costs, places, certain=True)]] = 1
+    if flags.any() or tally.jumps:
+        write((slice(None),) * costs.ndim, {"jump": flags})
+    jumps = int(flags.sum())
+    if between := max(0, jumps - tally.jumps):
+        team.notes[f"codegen: note: {between} jumps of the cost lie between chunks; a larger --chunk may mend them"] = (
+            None
+        )
+    return replace(tally, jumps=jumps)
 
 
 def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
@@ -133,7 +175,8 @@ def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
         time_limit=np.inf if solve.time_limit is None else solve.time_limit,
     )  # fmt: skip
     require_memory(task.numbers(module.metadata, run), most)
-    layout = layout_of(shapes, steps, request.keep)
+    has_jumps = task.name == "control" and cases.is_grid
+    layout = replace(layout_of(shapes, steps, request.keep), has_jumps=has_jumps)
     warm = request.warm_starts and task.name == "control"
     loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
     single = Chunks(cases.shape, (1,) * len(cases.shape))
@@ -153,13 +196,13 @@ def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt)
     return blocks_of(cases.shape, size, whole)
 
 
-def _tried(work: Work, signs: Signs) -> Attempt:
+def _tried(work: Work, team: Team) -> Attempt:
     """A case of the first module that is solved, if the first, the middle or the last one is.
 
     One of every module is solved before workers are forked, so that machine code is read once, and missing code made.
     """
     found: list[Attempt] = []
-    with signs.working("Solving a first case"):
+    with team.working("Solving a first case"):
         for variant in work.variants.values():
             if variant.shapes is None:
                 continue
@@ -170,23 +213,17 @@ def _tried(work: Work, signs: Signs) -> Attempt:
     return next((attempt for attempt in found if attempt.is_solved), found[-1])
 
 
-def _solved(
-    work: Work,
-    workers: int,
-    numbers: Sequence[int],
-    signs: Signs,
-    tally: Tally,
-    keep: Callable[[int, Done], None],
-) -> Tally:
+def _solved(work: Work, numbers: Sequence[int], team: Team, tally: Tally, keep: Callable[[int, Done], None]) -> Tally:
     """Have an engine solve chunks and what it has done kept; the tally of these and those before."""
     if not numbers:
         return tally
-    used = min(workers, len(numbers))
+    used = min(team.workers, len(numbers))
     total, before, begin = work.cases.number, tally.cases, time.perf_counter()
-    with engine_for(used).running(work, used) as solve, signs.progress("Solving", total) as shown:
+    with engine_for(used, team.cluster)(work, used) as solve, team.progress("Solving", total) as shown:
         for number, done in solve(numbers):
             keep(number, done)
             tally = tally + done.tally
+            team.notes.update(dict.fromkeys(done.notes))
             rate = (tally.cases - before) / (time.perf_counter() - begin)
             left, failed = (total - tally.cases) / rate, tally.cases - tally.solved
             shown(tally.cases, f"{rate:.3g} cases/s, {failed} failed, about {left:.0f} s left")

@@ -14,6 +14,7 @@ from codegen.solutions.output import require_folder
 from codegen.solving.request import Request
 from codegen.sweeping import cases as reading
 from codegen.sweeping.cases import Cases
+from codegen.sweeping.engines import LOCAL
 from codegen.sweeping.layout import KEPT
 from codegen.sweeping.samples import NUMBER, require_method, samples
 
@@ -32,7 +33,8 @@ OPTIONS = (
 class SweepRequest:
     """The solve that all cases share, the cases and where they come from, and what becomes of the results.
 
-    `chunk` is the number of cases of a chunk, about a second of work where it is None.
+    `chunk` is the number of cases of a chunk, about a second of work where it is None; `cluster` is the address of a
+    scheduler of dask, a client of one, "local", or None.
     """
 
     solve: Request
@@ -44,6 +46,7 @@ class SweepRequest:
     workers: int
     warm_starts: bool
     chunk: int | None
+    cluster: Any
 
     @property
     def is_store(self) -> bool:
@@ -66,6 +69,7 @@ def sweep_request(
     workers: int | None = None,
     warm_starts: bool = False,
     chunk: int | None = None,
+    cluster: Any = None,
     **options: Any,
 ) -> SweepRequest:
     """The request that these arguments make; see `codegen.sweep`, whose arguments they are.
@@ -87,8 +91,11 @@ def sweep_request(
     for name, value in (("workers", workers), ("chunk", chunk)):
         if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
             raise NumericsError(f"--{name} {clause(repr(value))}", "give a positive integer")
+    if workers is not None and cluster not in (None, LOCAL):
+        raise ArgumentError("--workers with a cluster that has its own", "leave --workers out, or give --cluster local")
     kept = keep if keep is KEPT else tuple(dict.fromkeys(keep))
-    return SweepRequest(solve, made, origin, place, resume, kept, workers or _processors(), warm_starts, chunk)
+    used = workers or _processors()
+    return SweepRequest(solve, made, origin, place, resume, kept, used, warm_starts, chunk, cluster)
 
 
 def _require_known(options: Iterable[str]) -> None:

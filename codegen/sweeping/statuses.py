@@ -17,7 +17,7 @@ UNUSABLE, NOT_BUILT, LOST = "unusable", "not built", "worker lost"
 OF_SWEEPS = {
     UNUSABLE: "a number of the case cannot be used, as a duration that is negative",
     NOT_BUILT: "the module of the case could not be derived",
-    LOST: "three processes ended while they solved the case's chunk",
+    LOST: "process after process ended while it solved the case's chunk",
 }
 """Statuses that single solves do not have: there they are errors."""
 MEANINGS = {**STATUSES, **OF_SWEEPS}
@@ -25,16 +25,22 @@ MEANINGS = {**STATUSES, **OF_SWEEPS}
 
 @dataclass(frozen=True)
 class Tally:
-    """How many cases ended in each status, the first message of each, and the seconds of all solves together."""
+    """How many cases ended in each status, the first message of each, and the seconds of all solves together.
+
+    `improved` are those that were begun from beyond a jump of the cost and won by it; beside `jumps` one is left.
+    """
 
     counts: Mapping[str, int] = field(default_factory=dict)
     messages: Mapping[str, str] = field(default_factory=dict)
     seconds: float = 0.0
+    improved: int = 0
+    jumps: int = 0
 
     def __add__(self, other: Tally) -> Tally:
         """Both together; messages of the first count."""
         counts = {key: self.counts.get(key, 0) + other.counts.get(key, 0) for key in {**self.counts, **other.counts}}
-        return Tally(counts, {**other.messages, **self.messages}, self.seconds + other.seconds)
+        sums = (self.seconds + other.seconds, self.improved + other.improved, self.jumps + other.jumps)
+        return Tally(counts, {**other.messages, **self.messages}, *sums)
 
     @property
     def cases(self) -> int:
@@ -54,13 +60,21 @@ class Tally:
 
     def as_record(self) -> dict[str, Any]:
         """The tally as an object of JSON, which `from_record` reads."""
-        return {"counts": dict(self.counts), "messages": dict(self.messages), "seconds": self.seconds}
+        return {"counts": dict(self.counts), "messages": dict(self.messages), "seconds": self.seconds, **self.won}
+
+    @property
+    def won(self) -> dict[str, int]:
+        """What there is to say of jumps of the cost: nothing where there were none."""
+        named = {"improved": self.improved, "jumps": self.jumps}
+        return {name: number for name, number in named.items() if number}
 
     @staticmethod
     def from_record(record: Mapping[str, Any]) -> Tally:
         """The tally that a record tells; KeyError, TypeError or ValueError where it tells none."""
         counts = {str(status): int(count) for status, count in record["counts"].items()}
-        return Tally(counts, {str(s): str(m) for s, m in record["messages"].items()}, float(record["seconds"]))
+        messages = {str(status): str(message) for status, message in record["messages"].items()}
+        jumps = (int(record.get(name, 0)) for name in ("improved", "jumps"))
+        return Tally(counts, messages, float(record["seconds"]), *jumps)
 
 
 def table_of(tally: Tally) -> Table:

@@ -5,9 +5,11 @@ It can be pickled, and is small: an engine sends it to its workers once, and the
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,10 +18,11 @@ from numpy.typing import NDArray
 from codegen import loading
 from codegen.solutions.result import Run
 from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_case
-from codegen.sweeping.cases import Cases
-from codegen.sweeping.chunks import Chunks
+from codegen.sweeping.cases import Cases, rows_of
+from codegen.sweeping.chunks import Chunks, Piece
 from codegen.sweeping.continuation import Continuation, Start
-from codegen.sweeping.layout import NUMBERS, WORDS, Layout
+from codegen.sweeping.jumps import along_dimensions, improved, jumps_of
+from codegen.sweeping.layout import JUMPS, WORDS, Layout
 from codegen.sweeping.order import nearest_chain, serpentine
 from codegen.sweeping.quantities import Quantity, as_argument
 from codegen.sweeping.statuses import LOST, Tally
@@ -36,13 +39,17 @@ class Sink(Protocol):
     def write(self, region: tuple[slice, ...], rows: Rows) -> None:
         """Write the rows of a chunk to its place among the cases."""
 
+    def mark(self) -> tuple[int, ...]:
+        """What only this place has; another machine where it is the same can write to it as well."""
+
 
 @dataclass(frozen=True)
 class Done:
-    """A chunk that is finished: how its cases ended, and its rows where no sink has taken them."""
+    """A chunk that is finished: how its cases ended, its rows where no sink has taken them, and what else is to say."""
 
     tally: Tally
     rows: Rows | None
+    notes: tuple[str, ...] = ()
 
 
 class Abandoned(Exception):
@@ -69,31 +76,85 @@ class Work:
     module: Any = None
 
     def __call__(self, number: int, is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Solve the cases of a chunk, along a path through neighbours.
+        """Solve the cases of a chunk by its number; see `solve`."""
+        return self.solve(self.piece(number), is_wanted)
+
+    def piece(self, number: int) -> Piece:
+        """What solving a chunk needs beside the work; it is as small as the chunk."""
+        indices = self.chunks.cases(number)
+        columns, points = self.cases.chosen(indices), self.cases.points(indices)
+        return Piece(number, self.chunks.region(number), self.cases.is_grid, columns, points)
+
+    def without_cases(self) -> Work:
+        """The same for somebody who is given each piece: its size does not depend on the number of cases."""
+        return replace(self, cases=Cases((), (), {}, {}), chunks=Chunks((), ()))
+
+    def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
+        """Solve the cases of a chunk, along a path through neighbours, and again where their cost jumps.
 
         Raises Abandoned as soon as it is no longer wanted.
         """
-        indices = self.chunks.cases(number)
-        values = self.cases.values(indices)
+        values = rows_of(piece.columns)
         keys = [self._key(of_case) for of_case in values]
-        families = np.unique(np.array([list(self.variants).index(key) for key in keys]), return_inverse=True)[1]
-        points = self.cases.points(indices)
-        continuation = Continuation[Attempt](points, families, self.warm_starts)
-        rows = self._empty_rows(len(indices))
+        variants = list(self.variants)
+        families = np.array([variants.index(key) for key in keys])
+        continuation = Continuation[Attempt](piece.points, families, self.warm_starts)
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
-        for place in self._order(number, points, families):
+        given = [self._given(of_case) for of_case in values]
+
+        def attempt(place: int, start: Start[Attempt] | None) -> Attempt:
             if not is_wanted():
                 raise Abandoned
-            variant, module = self.variants[keys[place]], modules[keys[place]]
-            attempts = self._attempts(place, module, variant, values[place], continuation)
-            self._fill(rows, place, variant, attempts)
-        return self._finished(number, rows)
+            module = modules[keys[place]]
+            return not_built(self.variants[keys[place]]) if module is None else solve_case(module, given[place], start)
+
+        def noted(place: int, start: Start[Attempt] | None) -> Attempt:
+            # What is solved is the outcome. Rows have its arrays at once, and others may start from its unknowns alone:
+            # thousands of arrays that are kept take longer to get than to compute.
+            found = attempt(place, start)
+            self._place(rows, place, self.variants[keys[place]], found)
+            return found.without_arrays()
+
+        rows = self._empty_rows(len(values))
+        attempts: list[list[Attempt]] = [[]] * len(values)
+        for place in self._order(piece, families).tolist():
+            if modules[keys[place]] is None:
+                attempts[place] = [attempt(place, None)]
+            else:
+                attempts[place] = continuation.solve(place, partial(noted, place))
+        if self.layout.has_jumps and len(modules) == 1:
+            for place in self._improve(piece, attempts, rows, attempt):
+                self._place(rows, place, self.variants[keys[place]], attempts[place][-1])
+        for place, own in enumerate(attempts):
+            self._tell(rows, place, own)
+        return self._finished(piece.region, rows)
+
+    def _improve(
+        self,
+        piece: Piece,
+        attempts: list[list[Attempt]],
+        rows: Rows,
+        attempt: Callable[[int, Start[Attempt]], Attempt],
+    ) -> list[int]:
+        """Begin what is on the worse side of a jump from the better one, and say what it won; the cases that did."""
+        outcomes = [own[-1] for own in attempts]
+        places = along_dimensions(piece.points, piece.extent)
+        found = improved(outcomes, piece.extent, places, lambda place, solution: attempt(place, Start(solution)))
+        for place, more in found.items():
+            kept = min((*more, outcomes[place]), key=lambda one: one.cost if one.is_start else np.inf)
+            rest = [own for own in (*attempts[place], *more) if own is not kept]
+            attempts[place] = [*rest, kept]
+        costs = np.array([own[-1].cost for own in attempts])
+        rows["improvement"][:] = np.array([outcome.cost for outcome in outcomes]) - costs
+        rows["jump"][:] = 0
+        rows["jump"][[worse for worse, _ in jumps_of(costs.reshape(piece.extent), places, certain=True)]] = 1
+        return [place for place in found if attempts[place][-1] is not outcomes[place]]
 
     def lost(self, number: int, reason: str) -> Done:
         """A chunk of which nothing came."""
-        rows = self._empty_rows(len(self.chunks.cases(number)))
+        rows = self._empty_rows(math.prod(self.chunks.extent(number)))
         rows["status"][:], rows["message"][:] = LOST, reason
-        return self._finished(number, rows)
+        return self._finished(self.chunks.region(number), rows)
 
     def loaded(self) -> Work:
         """The same; every module is loaded in this process from now on."""
@@ -126,59 +187,48 @@ class Work:
         run = replace(self.run, steps=self.steps or variant.shapes.steps)
         return Varied(self._module(variant), self.driver, run)
 
-    def _order(self, number: int, points: NDArray[np.float64], families: NDArray[np.intp]) -> NDArray[np.intp]:
-        if self.cases.is_grid:
-            return serpentine(self.chunks.extent(number))
-        return nearest_chain(np.column_stack([points, APART * families]))
+    def _order(self, piece: Piece, families: NDArray[np.intp]) -> NDArray[np.intp]:
+        if piece.is_grid:
+            return serpentine(piece.extent)
+        return nearest_chain(np.column_stack([piece.points, APART * families]))
 
-    def _attempts(
-        self,
-        place: int,
-        module: Varied | None,
-        variant: Variant,
-        values: Mapping[str, Any],
-        continuation: Continuation[Attempt],
-    ) -> Sequence[Attempt]:
-        if module is None:
-            return [not_built(variant)]
-        given = self._given(values)
-
-        def attempt(start: Start[Attempt] | None) -> Attempt:
-            return solve_case(module, given, start)
-
-        return continuation.solve(place, attempt)
-
-    def _fill(self, rows: Rows, place: int, variant: Variant, attempts: Sequence[Attempt]) -> None:
-        """Put the outcome of a case, the last attempt, into its row; iterations and seconds are those of all."""
+    def _tell(self, rows: Rows, place: int, attempts: Sequence[Attempt]) -> None:
+        """Put how a case ended, the last attempt, into its row; iterations and seconds are those of all."""
         outcome = attempts[-1]
         outline = outcome.outline
         rows["status"][place], rows["message"][place] = outline.status, outline.message
         rows["residual"][place] = outline.residual
         rows["iterations"][place] = sum(attempt.iterations for attempt in attempts)
         rows["seconds"][place] = sum(attempt.seconds for attempt in attempts)
+        if outcome.is_solved:
+            rows["cost"][place] = np.nan if outline.cost is None else outline.cost
+
+    def _place(self, rows: Rows, place: int, variant: Variant, outcome: Attempt) -> None:
+        """Put the arrays of a solution into its row."""
         if not outcome.is_solved:
             return
-        rows["cost"][place] = np.nan if outline.cost is None else outline.cost
         assert variant.shapes is not None, "what is solved has a module"
         for name in self.layout.dims:
-            if name in outline.arrays:
+            if name in outcome.outline.arrays:
                 columns = variant.shapes.columns.get(name, ())
-                rows[name][place] = self.layout.placed(name, outline.arrays[name], columns)
+                rows[name][place] = self.layout.placed(name, outcome.outline.arrays[name], columns)
 
-    def _finished(self, number: int, rows: Rows) -> Done:
+    def _finished(self, region: tuple[slice, ...], rows: Rows) -> Done:
         """A chunk whose rows are where they belong."""
         statuses = rows["status"].tolist()
         messages = dict(zip(reversed(statuses), reversed(rows["message"].tolist())))  # the first of each
-        tally = Tally(Counter(statuses), messages, float(np.nansum(rows["seconds"])))
-        extent = self.chunks.extent(number)
+        won, jumps = (int((rows[name] > 0).sum()) if name in rows else 0 for name in JUMPS)
+        tally = Tally(Counter(statuses), messages, float(np.nansum(rows["seconds"])), won, jumps)
+        extent = tuple(part.stop - part.start for part in region)
         shaped = {name: array.reshape(*extent, *array.shape[1:]) for name, array in rows.items()}
         if self.sink is None:
             return Done(tally, shaped)
-        self.sink.write(self.chunks.region(number), shaped)
+        self.sink.write(region, shaped)
         return Done(tally, None)
 
     def _empty_rows(self, number: int) -> Rows:
         """Rows of cases that are not solved."""
         rows: Rows = {name: np.full((number, *self.layout.shapes[name]), np.nan) for name in self.layout.dims}
-        rows |= {name: np.full(number, -1 if kind == "i4" else np.nan, kind) for name, kind in NUMBERS.items()}
+        for name, kind in self.layout.numbers.items():
+            rows[name] = np.full(number, -1 if kind == "i4" else np.nan, kind)
         return rows | {name: np.full(number, "", object) for name in WORDS}

@@ -6,15 +6,15 @@ vanish wherever it has no meaning.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 
-from sympy import Expr, S, Symbol
+from sympy import Expr, S, Symbol, expand
 
 from codegen.errors import BoundaryError
 from codegen.model import Condition
 from codegen.transcribe.names import Names, symbols
-from codegen.transcribe.program import EndElement, Unknown
+from codegen.transcribe.program import EndBound, EndElement, Unknown
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class End:
     """One end: pinned unknowns, own unknowns, own share of the Lagrangian, conditions to read, and terminal cost.
 
     `aliases` equate an unknown of the node to a shared unknown plus an offset; `slacks` pair a slack with its
-    multiplier. All unknowns go by their names.
+    multiplier; `bounds` are unknowns with what bounds them there. All unknowns go by their names.
     """
 
     pins: tuple[tuple[str, Expr], ...] = ()
@@ -32,6 +32,7 @@ class End:
     cost: Expr = S.Zero
     aliases: tuple[tuple[str, str, Expr], ...] = ()
     slacks: tuple[tuple[str, str], ...] = ()
+    bounds: tuple[tuple[str, EndBound], ...] = ()
 
     def __add__(self, other: End) -> End:
         """Both together."""
@@ -50,24 +51,52 @@ def conditioned_end(
     suffix: str,
     unknowns: set[Symbol],
     names: Names,
+    own: Mapping[Symbol, str],
+    known: Collection[Symbol],
 ) -> End:
     """Impose g = 0 by nu g, and g <= 0 by nu (g + s) with a slack s >= 0; add the terminal cost.
 
     `substitution` puts the quantities of this end into a condition, `unknowns` are the symbols that are not given
-    there. Raises BoundaryError for a condition on what is given.
+    there. An inequality that bounds one of the node's `own` unknowns, which go with their names, by the `known` ones is
+    a bound of it, unless an equation says what it is: it costs no unknowns, which all nodes would have. Raises
+    BoundaryError for a condition on what is given.
     """
+    values = [condition.expression.subs(substitution, simultaneous=True) for condition in conditions]
+    equations = [value for condition, value in zip(conditions, values, strict=True) if condition.equality]
+    undecided = {symbol: name for symbol, name in own.items() if not any(e.has(symbol) for e in equations)}
     out = End(element=cost.subs(substitution, simultaneous=True), cost=cost.subs(substitution, simultaneous=True))
-    for condition in conditions:
-        value = condition.expression.subs(substitution, simultaneous=True)
+    for condition, value in zip(conditions, values, strict=True):
         if not value.free_symbols & unknowns:
             raise BoundaryError(
                 f"the condition {condition} at the {_where(suffix)} is on values that are given there",
                 "leave it out, or leave a value free",
             )
+        bound = None if condition.equality else _as_bound(condition, value, undecided, known)
+        if bound is not None:
+            out += End(bounds=(bound,))
+            continue
         extra, term, equation = imposed(condition, value, ("nu", f"at the {_where(suffix)}", suffix), names)
         slacks = tuple((slack.name, extra[0].name) for slack in extra[1:])
         out += End(extra=extra, element=term, conditions=(equation,), slacks=slacks)
     return out
+
+
+def _as_bound(
+    condition: Condition, value: Expr, own: Mapping[Symbol, str], known: Collection[Symbol]
+) -> tuple[str, EndBound] | None:
+    """The name of the one unknown in value <= 0, and its bound; None if it is none."""
+    found = value.free_symbols - set(known)
+    if len(found) != 1 or not found <= own.keys():
+        return None
+    symbol = found.pop()
+    slope = value.diff(symbol)
+    if not slope.is_number or slope.is_nonzero is not True:
+        return None
+    limit = expand(symbol - value / slope)
+    if limit.has(symbol):
+        return None
+    least, greatest = (None, limit) if slope > 0 else (limit, None)
+    return own[symbol], EndBound(least, greatest, condition.name)
 
 
 def imposed(
@@ -136,4 +165,5 @@ def _element(end: End, node: Sequence[Unknown], shared: Sequence[Unknown]) -> En
         cost=end.cost,
         shared=tuple((index[name], shared_index[other], offset) for name, other, offset in end.aliases),
         slacks=tuple((index[slack], index[multiplier]) for slack, multiplier in end.slacks),
+        bounds=tuple((index[name], bound) for name, bound in end.bounds),
     )

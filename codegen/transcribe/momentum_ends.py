@@ -26,7 +26,10 @@ from codegen.transcribe.program import Unknown
 
 @dataclass(frozen=True)
 class EndConditions:
-    """What holds at one end of a variational problem: values, conditions, terminal cost, momenta given by unknowns."""
+    """What holds at one end of a variational problem: values, conditions, terminal cost, momenta given by unknowns.
+
+    `aliased` names coordinates that are equal to a shared unknown there.
+    """
 
     suffix: str
     sign: int
@@ -34,6 +37,7 @@ class EndConditions:
     conditions: tuple[Condition, ...]
     cost: Expr
     momenta: Mapping[int, Expr]
+    aliased: frozenset[str] = frozenset()
 
 
 def matched_indices(model: Model, end: EndConditions, constraints: Constraints) -> set[int]:
@@ -88,7 +92,13 @@ def momentum_end(
     free = {symbol for symbol, value in zip(here, end.boundary.positions, strict=True) if value is None}
     conditions: Sequence[Condition] = (*end.conditions, *constraints.tangency(end.boundary, matched, literal))
     unknowns = free | set(extra_symbols) | shared
-    imposed = conditioned_end(conditions, end.cost, substitution, end.suffix, unknowns, names)
+    named = {
+        symbol: q.name
+        for q, symbol in zip(model.coordinates, here, strict=True)
+        if symbol in free and q.name not in end.aliased
+    }
+    named |= {symbol: model.rates[j].name for j, symbol in zip(extra, extra_symbols, strict=True)}
+    imposed = conditioned_end(conditions, end.cost, substitution, end.suffix, unknowns, names, named, model.parameters)
     return own + pinned_at_zero(unmatched) + imposed
 
 

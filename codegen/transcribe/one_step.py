@@ -78,9 +78,9 @@ def _ends(
     end_conditions = (*phase.end_conditions, *periodic.end_conditions)
     states = (*phase.coordinates, *phase.rates)
     ends = []
-    for boundary, suffix, conditions, cost in (
-        (model.start, "_k", start_conditions, S.Zero),
-        (model.end, "_k1", end_conditions, phase.terminal_cost),
+    for boundary, suffix, conditions, cost, aliases in (
+        (model.start, "_k", start_conditions, S.Zero, periodic.start_aliases),
+        (model.end, "_k1", end_conditions, phase.terminal_cost, periodic.end_aliases),
     ):
         values = _given_values(model, phase, boundary, suffix, known)
         here = symbols([x.name for x in states], suffix)
@@ -88,7 +88,10 @@ def _ends(
         unknowns = {symbol for x, symbol in zip(states, here, strict=True) if x.name not in pinned}
         unknowns |= {own.symbol for own in shared.all}
         substitution = dict(zip(states, here, strict=True))
-        ends.append(values + conditioned_end(conditions, cost, substitution, suffix, unknowns, names))
+        aliased = {name for name, *_ in aliases}
+        own = {s: x.name for x, s in zip(states, here, strict=True) if s in unknowns and x.name not in aliased}
+        imposed = conditioned_end(conditions, cost, substitution, suffix, unknowns, names, own, model.parameters)
+        ends.append(values + imposed)
     return ends[0], ends[1] + End(element=periodic.end_share)
 
 

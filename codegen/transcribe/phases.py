@@ -212,6 +212,7 @@ class _Chain:
             conditions=_written(end.conditions, scales),
             shared=tuple((moved[i], j, offset) for i, j, offset in end.shared),
             slacks=tuple((moved[i], moved[j]) for i, j in end.slacks),
+            bounds=tuple((moved[i], bound) for i, bound in end.bounds),
         )
 
 

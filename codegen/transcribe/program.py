@@ -32,6 +32,15 @@ class BoundaryValue:
 
 
 @dataclass(frozen=True)
+class EndBound:
+    """The least and greatest value of an unknown at one end alone, of parameters; and the condition that says so."""
+
+    lower: Expr | None
+    upper: Expr | None
+    condition: str
+
+
+@dataclass(frozen=True)
 class EndElement:
     """What happens at one end of the time interval.
 
@@ -39,7 +48,8 @@ class EndElement:
     `element` is the end's own share of the Lagrangian of the optimisation problem, in the symbols of the node (suffix
     `_k` at the start, `_k1` at the end) and of the shared unknowns; `cost` is what the discrete cost gains by it.
     `shared` fixes unknowns of the end node to shared ones (local index, index of the shared unknown, offset).
-    `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative. What is given or
+    `slacks` are pairs (local index of a slack, of its multiplier); such a slack is not negative. `bounds` hold at this
+    end alone (local index, what bounds it). What is given or
     determined at this end has no bounds there: `determined` names, in pairs, an unknown of the node or a slack of the
     interval beside it, and the condition on whose limit it lies, "" where it does not. `dependent` names what follows
     from path equalities and other values, and was left out.
@@ -53,6 +63,7 @@ class EndElement:
     slacks: tuple[tuple[int, int], ...] = ()
     determined: tuple[tuple[str, str], ...] = ()
     dependent: tuple[str, ...] = ()
+    bounds: tuple[tuple[int, EndBound], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -291,7 +302,8 @@ class ControlProgram:
         unknowns = (*self.node, *self.interval, *self.controls, *self.shared)
         unknowns += tuple(unknown for phase in self.phases for unknown in (*phase.node, *phase.inside))
         bounded = any(u.lower is not None or u.upper is not None for u in unknowns)
-        return bounded or bool(self.slacks or self.start.slacks or self.end.slacks)
+        at_ends = any(end.slacks or end.bounds for end in (self.start, self.end))
+        return bounded or at_ends or bool(self.slacks)
 
 
 @dataclass(frozen=True)

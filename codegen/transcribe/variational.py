@@ -82,9 +82,10 @@ def _end_conditions(model: Model, periodic: Periodic) -> tuple[EndConditions, En
     inequalities = path_conditions.start_inequalities(model)
     start = (*model.start_conditions, *inequalities, *periodic.start_conditions)
     end = (*model.end_conditions, *periodic.end_conditions)
+    aliased = [frozenset(name for name, *_ in each) for each in (periodic.start_aliases, periodic.end_aliases)]
     return (
-        EndConditions("_k", 1, model.start, start, S.Zero, dict(periodic.start_momenta)),
-        EndConditions("_k1", -1, model.end, end, model.terminal_cost, dict(periodic.end_momenta)),
+        EndConditions("_k", 1, model.start, start, S.Zero, dict(periodic.start_momenta), aliased[0]),
+        EndConditions("_k1", -1, model.end, end, model.terminal_cost, dict(periodic.end_momenta), aliased[1]),
     )
 
 

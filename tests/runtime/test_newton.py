@@ -331,3 +331,14 @@ def test_an_empty_barrier_leaves_the_iterates_as_they_are(grid: Dense, request: 
     assert cost == pytest.approx(least, rel=1e-12)
     shared = min(len(path), len(other_path))
     np.testing.assert_allclose(path[: shared // 2], other_path[: shared // 2], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6, 1e12])
+def test_restoration_where_a_bound_is_close_and_residuals_are_in_any_unit(unit: float) -> None:
+    """The weight of the barrier and what damps steps are in units of squared residuals; beside a bound it is steep."""
+    grid = nlp((1e-6, 30), x1, [unit * (x2**2 - 4), unit * (x1 * x2 - 6)], [], {x1: POSITIVE, x2: POSITIVE})
+    search = bounded.search_on(grid)
+    iterate = bounded.begin(search, grid.guess, bounded.FROM_GUESS._replace(push=1e-9))
+    status, found = newton.restored(search, iterate, 1e-6, filter.Filter(np.inf), Log())
+    assert status == "restored"
+    assert found.point.unknowns[~grid.is_multiplier][:2] == pytest.approx([3.0, 2.0], rel=1e-3)

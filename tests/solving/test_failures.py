@@ -193,3 +193,20 @@ def test_values_beyond_their_bounds_are_named(interpreted, values, place):
     value = values[place]["x"]
     assert solution.status == "infeasible"
     assert f"x is prescribed as {value:g} at the {place}, beyond its bounds -2 to 2" in solution.message
+
+
+@pytest.mark.parametrize(
+    ("limits", "text"),
+    [
+        ({"end_conditions": "[v <= a, v >= 0.6]"}, "v at node 6 (t = 1) is to be at least 0.6 and at most 0.5"),
+        ({"bounds": "{u: (1 - a, 20*a - 15)}"}, "u on interval 0 (t = 0) is to be at least 0.5 and at most -5"),
+    ],
+)
+def test_bounds_that_contradict_each_other_are_named(tmp_path, limits, text):
+    """By numbers that come only when the module is called; with others there is a solution."""
+    written = mass("from codegen import parameters\n(a,) = parameters(a=3)", end="{x: 1}", **limits)
+    module = module_of(tmp_path, Failing("", written, "", ()).text)
+    assert module.solve(6).status == "solved"
+    solution = module.solve(6, a=0.5)
+    assert solution.status == "infeasible"
+    assert text in solution.message

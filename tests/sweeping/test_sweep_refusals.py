@@ -46,6 +46,8 @@ LINES = {
     "keep-unknown": ("sweep O --vary r1=5:6:3 --keep q,v --out s.zarr", "--keep v"),
     "keep-of-control": ("sweep P --vary duration=1,2 --keep u --out s.zarr", "--keep u"),
     "workers-zero": ("sweep O --vary r1=5:6:3 --workers 0 --out s.zarr", "--workers"),
+    "plot-unknown-kind": ("sweep O --vary r1=5:6:3 --out s.zarr --plot s.gif", ".png or .pdf or .svg"),
+    "plot-no-folder": ("sweep O --vary r1=5:6:3 --out s.zarr --plot nowhere/s.png", "nowhere"),
     "driver-unknown": ("sweep O --vary r1=5:6:3 --driver simplex --out s.zarr", "newton"),
     "option-of-other-task": ("sweep P --vary duration=1,2 --tolerance 1e-3 --out s.zarr", "--tolerance does not apply"),
     "set-and-varied": ("sweep O --set revolutions=1 --vary revolutions=1,2 --out s.zarr", "given by --set"),

@@ -75,8 +75,11 @@ def test_end_inequality(method, level, active):
         end_conditions=lambda q, v: [v**2 <= 4, q >= level], terminal_cost=lambda q, v: (q - sympy.Rational(1, 2)) ** 2
     )
     program = transcribe(normalise(problem), "midpoint", method)
-    assert len(program.end.slacks) == 2
+    assert len(program.end.slacks) == 1
+    ((index, bound),) = program.end.bounds
+    assert (program.node[index].name, float(bound.lower), bound.upper) == ("q", level, None)
     assert not program.start.slacks
+    assert not program.start.bounds
     dense = DenseProblem(program, 5)
     result = dense.slsqp(dense.initial() + 0.1)
     assert result.success
@@ -87,6 +90,28 @@ def test_end_inequality(method, level, active):
         # Without the inequalities: gram of q(1) is 1/12 (1 - 1/(4 N^2)), J = x^2/(2 g) + (x - 1/2)^2.
         gram = (1 - 1 / 100) / 12
         assert final == pytest.approx(1 / (1 / gram + 2), abs=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("conditions", "bounded"),
+    [
+        (lambda q, v, a: [2 * q >= a - 1], {"q": ("a/2 - 1/2", None)}),
+        (lambda q, v, a: [v <= a, v >= -a], {"dq": ("-a", "a")}),  # one unknown between two limits, no slacks
+        (lambda q, v, a: [sympy.Eq(q + v, a), q >= 0], {}),  # an equation may say what q is
+        (lambda q, v, a: [q + v <= a, q**2 <= a, a * q <= 1], {}),
+    ],
+)
+def test_inequalities_on_one_unknown_of_an_end_are_its_bounds(method, conditions, bounded):
+    (a,) = parameters(a=2)
+    program = transcribe(normalise(particle(end_conditions=lambda q, v: conditions(q, v, a))), "midpoint", method)
+    found = {}
+    for index, bound in program.end.bounds:
+        least, greatest = found.get(program.node[index].name, (None, None))
+        found[program.node[index].name] = bound.lower or least, bound.upper or greatest
+    if method == "hamiltonian" and "dq" in bounded:  # of the momentum of a mass of two
+        bounded = {"p_q": ("-2*a", "2*a")}
+    assert {name: tuple(None if v is None else str(v) for v in pair) for name, pair in found.items()} == bounded
 
 
 def test_conditions_at_both_ends_of_coupled_velocities():

@@ -125,8 +125,8 @@ def test_unknowns_of_both_ends_and_of_switches_have_different_names():
     path = {"path": lambda x, v, u, w: [u + v <= 5]}
     program = program_of(
         two(
-            {"start": lambda x, v, *_: {x: 0}, "start_conditions": lambda x, v, *_: [v <= 1], **path},
-            {"end": lambda x, v, *_: {v: 0}, "end_conditions": lambda x, v, *_: [x >= 1], **path},
+            {"start": lambda x, v, *_: {x: 0}, "start_conditions": lambda x, v, *_: [v**2 <= 1], **path},
+            {"end": lambda x, v, *_: {v: 0}, "end_conditions": lambda x, v, *_: [x**2 <= 1], **path},
         )
     )
     all_names = [*names(program.node), *names(program.interval), *names(program.slacks), *names(program.shared)]

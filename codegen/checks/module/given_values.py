@@ -126,6 +126,9 @@ def _bounds(context: Context, program: ControlProgram) -> Finding:
         put(flat.shared(body), program.shared, body, written[0])
         for k, end in ((0, program.start), (flat.steps, program.end)):
             lower[flat.node(body, k)[[slack for slack, _ in end.slacks]]] = 0.0
+            for index, bound in end.bounds:
+                unknown, limits = program.node[index], (bound.lower, bound.upper)
+                put(flat.node(body, k)[[index]], [unknown], body, {unknown.name: limits})
             interval = flat.interval(body, min(k, flat.steps - 1))
             determined = [name for name, _ in end.determined]
             _release(program, determined, end.slacks, flat.node(body, k), interval, (lower, upper))

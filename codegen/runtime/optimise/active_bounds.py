@@ -26,6 +26,13 @@ def at_bounds(grid, unknowns):
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
 
 
+def contradictory_bounds(grid):
+    """Index of an unknown whose least value is above its greatest, or -1."""
+    lower, upper = bounds_of(grid)
+    (indices,) = (lower > upper).nonzero()
+    return int(indices[0]) if indices.size else -1
+
+
 def prescribed_beyond(grid, unknowns):
     """Which prescribed value or path condition at an end violates what holds farther inside, or nothing.
 

@@ -19,6 +19,7 @@ from codegen.runtime.optimise.stagnation import is_at_rounding_level
 from codegen.runtime.optimise.unbounded import NEARBY
 from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 from codegen.runtime.unknowns.layout import free_unknowns
+from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.time_grid import views
 
 if UNBOUNDED:
@@ -36,6 +37,10 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
     steps of the restoration are not counted.
     """
     search, first, total = search_on(grid), None, 0
+    if INEQUALITIES:
+        lower, upper = search.box
+        if (lower > upper).any():
+            return "infeasible", evaluate(grid, unknowns), 0
     primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
     guess = begin(search, primal, cascade[0])
     if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):

@@ -24,7 +24,13 @@ from codegen.runtime.stand_ins.example import (
 from codegen.runtime.tabulated.table_ranges import OUTSIDE_TABLE, tables_beyond
 from codegen.runtime.unknowns.time_grid import plain_grid
 from codegen.runtime.unknowns.layout import multiplier_unknowns, primal_unknowns
-from codegen.runtime.optimise.active_bounds import at_bounds, prescribed_beyond
+from codegen.runtime.optimise.active_bounds import (
+    at_bounds,
+    bounds_of,
+    contradictory_bounds,
+    prescribed_beyond,
+    units_of,
+)
 from codegen.runtime.unknowns.phases import node_times
 from codegen.runtime.unknowns.shared import least_duration, read_shared
 from codegen.runtime.optimise.termination import GROWTH, HOLDS
@@ -53,6 +59,12 @@ def describe(grid, guess, point, status):
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:
             return "infeasible", f"infeasible: {beyond}; change the value or the bound"
+        index = contradictory_bounds(grid)
+        if index >= 0:
+            least, greatest = (float(bound[index] * units_of(grid)[index]) for bound in bounds_of(grid))
+            name = unknown_name(grid, point.unknowns, index)
+            limits = f"at least {least:g} and at most {greatest:g}"
+            return "infeasible", f"infeasible: {name} is to be {limits}; change one of the bounds"
     if RANGED and status == "solved":
         beyond = tables_beyond(grid, point.unknowns)
         if beyond:

@@ -11,7 +11,6 @@ import numpy as np
 from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.bounded import (
     InertiaCorrection,
-    central_duals,
     barrier_objective,
     moved,
     newton_system,
@@ -22,6 +21,7 @@ from codegen.runtime.unknowns.point import evaluate
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+LARGEST_DAMPING = 1e12  # in units of the first one, where that exceeds one: residuals have their own units
 
 
 def restore(search, iterate, reduction, filtered, is_late):
@@ -30,7 +30,7 @@ def restore(search, iterate, reduction, filtered, is_late):
     When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up. With
     bounds, the weight and the duals are those of the restoration.
     """
-    grid, damping = search.grid, 0.0
+    grid, damping, largest = search.grid, 0.0, 0.0
     first, current = iterate.point.violation, restoration_start(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
@@ -38,12 +38,13 @@ def restore(search, iterate, reduction, filtered, is_late):
         point = current.point
         pull = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, pull)
+        largest = largest or LARGEST_DAMPING * max(1.0, damping)
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
             return "infeasible", current
         if INEQUALITIES:
             current = current._replace(mu=lower_weight(current.mu, error))
-        taken = damped_step(search, current, pull, damping)
+        taken = damped_step(search, current, pull, damping, largest)
         if taken is None:
             return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
         current, damping = taken
@@ -62,7 +63,8 @@ def restoration_start(search, iterate):
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
     if INEQUALITIES:
         nu = max(1e-12, 1e-2 * iterate.point.residual**2)
-        start = start._replace(mu=nu, duals=central_duals(nu, start.distance))
+        # Smaller duals would let steps run into bounds that are close, where the barrier of a large weight is steep.
+        start = start._replace(mu=nu, duals=nu / start.distance)
     return start
 
 
@@ -102,11 +104,11 @@ if INEQUALITIES:
         return nu
 
 
-def damped_step(search, current, pull, damping):
-    """(iterate, damping) after a step that lowers the sum of squares, or None."""
+def damped_step(search, current, pull, damping, largest):
+    """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none."""
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
     least = restoration_objective(grid, current)
-    while damping < 1e12:
+    while damping < largest:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, TypeAlias
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from codegen.errors import ExtraError
 
 if TYPE_CHECKING:
     from codegen.sweeping.work import Done, Work
@@ -33,16 +37,35 @@ class Row:
         return getattr(import_module(f"codegen.sweeping.engines.{self.name}"), "running")  # type: ignore[no-any-return]  # noqa: B009
 
 
+LOCAL = "local"
+"""The word for a cluster that is begun for a sweep, on this machine."""
 ENGINES = {
     row.name: row
     for row in (
         Row("here", "one chunk after the other in this process"),
         Row("processes", "processes on this machine, each with one thread"),
+        Row("dask", "workers of a cluster of dask, on any machines"),
     )
 }
 """Every engine by name; tests run over this table."""
 
 
-def engine_for(workers: int) -> Row:
-    """The engine that so many workers of this machine need."""
-    return ENGINES["here" if workers == 1 else "processes"]
+def engine_for(workers: int, cluster: Any = None) -> Engine:
+    """The engine of a cluster, if there is one, or the one that so many workers of this machine need."""
+    if cluster is not None:
+        running: Any = ENGINES["dask"].running
+        return partial(running, cluster=cluster)
+    return ENGINES["here" if workers == 1 else "processes"].running
+
+
+def connected(cluster: Any) -> AbstractContextManager[Any]:
+    """A client of the cluster that is asked for, or None where none is; it is looked for before anything takes long.
+
+    Raises ExtraError without dask, ClusterError when nothing answers, and ArgumentError for what is no cluster.
+    """
+    if cluster is None:
+        return nullcontext()
+    if find_spec("distributed") is None:
+        raise ExtraError("a cluster needs dask, which is not installed", "pip install 'variational-codegen[cluster]'")
+    made: AbstractContextManager[Any] = import_module("codegen.sweeping.engines.dask").connected(cluster)
+    return made

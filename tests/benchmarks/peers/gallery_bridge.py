@@ -20,13 +20,16 @@ def perturbed(module: Any, grid: Any, size: float, seed: int) -> Array:
     """A problem's guess with noise on every unknown that is neither given nor a multiplier.
 
     The noise is normal, with the deviation `size` times the sum of the unknown's magnitude and of a tenth of the
-    greatest one. Ends that are copies of perturbed unknowns follow them.
+    greatest one; of an angle that tenth is one radian at most, or a flight of 2000 s would turn it by hundreds of
+    radians. Ends that are copies of perturbed unknowns follow them.
     """
     unknowns = module.initial_guess(grid)
     indices = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
     magnitude = np.abs(unknowns[indices])
     noise = np.random.default_rng(seed).standard_normal(magnitude.size)
-    unknowns[indices] += size * noise * (magnitude + 0.1 * magnitude.max(initial=0.0))
+    radian = module.RADIAN[module.kinds_of(grid.steps)][indices]  # infinite for what is no angle
+    part = np.minimum(0.1 * magnitude.max(initial=0.0), radian)
+    unknowns[indices] += size * noise * (magnitude + part)
     completed: Array = module.with_pinned_values(grid, unknowns)
     return completed
 

@@ -1,0 +1,115 @@
+"""Many trajectories in one panel: graded by a quantity, or as quantiles over time; and distributions of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from codegen.plots.panels import KINDS
+from codegen.plots.style import BLUE, DARK, body_map, label, statuses
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+MOST_PANELS, MOST_LINES, MOST_CASES = 6, 60, 4000
+"""Quantities, trajectories and cases for quantiles that are drawn at most."""
+BANDS = ((0.05, 0.95, 0.18), (0.25, 0.75, 0.35))
+"""Quantiles between which a fan is filled, and how strongly."""
+_COLUMNS = {"q": ("coordinate", "state"), "u": ("control", "control")}
+
+
+def groups_of(data: Dataset) -> list[tuple[str, str]]:
+    """The trajectories that are there, as (array, column)."""
+    if "t" not in data:
+        return []
+    found = [(name, str(c)) for name, (dim, _) in _COLUMNS.items() if name in data for c in data[dim].values]
+    return found[:MOST_PANELS]
+
+
+def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.intp]]:
+    """Times and values (cases, times) of some cases that are solved, and which these are."""
+    name, column = group
+    solved = np.flatnonzero(statuses(data).ravel() == "solved")
+    solved = solved[:: max(1, -(-solved.size // most))]
+    dim = str(data["status"].dims[0])
+    part = data[["t", name]].isel({dim: solved})
+    t, values = (
+        part["t"].values,
+        part[name].isel({_COLUMNS[name][0]: data[_COLUMNS[name][0]].values.tolist().index(column)}),
+    )
+    if "stage" in values.dims:
+        values = values.mean("stage")
+    table = np.asarray(values.transpose(dim, ...).values, dtype=float)
+    if table.shape[1] == t.shape[1] - 1:
+        t = 0.5 * (t[:, 1:] + t[:, :-1])
+    return t, table, solved
+
+
+def graded(
+    panels: Mapping[str, Any], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: NDArray[np.float64]
+) -> ScalarMappable:
+    """Trajectories over time, each in the colour of its case; returns what a colour bar is made from."""
+    solved = places[statuses(data).ravel() == "solved"]
+    least, most = (float(solved.min()), float(solved.max())) if solved.size else (0.0, 1.0)
+    shades = ScalarMappable(Normalize(least, most if most > least else least + 1.0), body_map())
+    for i, group in enumerate(groups):
+        axes = panels[f"g{i}"]
+        t, values, cases = _curves(data, group, MOST_LINES)
+        for times, row, case in zip(t, values, cases):
+            axes.plot(times, row, color=shades.to_rgba(places[case]), linewidth=0.9)
+        _over_time(axes, "time", group)
+    return shades
+
+
+def _over_time(axes: Any, what: str, group: tuple[str, str]) -> None:
+    axes.set_xlabel(what)
+    axes.set_ylabel(label(group[1]))
+    axes.margins(x=0)
+
+
+def fan(axes: Any, data: Dataset, group: tuple[str, str]) -> None:
+    """Quantiles of a quantity over time: the median, and bands between others."""
+    t, values, _ = _curves(data, group, MOST_CASES)
+    colour = KINDS[_COLUMNS[group[0]][1]]
+    if not t.size:
+        axes.set_visible(False)
+        return
+    ends = np.nanmax(t, axis=1)
+    same = bool(np.allclose(t, t[0], rtol=1e-9, equal_nan=True))
+    times = t[0] if same else np.nanmedian(t / ends[:, None], axis=0)
+    seen = np.isfinite(times)
+    for low, high, strength in BANDS:
+        edges = np.nanquantile(values[:, seen], (low, high), axis=0)
+        axes.fill_between(times[seen], *edges, color=colour, alpha=strength, linewidth=0)
+    axes.plot(times[seen], np.nanmedian(values[:, seen], axis=0), color=colour)
+    _over_time(axes, "time" if same else "time in parts of the duration", group)
+    handles = [Patch(color=colour, alpha=a, label=f"{100 * (h - low):.0f} %") for low, h, a in BANDS]
+    axes.legend(handles=handles, loc="best", ncols=2, handlelength=1.2)
+
+
+def histogram(axes: Any, name: str, values: NDArray[np.float64], is_wide: bool) -> None:
+    """How often values occur, with the median and the quantiles of 5 and 95 %."""
+    finite = values[np.isfinite(values)]
+    axes.set_xlabel(name)
+    axes.set_ylabel("cases")
+    if not finite.size:
+        axes.text(0.5, 0.5, "no case is solved", transform=axes.transAxes, ha="center", color=DARK)
+        return
+    number = int(np.clip(np.sqrt(finite.size), 5, 60))
+    bins: Any = np.geomspace(finite.min(), finite.max(), number + 1) if is_wide else number
+    axes.hist(finite, bins, color=BLUE, alpha=0.45)
+    if is_wide:
+        axes.set_xscale("log")
+    for share, style in ((0.05, ":"), (0.5, "-"), (0.95, "--")):
+        value = float(np.quantile(finite, share))
+        words = "median" if share == 0.5 else f"{100 * share:.0f} %"
+        axes.axvline(value, color=DARK, linestyle=style, linewidth=1.1, label=f"{words}: {value:.4g}")
+    axes.legend(loc="upper right", handlelength=1.6, frameon=True, framealpha=0.85, edgecolor="none")
+    axes.margins(y=0.3)
+    axes.grid(visible=False, axis="x")

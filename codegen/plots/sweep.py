@@ -1,0 +1,310 @@
+"""The figure of a sweep: lines over a varied quantity, maps over two, distributions and fans over samples."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from codegen.plots import fans
+from codegen.plots.style import (
+    BLUE,
+    CRIMSON,
+    DARK,
+    GREY,
+    PINK,
+    body_colours,
+    body_map,
+    heading,
+    label,
+    quantity,
+    statuses,
+)
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+MOST_LINES = 7
+"""A second quantity of so many values is shown as lines; of more, the two span a map."""
+_MOST_MAPS, _MOST_MEASURES, _MOST_SCATTERS, _MOST_POINTS = 6, 4, 4, 20_000
+_WIDE = 100.0
+"""Positive values whose largest is so many times the smallest are drawn on a logarithmic scale."""
+_FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
+_JUMP: dict[str, Any] = {
+    "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
+    "markeredgewidth": 1.6,
+}  # fmt: skip
+
+
+def sweep_figure(data: Dataset) -> Figure:
+    """A page about a sweep, as `codegen.sweep` returns it; failed cases are crosses, and jumps of the cost rings.
+
+    What has no cost is shown by its state at the end. Of a grid of more than two quantities the two with the most
+    values are drawn, for several values of the next one, and middle values of the others.
+    """
+    dims = tuple(str(dim) for dim in data["status"].dims)
+    if dims == ("case",):
+        return _samples(data)
+    long = sorted(dims, key=lambda dim: -data.sizes[dim])
+    second = data.sizes[long[1]] if len(long) > 1 else 1
+    for dim in long[3 if second > MOST_LINES else 2 :]:
+        data = data.isel({dim: data.sizes[dim] // 2})
+    return _lines(data, long[:2]) if second <= MOST_LINES else _maps(data, long[:3])
+
+
+def _measures(data: Dataset) -> dict[str, NDArray[np.float64]]:
+    """What a case comes to by its label: the cost, or the state at the end."""
+    cost = data["cost"].values
+    if np.isfinite(cost).any() or "q" not in data:
+        return {"cost": cost}
+    names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
+    ends = np.moveaxis(_at_end(data), -1, 0)
+    return {f"{label(name)} at the end": ends[i] for i, name in enumerate(names)}
+
+
+def _at_end(data: Dataset) -> NDArray[np.float64]:
+    """The last values of q that are numbers: arrays of fewer steps end in NaN."""
+    q = data["q"].transpose(..., "node", "coordinate").values
+    number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
+    return np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :])
+
+
+def _is_failed(data: Dataset) -> NDArray[np.bool_]:
+    return np.asarray(statuses(data) != "solved")
+
+
+def _has_jump(data: Dataset) -> NDArray[np.bool_]:
+    return np.asarray(data["jump"].values == 1) if "jump" in data else np.zeros(data["status"].shape, bool)
+
+
+def _places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[np.intp], list[str]]:
+    """Where the values of a dimension are drawn, in which order, and their names where they are words."""
+    values = data[dim].values if dim in data.coords else np.arange(data.sizes[dim])
+    if np.asarray(values).dtype.kind not in "fiub":
+        return np.arange(len(values), dtype=float), np.arange(len(values)), [str(value) for value in values]
+    order = np.argsort(values, kind="stable")
+    return np.asarray(values, dtype=float)[order], order, []
+
+
+def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
+    """Measures over one quantity, a line for each value of another, and trajectories graded by the first."""
+    x, order, words = _places(data, dims[0])
+    by = dims[1] if len(dims) > 1 else None
+    measures, groups = _measures(data), fans.groups_of(data)
+    columns = _columns(len(groups))
+    rows: list[Any] = [[f"m{i}"] * columns for i in range(len(measures))]
+    names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
+    names += ["."] * (-len(names) % columns)
+    rows += [names[first : first + columns] for first in range(0, len(names), columns)]
+    figure = Figure(figsize=(max(7.0, 3.6 * columns), 1.1 + 2.9 * len(rows)), layout="constrained")
+    panels = figure.subplot_mosaic(rows)
+    failed, jumps = (_rows(table, data, dims)[:, order] for table in (_is_failed(data), _has_jump(data)))
+    for i, (name, values) in enumerate(measures.items()):
+        _measure(panels[f"m{i}"], x, _rows(values, data, dims)[:, order], failed, jumps, data, by, bool(words))
+        panels[f"m{i}"].set_ylabel(name)
+        panels[f"m{i}"].set_xlabel(quantity(dims[0]))
+        if words:
+            panels[f"m{i}"].set_xticks(x, words)
+    if any(name != "." for name in names):
+        flat = data if by is None else data.isel({by: 0})
+        shades = fans.graded(panels, groups, flat.isel({dims[0]: order}), dims[0], x)
+        bar = figure.colorbar(
+            shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0]), aspect=30
+        )
+        bar.outline.set_visible(False)
+        if words:
+            bar.set_ticks(x.tolist(), labels=words)
+    heading(figure, data)
+    return figure
+
+
+def _rows(table: NDArray[Any], data: Dataset, dims: Sequence[str]) -> NDArray[Any]:
+    """A table over the cases as (values of the second dimension, of the first)."""
+    own = [str(dim) for dim in data["status"].dims]
+    kept = np.moveaxis(table, own.index(dims[0]), -1)
+    return kept.reshape(-1, kept.shape[-1])
+
+
+def _measure(
+    axes: Any,
+    x: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    failed: NDArray[np.bool_],
+    jumps: NDArray[np.bool_],
+    data: Dataset,
+    by: str | None,
+    is_of_words: bool,
+) -> None:
+    """Lines of one measure, failed cases at the foot of the panel, and jumps where they are."""
+    _scale(axes, rows)
+    marker = "o" if is_of_words else "." if x.size <= 60 else ""
+    values = [] if by is None else _named(data, by)
+    for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
+        name = f"{quantity(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
+        axes.plot(x, row, marker, linestyle="none" if is_of_words else "-", color=colour, markersize=5, label=name)
+    if jumps.any():
+        places = np.nonzero(jumps)
+        axes.plot(x[places[1]], rows[places], **_JUMP, label="jump")
+    some = failed.any(axis=0)
+    if some.any():
+        foot = axes.get_xaxis_transform()
+        axes.plot(x[some], np.full(int(some.sum()), 0.03), **_FAILED, transform=foot, clip_on=False, label="failed")
+    if len(rows) > 1 or some.any() or jumps.any():
+        axes.legend(loc="best")
+    axes.margins(x=0.02)
+
+
+def _named(data: Dataset, dim: str) -> list[str]:
+    places, order, words = _places(data, dim)
+    return words or [f"{value:.6g}" for value in places[np.argsort(order)]]
+
+
+def _scale(axes: Any, values: NDArray[np.float64]) -> None:
+    if _is_wide(values):
+        axes.set_yscale("log")
+
+
+def _is_wide(values: NDArray[np.float64]) -> bool:
+    finite = values[np.isfinite(values)]
+    return finite.size > 1 and bool(finite.min() > 0.0) and bool(finite.max() > _WIDE * finite.min())
+
+
+def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
+    """A heat map with contours over two quantities, for each measure, and for several values of a third."""
+    x, y = _places(data, dims[0]), _places(data, dims[1])
+    chosen: list[Any] = [None]
+    if len(dims) > 2:
+        number = data.sizes[dims[2]]
+        chosen = sorted({round(i) for i in np.linspace(0, number - 1, min(number, _MOST_MAPS))})
+    panels = [(data if k is None else data.isel({dims[2]: k}), k) for k in chosen]
+    shown = [(part, k, name, values) for part, k in panels for name, values in _measures(part).items()]
+    columns = _columns(len(shown))
+    size = max(6.4, 4.3 * columns), 1.2 + 3.7 * math.ceil(len(shown) / columns)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(math.ceil(len(shown) / columns), columns, squeeze=False)
+    for axes in grid.ravel()[len(shown) :]:
+        axes.set_visible(False)
+    drawn: dict[str, list[Any]] = {}
+    for axes, (part, k, name, values) in zip(grid.ravel(), shown):
+        norm = _norm(np.concatenate([other[3].ravel() for other in shown if other[2] == name]))
+        shades = _map(axes, part, dims, (x, y), values, norm)
+        drawn.setdefault(name, [shades]).append(axes)
+        if k is not None:
+            axes.set_title(f"{quantity(dims[2])} = {_named(data, dims[2])[k]}")
+    for name, (shades, *panels_of) in drawn.items():
+        figure.colorbar(shades, ax=panels_of, label=name).outline.set_visible(False)
+    marks = {name: mark for axes in grid.ravel() for mark, name in zip(*axes.get_legend_handles_labels())}
+    if marks:
+        figure.legend(list(marks.values()), list(marks), loc="outside lower center", ncols=2)
+    heading(figure, data)
+    return figure
+
+
+def _columns(panels: int) -> int:
+    """How many panels stand in a row."""
+    return {0: 1, 4: 2}.get(panels, min(panels, 3))
+
+
+def _norm(values: NDArray[np.float64]) -> Normalize:
+    finite = values[np.isfinite(values)]
+    least, most = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    return LogNorm(least, most) if _is_wide(values) else Normalize(least, most)
+
+
+def _map(
+    axes: Any, data: Dataset, dims: Sequence[str], places: Sequence[Any], values: NDArray[np.float64], norm: Normalize
+) -> Any:
+    """One map; returns what a colour bar is made from."""
+    (x, columns, x_words), (y, rows, y_words) = places
+    own = [str(dim) for dim in data["status"].dims]
+    turned = own.index(dims[1]) > own.index(dims[0])
+
+    def laid(table: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray((table.T if turned else table)[np.ix_(rows, columns)])
+
+    shown = laid(values)
+    shades = axes.pcolormesh(x, y, shown, shading="nearest", cmap=body_map(), norm=norm, rasterized=True)
+    levels = _levels(norm)
+    if min(shown.shape) > 2 and np.isfinite(shown).any() and levels.size:
+        halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
+        lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
+        lines.set_path_effects(halo)
+        for text in axes.clabel(lines, fontsize=7.5, fmt="%.4g"):
+            text.set_path_effects(halo)
+    for table, look, name in ((laid(_is_failed(data)), _FAILED, "failed"), (laid(_has_jump(data)), _JUMP, "jump")):
+        if table.any():
+            i, j = np.nonzero(table)
+            axes.plot(
+                x[j], y[i], **{**look, "markersize": max(1.5, look["markersize"] * _crowd(table.size))}, label=name
+            )
+    axes.grid(visible=False)
+    axes.set_xlabel(quantity(dims[0]))
+    axes.set_ylabel(quantity(dims[1]))
+    for words, at, put in ((x_words, x, axes.set_xticks), (y_words, y, axes.set_yticks)):
+        if words:
+            put(at, words)
+    return shades
+
+
+def _levels(norm: Normalize) -> NDArray[np.float64]:
+    """Round values between the least and the largest, for contours."""
+    from matplotlib.ticker import LogLocator, MaxNLocator
+
+    least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    if not least < most:
+        return np.zeros(0)
+    few = (1.0,) if most > 1e3 * least else (1.0, 2.0, 5.0)
+    locator: Any = LogLocator(subs=few) if isinstance(norm, LogNorm) else MaxNLocator(8)
+    found = np.asarray(locator.tick_values(least, most), dtype=float)
+    return found[(found > least) & (found < most)]
+
+
+def _crowd(cells: int) -> float:
+    """How large marks are where there are many cells."""
+    return min(1.0, math.sqrt(900.0 / cells))
+
+
+def _samples(data: Dataset) -> Figure:
+    """The distribution of each measure with quantiles, the measure over quantities, fans of trajectories."""
+    stride = max(1, -(-data.sizes["case"] // _MOST_POINTS))
+    data = data.isel(case=slice(None, None, stride))
+    measures, groups = _measures(data), fans.groups_of(data)
+    own = {"status", "message", *map(str, data.sizes)}
+    varied = [str(name) for name, values in data.coords.items() if values.dims == ("case",) and str(name) not in own]
+    varied = [name for name in varied if data[name].dtype.kind in "fiub"][:_MOST_SCATTERS]
+    columns = max(2, min(4, 1 + len(varied)))
+    blocks = [[f"m{i}", *(f"s{i},{j}" for j in range(len(varied)))] for i in range(len(measures))]
+    blocks.append([f"g{i}" for i in range(len(groups))])
+    rows: list[Any] = [
+        [*block[first : first + columns], *["."] * (columns - len(block[first : first + columns]))]
+        for block in blocks for first in range(0, len(block), columns)
+    ]  # fmt: skip
+    figure = Figure(figsize=(3.6 * columns, 1.0 + 2.9 * len(rows)), layout="constrained")
+    panels = figure.subplot_mosaic(rows)
+    failed = _is_failed(data)
+    for i, (name, values) in enumerate(measures.items()):
+        fans.histogram(panels[f"m{i}"], name, values, _is_wide(values))
+        for j, varied_one in enumerate(varied):
+            _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, failed)
+            panels[f"s{i},{j}"].set_xlabel(quantity(varied_one))
+            panels[f"s{i},{j}"].set_ylabel(name)
+    for i, group in enumerate(groups):
+        fans.fan(panels[f"g{i}"], data, group)
+    heading(figure, data)
+    return figure
+
+
+def _scatter(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64], failed: NDArray[np.bool_]) -> None:
+    _scale(axes, y)
+    axes.plot(x, y, ".", color=BLUE, markersize=max(1.0, 5.0 * _crowd(x.size)), alpha=0.5, rasterized=True)
+    if failed.any():
+        foot = axes.get_xaxis_transform()
+        number = int(failed.sum())
+        axes.plot(x[failed], np.full(number, 0.03), **_FAILED, transform=foot, clip_on=False, label=f"{number} failed")
+        axes.legend(loc="best", labelcolor=GREY)

@@ -1,0 +1,134 @@
+"""Jumps between local optima: where the cost along a grid is not smooth, and the worse side is begun from the better.
+
+Along a line of a smooth function the difference of two neighbours lies between those that the slopes on either side
+predict, or close to it. Where one branch of optima takes over from another at equal cost it still does; where a search
+has ended on the worse of two, the difference lies outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Costs: TypeAlias = NDArray[np.float64]
+Pair: TypeAlias = tuple[int, int]
+"""A case on the worse side of a jump and its neighbour on the better, counted with the last dimension fastest."""
+
+LEAST = 4
+"""So many values of a quantity it takes to see a jump along it."""
+BENT, STEEP, ROUNDING = 0.5, 0.05, 1e-6
+"""What a difference may lie outside the predictions: in parts of their distance, of the larger one, of the cost."""
+BENT_AT_ENDS = 4.0
+"""As the first of these, where there is no slope beyond and both predictions are guesses."""
+BETTER = 1e-7
+"""What part of a cost has to be won for a solution to be another one."""
+
+
+def jumps_of(costs: Costs, places: Sequence[NDArray[np.float64]], certain: bool = False) -> list[Pair]:
+    """Pairs of neighbours on a grid of costs between which the cost jumps; NaN, where there is no solution, is skipped.
+
+    Those that are `certain` are no kinks either, in which one curved branch of optima ends and another begins.
+    `places` has the place (n,) of each row of a dimension along it, or nothing for a dimension that is none of numbers.
+    """
+    numbers = np.arange(costs.size).reshape(costs.shape)
+    found: list[Pair] = []
+    for axis, along in enumerate(places):
+        if along.size < LEAST or costs.shape[axis] < LEAST:
+            continue
+        rows = np.moveaxis(costs, axis, -1).reshape(-1, costs.shape[axis])
+        own = np.moveaxis(numbers, axis, -1).reshape(rows.shape)
+        after, before = _of_lines(rows, np.diff(along), certain)
+        for worse, better in ((own[:, 1:][after], own[:, :-1][after]), (own[:, :-1][before], own[:, 1:][before])):
+            found += zip(worse.tolist(), better.tolist())
+    return sorted(found)
+
+
+def _of_lines(
+    costs: Costs, distances: NDArray[np.float64], certain: bool
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Between which neighbours of each line (lines, n) the later one is the worse, and the earlier one: (lines, n - 1).
+
+    Values may decrease along a line, but none may be there twice: a pair that is has no slope, and is none.
+    """
+    with np.errstate(all="ignore"):
+        steps = np.diff(costs, axis=1)
+        slopes = np.where(distances == 0.0, np.nan, steps / distances)
+        # Beyond the ends of a line the slope goes on changing as it does inside.
+        first, last = 3.0 * slopes[:, 1] - 2.0 * slopes[:, 2], 3.0 * slopes[:, -2] - 2.0 * slopes[:, -3]
+        left = np.column_stack([first, slopes[:, :-1]]) * distances
+        right = np.column_stack([slopes[:, 1:], last]) * distances
+        low, high = np.minimum(left, right), np.maximum(left, right)
+        size = np.maximum(np.abs(costs[:, 1:]), np.abs(costs[:, :-1]))
+        bent = np.full(distances.size, BENT)
+        bent[[0, -1]] = BENT_AT_ENDS
+        allowed = bent * (high - low) + STEEP * np.maximum(np.abs(low), np.abs(high)) + ROUNDING * size
+        if certain:
+            # Each side goes on changing its slope up to the pair.
+            before = 2.0 * left - np.column_stack([left[:, :1], left[:, :-1]])
+            after = 2.0 * right - np.column_stack([right[:, 1:], right[:, -1:]])
+            low, high = np.minimum.reduce([low, before, after]), np.maximum.reduce([high, before, after])
+        return steps - high > allowed, low - steps > allowed
+
+
+def along_dimensions(points: Costs, shape: Sequence[int]) -> list[NDArray[np.float64]]:
+    """The place of each row of a grid along its dimensions, for the points (n, quantities) of its cells.
+
+    Where quantities vary together it is the length of the way through them.
+    """
+    cells, found = points.reshape(*shape, -1), []
+    for axis in range(len(shape)):
+        found.append(along(np.moveaxis(cells, axis, 0).reshape(shape[axis], -1, points.shape[1])[:, 0]))
+    return found
+
+
+def along(points: Costs) -> NDArray[np.float64]:
+    """How far points (n, quantities) are from the first one, along the way through them."""
+    parts = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(parts)])
+
+
+class Solved(Protocol):
+    """What is known of a solution: its cost, and whether others may start from it."""
+
+    @property
+    def is_start(self) -> bool:
+        """Whether they may."""
+
+    @property
+    def cost(self) -> float:
+        """What it costs, NaN where it is none."""
+
+
+Found = TypeVar("Found", bound=Solved)
+
+
+def improved(
+    outcomes: Sequence[Found],
+    shape: Sequence[int],
+    places: Sequence[NDArray[np.float64]],
+    attempt: Callable[[int, Found], Found],
+) -> dict[int, list[Found]]:
+    """Try the worse side of every jump from its neighbour, and what then jumps, until nothing improves.
+
+    `outcomes` are those of all cases of a grid; `attempt` solves a case from a solution. Returns the
+    further attempts at each case that has some; of these and its outcome the cheapest solution counts.
+    """
+    costs = np.array([outcome.cost if outcome.is_start else np.nan for outcome in outcomes])
+    best, attempts, tried = list(outcomes), dict[int, list[Found]](), set[tuple[int, int, float]]()
+    while True:
+        begun = len(tried)
+        for worse, better in jumps_of(costs.reshape(tuple(shape)), places):
+            key = (worse, better, float(costs[better]))
+            # Each case may be improved along every dimension and from either side, but a search has to end.
+            if key in tried or len(tried) >= 2 * len(best):
+                continue
+            tried.add(key)
+            found = attempt(worse, best[better])
+            if found.is_start and found.cost < costs[worse] - BETTER * abs(costs[worse]):
+                best[worse], costs[worse] = found, found.cost
+            attempts.setdefault(worse, []).append(found)
+        if len(tried) == begun:
+            return attempts

@@ -1,0 +1,133 @@
+"""Figures of sweeps, by what is drawn: lines, maps, contours, marks of failures and jumps, quantiles of samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib.contour import ContourSet
+
+from codegen.plots import fans, save_sweep, sweep_figure
+
+ATTRIBUTES = {"title": "A test.", "formulation": "variational", "scheme": "midpoint", "steps": 4}
+
+
+def made(axes, failed=(), jumps=(), cost=None, dims=None):
+    """A data set over some axes, whose cost is the sum of the squares of what varies."""
+    dims = tuple(axes) if dims is None else dims
+    grids = np.meshgrid(*axes.values(), indexing="ij") if dims != ("case",) else list(axes.values())
+    shape = grids[0].shape
+    values = sum(grid**2 for grid in grids) if cost is None else cost
+    status = np.full(shape, "solved", object)
+    jump = np.zeros(shape, np.int32)
+    for place in failed:
+        status[place], values[place] = "infeasible", np.nan
+    for place in jumps:
+        jump[place] = 1
+    t = np.broadcast_to(np.linspace(0.0, 1.0, 5), (*shape, 5))
+    q = (grids[0][..., None] * t)[..., None]
+    u = np.broadcast_to(grids[0][..., None, None], (*shape, 4, 1))
+    variables = {
+        "status": (dims, status.astype(str)), "cost": (dims, values), "jump": (dims, jump),
+        "t": ((*dims, "node"), t), "q": ((*dims, "node", "coordinate"), q), "u": ((*dims, "interval", "control"), u),
+    }  # fmt: skip
+    named = {name: (dims if dims == ("case",) else (name,), values) for name, values in axes.items()}
+    return xarray.Dataset(variables, {**named, "coordinate": ["r"], "control": ["u"]}, ATTRIBUTES)
+
+
+def marks(axes, name):
+    """Where marks of a kind are."""
+    return [line.get_xydata() for line in axes.lines if line.get_label() == name]
+
+
+X, Y = np.linspace(-1.0, 1.0, 11), np.linspace(0.0, 2.0, 9)
+
+
+def test_a_line_over_one_quantity_with_failures_and_jumps_marked():
+    figure = sweep_figure(made({"m": X}, failed=[3], jumps=[7]))
+    axes = figure.axes[0]
+    np.testing.assert_allclose(axes.lines[0].get_xydata(), np.c_[X, np.where(np.arange(11) == 3, np.nan, X**2)])
+    (failed,), (jumps,) = marks(axes, "failed"), marks(axes, "jump")
+    np.testing.assert_allclose(failed[:, 0], X[[3]])
+    np.testing.assert_allclose(jumps, [[X[7], X[7] ** 2]])
+    assert "11 cases, 1 FAILED" in figure.get_suptitle()
+    curves = figure.axes[1]
+    assert len(curves.lines) == 10  # a trajectory of each case that is solved
+    np.testing.assert_allclose(curves.lines[0].get_ydata()[-1], X[0])
+
+
+def test_values_that_do_not_grow_are_drawn_in_order():
+    axes = sweep_figure(made({"m": X[::-1]})).axes[0]
+    np.testing.assert_allclose(axes.lines[0].get_xdata(), X)
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), X**2)
+
+
+def test_few_values_of_a_second_quantity_are_lines():
+    axes = sweep_figure(made({"m": X, "k": Y[:3]})).axes[0]
+    assert [line.get_label() for line in axes.lines] == ["$k$ = 0", "$k$ = 0.25", "$k$ = 0.5"]
+    np.testing.assert_allclose(axes.lines[2].get_ydata(), X**2 + 0.25)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_two_quantities_span_a_map_with_contours(turned):
+    given = {"m": X, "k": Y}
+    data = made(dict(reversed(given.items())) if turned else given, failed=[(2, 3)], jumps=[(4, 5)])
+    axes = sweep_figure(data).axes[0]
+    (mesh,) = (item for item in axes.collections if isinstance(item, QuadMesh))
+    assert axes.get_xlabel() == "$m$"
+    shown = np.ma.filled(mesh.get_array(), np.nan)
+    np.testing.assert_allclose(shown[3, 0], data.cost.sel(m=X[0], k=Y[3]))
+    np.testing.assert_allclose(shown[0, 4], data.cost.sel(m=X[4], k=Y[0]))
+    assert any(isinstance(item, ContourSet) for item in axes.collections)
+    (failed,), (jumps,) = marks(axes, "failed"), marks(axes, "jump")
+    np.testing.assert_allclose(failed, [[X[3], Y[2]] if turned else [X[2], Y[3]]])
+    np.testing.assert_allclose(jumps, [[X[5], Y[4]] if turned else [X[4], Y[5]]])
+
+
+def test_a_third_quantity_has_a_map_for_each_of_some_values():
+    figure = sweep_figure(made({"m": X, "k": Y, "c": np.array([1.0, 2.0, 3.0])}))
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert titles == ["$c$ = 1", "$c$ = 2", "$c$ = 3"]
+
+
+def test_samples_have_a_distribution_and_fans():
+    rng = np.random.default_rng(1)
+    data = made({"m": rng.normal(5.0, 1.0, 500)}, failed=[4, 9], dims=("case",))
+    figure = sweep_figure(data)
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    finite = data.cost.values[np.isfinite(data.cost.values)]
+    assert f"median: {np.median(finite):.4g}" in labels
+    assert f"95 %: {np.quantile(finite, 0.95):.4g}" in labels
+    assert sum(bar.get_height() for bar in figure.axes[0].patches) == 498
+    assert len(marks(figure.axes[1], "2 failed")[0]) == 2
+    fan = next(axes for axes in figure.axes if axes.get_ylabel() == "$r$")
+    outer = next(item for item in fan.collections if isinstance(item, PolyCollection))
+    solved = data.m.values[data.status.values == "solved"]
+    edges = outer.get_paths()[0].vertices
+    at_end = edges[np.isclose(edges[:, 0], 1.0), 1]
+    low, high, _ = fans.BANDS[0]
+    np.testing.assert_allclose([at_end.min(), at_end.max()], np.quantile(solved, (low, high)))
+    np.testing.assert_allclose(fan.lines[0].get_ydata()[-1], np.median(solved))
+
+
+def test_without_a_cost_the_state_at_the_end_is_shown():
+    data = made({"m": X})
+    data["cost"][:] = np.nan
+    axes = sweep_figure(data).axes[0]
+    assert axes.get_ylabel() == "$r$ at the end"
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), X)
+
+
+@pytest.mark.parametrize("axes", [{"m": X}, {"m": X, "k": Y}, {"m": np.array([1.0])}])
+def test_where_nothing_is_solved_there_is_a_picture_all_the_same(tmp_path, axes):
+    data = made(axes)
+    data["status"][...], data["cost"][...] = "infeasible", np.nan
+    save_sweep(data, tmp_path / "s.png")
+    assert (tmp_path / "s.png").stat().st_size > 1000
+
+
+def test_a_file_of_pixels_and_one_of_curves(tmp_path):
+    for name in ("s.png", "s.svg", "s.pdf"):
+        save_sweep(made({"m": X}, failed=[1]), tmp_path / name)
+        assert (tmp_path / name).stat().st_size > 1000

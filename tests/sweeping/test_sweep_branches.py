@@ -1,0 +1,76 @@
+"""A planted jump between local optima: past a hill on its one side or the other."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from command_lines import run
+
+import codegen
+
+HILL = '''"""Past a hill, on its one side or the other."""
+
+from sympy import exp, pi, sin, tanh
+
+from codegen import Control, controls, coordinates, parameter, time
+
+
+def problem() -> Control:
+    (x, y), (dx, dy) = coordinates("x y")
+    (u, v), t, c = controls("u v"), time(), parameter("c", 0.1)
+    return Control(
+        lagrangian=(dx**2 + dy**2) / 2,
+        force={x: u, y: v},
+        cost=u**2 + v**2 + 60 * exp(-12 * (x**2 + (y - c) ** 2)),
+        duration=2,
+        start={x: -1, y: 0, dx: 1, dy: 0},
+        end={x: 1, y: 0, dx: 1, dy: 0},
+        guess={y: -0.6 * sin(pi * t / 2) * tanh(40 * (c - 0.22))},
+        steps=20,
+    )
+'''
+C = np.linspace(-1.0, 1.0, 41)
+
+
+@pytest.fixture
+def hill(folder):
+    """The problem, whose guess is on the wrong side of the hill for 0 < c < 0.22."""
+    (folder / "hill.py").write_text(HILL)
+    return "hill.py"
+
+
+def test_a_planted_jump_is_found_and_mended(hill):
+    """The optimum is even in c, as the problem is but for its guess."""
+    module = codegen.load(codegen.build(hill).path)
+    alone = module.solve(20, c=0.1)
+    assert alone.status == "solved"
+    data = codegen.sweep(hill, {"c": C}, steps=20, workers=1)
+    assert (data.status == "solved").all()
+    np.testing.assert_allclose(data.cost, data.cost[::-1], rtol=1e-8)
+    case = data.sel(c=0.1, method="nearest")
+    assert case.improvement > 5.0
+    np.testing.assert_allclose(
+        case.cost + case.improvement, module.cost(module.make_grid(20, c=0.1), alone.unknowns), rtol=1e-9
+    )
+    np.testing.assert_array_equal(np.flatnonzero(data.improvement > 0.0), [21, 22, 23])  # from 0.05 to 0.15
+    assert (data.jump == 0).all()
+    # Where nothing is suspected nothing is tried.
+    np.testing.assert_array_equal(data.iterations[:20], codegen.sweep(hill, {"c": C[:20]}, workers=1).iterations)
+
+
+def test_a_jump_between_chunks_is_left_and_told(hill):
+    words = ("sweep", hill, "--vary", "c=-1:1:41", "--chunk", 23, "--workers", 1, "--out", "s.zarr")
+    done = run(*words, "--plot", "s.png")
+    assert done.exit_code == 0
+    assert Path("s.png").stat().st_size > 1000
+    assert "1 cases were improved" in done.stderr
+    assert "1 jumps of the cost remain" in done.stderr
+    assert "a larger --chunk" in done.stderr
+    data = xarray.open_zarr("s.zarr", chunks=None)
+    np.testing.assert_array_equal(np.flatnonzero(data.jump == 1), [22])
+    again = run(*words, "--resume", "--json")
+    assert json.loads(again.stdout)["jumps"] == 1
