@@ -36,26 +36,27 @@ connected, and that are simulated; a linear-quadratic problem; steps that are ex
 constraints.
 """
 
-CONTROL = (
-    "acrobot betts_10_7 bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole convoy crane "
-    "delayed_oscillator double_integrator double_integrator_effort drone_gates four_bar goddard_rocket hovercraft "
-    "hypersensitive low_thrust n_link_pendulum pendulum_swing_up quadrotor robot_arm spherical_pendulum two_link_arm "
-    "two_stage_rocket van_der_pol"
-).split()
-
-GALLERY = (
+_WITH_CHOICES = (
     ("linear_pendulum", {}, Choices()),
     ("orbital_transfer", {}, Choices()),
     ("orbital_transfer", {}, Choices(method="hamiltonian")),
     ("pendulum", {}, Choices()),
     ("pendulum", {}, Choices(scheme="stormer-verlet")),
     ("pendulum", {"form": "lagrangian"}, Choices()),
-    *((problem, {}, Choices()) for problem in CONTROL),
     ("image_registration", {}, Choices()),
     ("image_registration", {}, Choices(scheme="explicit-euler")),
     ("lennard_jones", {}, Choices(scheme="stormer-verlet")),
     ("outer_solar_system", {}, Choices(scheme="stormer-verlet")),
 )
+_OTHERS = [
+    path
+    for path in sorted((ROOT / "problems").glob("*.py"))
+    if path.stem not in {problem for problem, _, _ in _WITH_CHOICES}
+]
+CONTROL = tuple(path.stem for path in _OTHERS if "Control(" in path.read_text(encoding="utf-8"))
+"""Problems of control whose modules are those of default choices alone."""
+
+GALLERY = (*_WITH_CHOICES, *((path.stem, {}, Choices()) for path in _OTHERS))
 """Problem, arguments and choices of every module."""
 
 

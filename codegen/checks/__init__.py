@@ -52,54 +52,61 @@ __all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"
 _ROWS = (
     Check("layout", layout.check, runs_the_module=False),
     Check("derivatives", derivatives.check),
-    Check("sparsity", sparsity.check),
-    Check("given values", given_values.check),
-    Check("assembly", assembly.check),
+    Check("sparsity", sparsity.check, without={"simulate": "a step of a simulation has a dense Jacobian"}),
+    Check(
+        "given values", given_values.check, without={"simulate": "a simulation gives no values but those of its start"}
+    ),
+    Check("assembly", assembly.check, without={"simulate": "a simulation solves step after step"}),
     Check("tables", tables.check),
-    Check("measurements", measurements.check),
+    Check("measurements", measurements.check, without={"simulate": "a simulation fits nothing"}),
     Check("discrete equations", discrete_equations.check, runs_the_module=False, of_each_phase=True),
     Check("integrals", integrals.check, runs_the_module=False, of_each_phase=True),
     Check("momentum matching", momentum_matching.check),
-    Check("discrete Noether", noether.check, runs_the_module=False, of_each_phase=True),
+    Check(
+        "discrete Noether",
+        noether.check,
+        runs_the_module=False,
+        of_each_phase=True,
+        without={"first-order": "a first-order system has no momenta"},
+    ),
     Check("consistency", consistency.check, runs_the_module=False),
-    Check("symplecticity", symplecticity.check, runs_the_module=False, of_each_phase=True),
-    Check("area preservation", area_preservation.check, runs_the_module=False, of_each_phase=True),
-    Check("midpoint equivalence", midpoint_equivalence.check, runs_the_module=False, of_each_phase=True),
-    Check("boundary rank", boundary_rank.check),
-    Check("null controls", null_controls.check, of_each_phase=True),
-    Check("path between nodes", path_modes.check),
+    Check(
+        "symplecticity",
+        symplecticity.check,
+        runs_the_module=False,
+        of_each_phase=True,
+        without={"first-order": "a first-order system has no symplectic form"},
+    ),
+    Check(
+        "area preservation",
+        area_preservation.check,
+        runs_the_module=False,
+        of_each_phase=True,
+        without={"first-order": "a first-order system has no phase plane of q and p"},
+    ),
+    Check(
+        "midpoint equivalence",
+        midpoint_equivalence.check,
+        runs_the_module=False,
+        of_each_phase=True,
+        without={"first-order": "a first-order system has no discrete Lagrangian"},
+    ),
+    Check("boundary rank", boundary_rank.check, without={"simulate": "a simulation has no boundary value problem"}),
+    Check(
+        "null controls",
+        null_controls.check,
+        of_each_phase=True,
+        without={"simulate": "a simulation has no controls to be found"},
+    ),
+    Check("path between nodes", path_modes.check, without={"simulate": "a simulation has no path conditions"}),
     Check("holonomic drift", holonomic_drift.check),
-    Check("inner times", inner_times.check),
+    Check("inner times", inner_times.check, without={"simulate": "a simulation has no conditions on the way"}),
     Check("switches", switches.check),
-    Check("delays", delays.check),
-    Check("second-order condition", second_order.check),
-    Check("optimum", optimum.check),
-    Check("sensitivities", of_sensitivities.check),
+    Check("delays", delays.check, without={"simulate": "a simulation has no values of the past"}),
+    Check("second-order condition", second_order.check, without={"simulate": "a simulation minimises nothing"}),
+    Check("optimum", optimum.check, without={"simulate": "a simulation minimises nothing"}),
+    Check("sensitivities", of_sensitivities.check, without={"simulate": "a simulation minimises nothing"}),
 )
-
-_NOTHING_TO_SAY = {
-    "simulate": {
-        "sparsity": "a step of a simulation has a dense Jacobian",
-        "given values": "a simulation gives no values but those of its start",
-        "assembly": "a simulation solves step after step",
-        "measurements": "a simulation fits nothing",
-        "boundary rank": "a simulation has no boundary value problem",
-        "null controls": "a simulation has no controls to be found",
-        "delays": "a simulation has no values of the past",
-        "inner times": "a simulation has no conditions on the way",
-        "path between nodes": "a simulation has no path conditions",
-        "second-order condition": "a simulation minimises nothing",
-        "optimum": "a simulation minimises nothing",
-        "sensitivities": "a simulation minimises nothing",
-    },
-    "first-order": {
-        "discrete Noether": "a first-order system has no momenta",
-        "symplecticity": "a first-order system has no symplectic form",
-        "area preservation": "a first-order system has no phase plane of q and p",
-        "midpoint equivalence": "a first-order system has no discrete Lagrangian",
-    },
-}
-"""Checks that do not apply to a task, or to a form of dynamics, and why."""
 
 CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
 """Every check by name, in the order of a report; tests run over this table."""
@@ -169,8 +176,8 @@ def _found(name: str, context: Context) -> Iterator[Finding]:
         yield Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")
         return
     for kind in (context.model.task, context.model.form):
-        if name in _NOTHING_TO_SAY.get(kind, {}):
-            yield does_not_apply(name, _NOTHING_TO_SAY[kind][name])
+        if kind in check.without:
+            yield does_not_apply(name, check.without[kind])
             return
     phases = phase_contexts(context) if check.of_each_phase else []
     if len(phases) < 2:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -75,13 +75,15 @@ class Check:
     """A kind of evidence: its name, and what finds it, which yields at least one finding also where it does not apply.
 
     A check that `runs_the_module` calls compiled code, or trusts tables of the module; else it looks at expressions
-    alone. One of equations may be made `of_each_phase`, as if that were a problem of its own.
+    alone. One of equations may be made `of_each_phase`, as if that were a problem of its own. `without` says for tasks
+    and forms of dynamics that lack what it is about what that is; such problems are not given to it.
     """
 
     name: str
     findings: Callable[[Context], Iterable[Finding]]
     runs_the_module: bool = True
     of_each_phase: bool = False
+    without: Mapping[str, str] = field(default_factory=dict)
 
 
 def does_not_apply(check: str, reason: str) -> Finding:

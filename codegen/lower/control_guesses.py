@@ -26,17 +26,19 @@ def guesses(program: ControlProgram) -> dict[str, Any]:
     nodes = (Line("t", "duration * grid.nodes / grid.steps"),)
     middles = (Line("t", "duration * (0.5 * (grid.nodes[:-1] + grid.nodes[1:])) / grid.steps"),)
     lines = [*(nodes if _read("t", at_nodes) else ()), *at_nodes, *(middles if _read("t", inside) else ()), *inside]
-    told = [value for _, values, _, _ in program.inner.guess for _, value in values]
+    at_inner_times = [value for _, values, _, _ in program.inner.guess for _, value in values]
     duration = (Line("duration", "duration_of(grid, unknowns)"),)
     return {
-        "guess_inputs": inputs(program, [*program.node_guess, *program.stage_guess, *program.control_guess, *told]),
+        "guess_inputs": inputs(
+            program, [*program.node_guess, *program.stage_guess, *program.control_guess, *at_inner_times]
+        ),
         "guess_lines": (*(duration if _read("duration", lines) else ()), *lines),
         **shared_guesses(program),
     }
 
 
 def _through_inner_times(program: ControlProgram) -> list[Line]:
-    """Lines that lead guesses through what is told of inner times."""
+    """Lines that lead guesses through values at inner times."""
     lines = []
     for index, values, at_start, at_end in program.inner.guess:
         numbers, codes = [number for number, _ in values], ", ".join(array_code(value) for _, value in values)
@@ -49,10 +51,10 @@ def _through_inner_times(program: ControlProgram) -> list[Line]:
 def _through_samples(program: ControlProgram) -> tuple[list[Line], list[Line]]:
     """Lines that lead guesses through what was measured, at nodes and, on straight lines, inside intervals."""
     at_nodes, inside = [], []
-    told = [{index for index, *_ in (*end.pins, *end.shared)} for end in (program.start, program.end)]
+    given = [{index for index, *_ in (*end.pins, *end.shared)} for end in (program.start, program.end)]
     for index, column in program.sample.guess if program.sample else ():
         name, target = program.node[index].name, f"nodes[:, :, {index}]"
-        call = f"through_samples(grid, {target}, {column}, {index in told[0]}, {index in told[1]})"
+        call = f"through_samples(grid, {target}, {column}, {index in given[0]}, {index in given[1]})"
         at_nodes.append(Line(target, call, f"{name}, as measured"))
         inner = program.interval[: len(program.stage_guess)]
         stages = [j for j, stage in enumerate(inner) if stage.name.rpartition("_")[0] == name]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import sympy
 from sympy import Expr, Symbol
@@ -29,7 +28,6 @@ from codegen.transcribe.program import StepProgram
 
 _LONG = 1000
 """Operations from which on common parts of the equations are found on a graph of their values."""
-Assignments: TypeAlias = Sequence[tuple[Symbol, Expr]]
 
 
 def _arguments(program: StepProgram) -> tuple[str, ...]:

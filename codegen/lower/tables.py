@@ -32,8 +32,8 @@ def _kernel(table: TableData, first: int) -> Kernel:
             lines.append(Line(f"{name}, in_{name}", f"within(parameters, {first}, {size}, {name})"))
             first += size
         code = f"clamped_{kind}({', '.join(f'in_{name}' for name in names)}, *{code})"
-    told = " and ".join(f"{name} = {given}" for name, given in zip(names, shape.inputs, strict=True))
-    summary = f"The table {shape.name} of {told}, with its derivatives up to the third order."
+    inputs = " and ".join(f"{name} = {given}" for name, given in zip(names, shape.inputs, strict=True))
+    summary = f"The table {shape.name} of {inputs}, with its derivatives up to the third order."
     return Kernel(shape.lookup, summary, ("parameters", *names), (), tuple(lines), (), (code,), 0, 0, FORCED)
 
 

@@ -24,11 +24,11 @@ def known_values(model: Model, boundary: Boundary | None, conditions: Sequence[C
     quantities = (*model.coordinates, *model.rates)
     pairs = zip(quantities, (*boundary.positions, *boundary.rates), strict=True)
     known = {symbol: value for symbol, value in pairs if value is not None}
-    known = told(model, conditions) | known
+    known = values_given_by(model, conditions) | known
     return {symbol: at_guess(model, value) for symbol, value in known.items()}
 
 
-def told(model: Model, conditions: Iterable[Condition]) -> dict[Symbol, Expr]:
+def values_given_by(model: Model, conditions: Iterable[Condition]) -> dict[Symbol, Expr]:
     """What conditions that are linear in a single coordinate or rate say of it, the first of several."""
     found: dict[Symbol, Expr] = {}
     for condition in conditions:

@@ -94,8 +94,8 @@ def in_names_of_the_whole(model: Model, text: str) -> str:
     """A text that names quantities of segments, as in `x in segment 2`."""
     if model.segments is None or model.segments.number == 1:
         return text
-    told = {own: f"{whole} in segment {number}" for own, whole, number in model.segments.names}
-    names = {mangling.plain(own): mangling.plain(words) for own, words in told.items()}
+    words = {own: f"{whole} in segment {number}" for own, whole, number in model.segments.names}
+    names = {mangling.plain(own): mangling.plain(described) for own, described in words.items()}
     pattern = rf"\b(p_|)({'|'.join(map(re.escape, names))})\b"
     return re.sub(pattern, lambda found: found[1] + names[found[2]], text)
 

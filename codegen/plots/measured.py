@@ -40,12 +40,18 @@ class Measured:
 
 def measured(module: ControlModule, result: Result) -> list[Measured]:
     """All columns of measurements, where there are any, beside a result."""
-    told = module.metadata.get("observations")
-    if told is None or result.unknowns is None:
+    observations = module.metadata.get("observations")
+    if observations is None or result.unknowns is None:
         return []
     fit = Fit(module, time_grid(module, result.steps, result.grid), result.unknowns)
     columns = zip(
-        told["columns"], told["values"], told["sigmas"], fit.measured.T, fit.fitted.T, fit.errors.T, strict=True
+        observations["columns"],
+        observations["values"],
+        observations["sigmas"],
+        fit.measured.T,
+        fit.fitted.T,
+        fit.errors.T,
+        strict=True,
     )
     return [
         Measured(name, expression, fit.bodies, fit.times, values, fitted, errors, sigma is not None)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError
-from codegen.loading import GeneratedModule, few_steps, load, machine_code_counts
+from codegen.loading import GeneratedModule, few_steps, is_control, is_simulation, load, machine_code_counts
 from codegen.report.store import Case, Store, Values
 
 WORKERS = 2
@@ -153,12 +153,12 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
     derived, busy_derived = time.perf_counter(), time.process_time()
     module = load(path)
     loaded = time.perf_counter()
-    if module.metadata["task"] == "simulate":
+    if is_simulation(module):
         solving.solve(module, steps=few_steps(module, 2))
     else:
         compile_all(module)
     compiled, busy_compiled = time.perf_counter(), time.process_time()
-    if module.metadata["task"] == "control":
+    if is_control(module):
         steps = few_steps(module, min(10, module.metadata["steps"]))
         solving.solve(module, steps=steps)  # compiles what scipy's optimisers call
     is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk

@@ -20,6 +20,7 @@ from codegen.report.measure import drift, leaving_out
 from codegen.report.page import page
 from codegen.report.section import Section
 from codegen.report.sections.modules import modules
+from codegen.report.selection import Chosen, choose
 from codegen.report.store import Store
 from codegen.terminal import progress
 
@@ -35,16 +36,6 @@ class Report:
 
     page: Path
     regressions: tuple[Regression, ...] = ()
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """A problem with the variants that are measured, and the names of schemes that are left out."""
-
-    problem: Path
-    task: str
-    variants: tuple[Variant, ...]
-    left: tuple[str, ...]
 
 
 def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | None = None) -> Report:
@@ -66,24 +57,6 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
                 report_progress(done + 2, f"{chosen.problem.stem}: {case.name}")
                 store.measured(case)
     return _written(selection, store, folder, extent, before)
-
-
-def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
-    """The schemes to be measured: the default, those of highest and lowest order, then the rest, up to the cap."""
-    survey = store.get(SURVEYS, problem.stem) or {}
-    task = survey.get("task", "")
-    if task not in KINDS:
-        return Chosen(problem, task, (), ())
-    rows = [Variant(problem, method, scheme, order) for method, scheme, order, _ in survey["schemes"]]
-    cap = extent.most_simulated if task == "simulate" else extent.most_schemes
-    if survey["phases"] and extent.only_default_of_phases:
-        cap = 1
-    usable = [v for v in rows if task == "simulate" or v.order <= extent.most_order]
-    lowest = min(usable, key=lambda v: (v.order, v.scheme != "explicit-euler"))
-    first = [rows[0], max(usable, key=lambda v: (v.order, v.method == rows[0].method)), lowest]
-    kept = list(dict.fromkeys([*first, *usable]))[:cap]
-    left = tuple(v.label for v in rows if v not in kept)
-    return Chosen(problem, task, tuple(v for v in rows if v in kept), left)
 
 
 def _extra_variants(problem: Path) -> list[Variant]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from codegen.report import compare
 from codegen.report.building import MODULES, SURVEYS
@@ -11,11 +11,8 @@ from codegen.report.compare import Regression
 from codegen.report.kinds import KINDS
 from codegen.report.records import Record, shared
 from codegen.report.section import Section, Table, number, seconds
+from codegen.report.selection import Chosen
 from codegen.report.store import Store
-
-if TYPE_CHECKING:
-    from codegen.report.gallery import Chosen
-
 
 _LOAD = "load of the machine when the page was made"
 

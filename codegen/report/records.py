@@ -6,16 +6,14 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from codegen.errors import ArgumentError
 from codegen.report.building import MODULES
 from codegen.report.compare import Regression, regressions
 from codegen.report.kinds import KINDS
+from codegen.report.selection import Chosen
 from codegen.report.store import Store
-
-if TYPE_CHECKING:
-    from codegen.report.gallery import Chosen
 
 NAME = "report.json"
 SEEDS = {"states at which conserved momenta are sought": "numpy default_rng(0)"}

@@ -1,4 +1,4 @@
-"""The registry of schemes: names to data, for the variational and for the Hamiltonian side."""
+"""The registry of schemes: names to data, by the method or the kind of system that they are for."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import difflib
 from sympy import Rational
 
 from codegen.errors import SchemeError
-from codegen.schemes import compositions, discrete_lagrangians, one_step, runge_kutta
-from codegen.schemes.base import FIRST_ORDER, Scheme
+from codegen.schemes import adaptive, compositions, discrete_lagrangians, one_step, runge_kutta
+from codegen.schemes.base import FIRST_ORDER, PARTICLES, Scheme
 
-__all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "Scheme", "find", "of_method"]
+__all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "PARTICLES", "Scheme", "find", "of_method"]
 
-_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions)
+_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions, adaptive)
 """Each has SCHEMES by method; those of a method are listed in this order."""
 _ALL: dict[str, dict[str, Scheme]] = {
     method: {scheme.name: scheme for family in _FAMILIES for scheme in family.SCHEMES.get(method, ())}
-    for method in ("variational", "hamiltonian", FIRST_ORDER)
+    for method in ("variational", "hamiltonian", FIRST_ORDER, PARTICLES)
 }
-METHODS = {method: schemes for method, schemes in _ALL.items() if method != FIRST_ORDER}
+METHODS = {method: _ALL[method] for method in ("variational", "hamiltonian")}
 """Every scheme for mechanical systems by method and name; tests run over this table."""
 
 ALIASES = {

@@ -17,6 +17,8 @@ from codegen.schemes.step import Step
 
 FIRST_ORDER = "one-step"
 """The method for first-order systems x' = f(x, u, t)."""
+PARTICLES = "particles"
+"""Under which a family lists what is offered for pairwise systems, by themselves and with both ends given."""
 
 
 @dataclass(frozen=True)

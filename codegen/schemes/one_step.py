@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Rational, S
 
-from codegen.schemes.base import FIRST_ORDER, Scheme
+from codegen.schemes.base import FIRST_ORDER, PARTICLES, Scheme
 from codegen.schemes.step import FieldPoint, Step, Update
 
 _ZERO, _HALF, _ONE = Rational(0), Rational(1, 2), Rational(1)
@@ -101,7 +101,7 @@ TRAPEZOIDAL = OneStep(
 """Offered for first-order systems; of a mechanical system the midpoint rule is the symplectic one of the two."""
 
 _SAME_POINT = (scheme for scheme in ONE_STEPS if all(s.position == s.momentum for s in scheme.substeps))
-SCHEMES = {"hamiltonian": ONE_STEPS, FIRST_ORDER: (*_SAME_POINT, TRAPEZOIDAL)}
+SCHEMES = {"hamiltonian": ONE_STEPS, FIRST_ORDER: (*_SAME_POINT, TRAPEZOIDAL), PARTICLES: ONE_STEPS}
 """For x' = f(x, u, t) those that have no momenta at another point than the coordinates."""
 
 

@@ -1,44 +1,14 @@
-"""Schemes for many particles: chains of substeps, the classical Runge-Kutta method, adaptive references."""
+"""Schemes for many particles: those that families offer for them, and compositions of higher order."""
 
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
 
 from codegen import schemes
 from codegen.errors import SchemeError
-from codegen.schemes.base import Scheme
-from codegen.schemes.compositions import NAMES, PARTITIONED
-from codegen.schemes.one_step import ONE_STEPS
-from codegen.schemes.runge_kutta import OF_PARTICLES, RK4
-from codegen.schemes.step import Step
+from codegen.schemes.base import PARTICLES, Scheme
 
-
-@dataclass(frozen=True)
-class Adaptive(Scheme):
-    """A code of scipy that chooses its steps by a tolerance."""
-
-    def step(self) -> Step:
-        """That of the classical Runge-Kutta method, which serves for derivatives alone."""
-        return RK4.step()
-
-
-_ADAPTIVE = (
-    Adaptive(
-        name="dop853", order=8, symmetric=False, symplectic=False,
-        source="Hairer, Norsett and Wanner (1993), II.5 (scipy.integrate.DOP853)",
-        summary="explicit Runge-Kutta method of order 8 with step-size control",
-        adaptive="DOP853",
-    ),
-    Adaptive(
-        name="lsoda", order=12, symmetric=False, symplectic=False,
-        source="Petzold (1983), SIAM Journal on Scientific and Statistical Computing 4 (scipy.integrate.LSODA)",
-        summary="multistep methods of Adams and backward differentiation formulas, order and step by error control",
-        adaptive="LSODA",
-    ),
-)  # fmt: skip
-
-PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (*ONE_STEPS, *OF_PARTICLES, *_ADAPTIVE)}
+PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in schemes.of_method(PARTICLES)}
 """Schemes for pairwise systems by name, over which tests run; `find` knows the compositions of higher order as well."""
 
 
@@ -57,4 +27,4 @@ def find(name: str, task: str) -> Scheme:
 
 def _is_composition(name: str) -> bool:
     """Whether a name is that of a composition, or <composition>-of-<base>."""
-    return name in (*NAMES, *(scheme.name for scheme in PARTITIONED), "forest-ruth") or "-of-" in name
+    return "-of-" in name or (schemes.is_known(name, "hamiltonian") and bool(schemes.find(name, "hamiltonian").parts))

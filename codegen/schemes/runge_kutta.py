@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from sympy import Expr, Integer, Rational, S, sqrt
 
-from codegen.schemes.base import FIRST_ORDER, Scheme
+from codegen.schemes.base import FIRST_ORDER, PARTICLES, Scheme
 from codegen.schemes.step import FieldPoint, Rows, Step, Update
 
 
@@ -107,6 +107,6 @@ HERMITE_SIMPSON = RungeKutta(
 SCHEMES = {
     "hamiltonian": (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, LOBATTO_4, RK4),
     FIRST_ORDER: (GAUSS_4, GAUSS_6, HERMITE_SIMPSON, RK4),
+    PARTICLES: (RK4, BUTCHER_6),
 }
-OF_PARTICLES = (RK4, BUTCHER_6)
-"""Those for particles, whose steps are explicit."""
+"""Those for particles have explicit steps."""

@@ -36,7 +36,7 @@ def connect_result(
         "mean_arrival_error": float(arrival.mean()),
         "largest_miss": float(np.abs(path[-1, 0] - case.target).max()),
         "condition_number": condition_number(module, case),
-        "crossings": float(len(crossed)),
+        "crossing_pairs": float(len(crossed)),
         "energy_drift": float(np.abs(energy - energy[0]).max()),
         "domain_margin": min(float(module.domain_margin(np.ascontiguousarray(z))) for z in path),
         "attempts": float(max(1, len(attempt.attempts))),

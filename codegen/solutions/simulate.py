@@ -40,9 +40,9 @@ def simulate_result(
         finding = f"the scheme's equations have residual {residual:.1e}"
         status, message = contradicted(driver, finding, "try more steps")
     if status == "solved" and driver != "newton" and (first_outside := getattr(module, "first_outside", None)):
-        number, told = first_outside(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
+        number, range_left = first_outside(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
         if number and run.every == 1:
-            status, message = "outside a table", f"outside a table in step {number} of {run.steps}: {told}"
+            status, message = "outside a table", f"outside a table in step {number} of {run.steps}: {range_left}"
     names = component_names(metadata)
     drift = np.abs(attempt.energy - attempt.energy[0])
     final = zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True)

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError
-from codegen.loading import load
+from codegen.loading import is_connect, load
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
-from codegen.stress.families.common import EVERY_SCHEME
+from codegen.stress.families.common import registered
 
 FACTORS = (1e-12, 1e-6, 1e6, 1e12)
 STEPS = (1, 2, 10)
@@ -43,20 +43,20 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
 
 def _schemes(metadata: Mapping[str, Any]) -> Sequence[tuple[str | None, str]]:
     """Methods and schemes that may apply, from the registries; those of which most is known come first."""
-    from codegen.schemes import METHODS
+    from codegen.schemes import FIRST_ORDER, METHODS, of_method
 
     if metadata["task"] == "connect" or "separable" in metadata:
         from codegen.schemes.particles import PARTICLE_SCHEMES
 
         return [(None, name) for name, scheme in PARTICLE_SCHEMES.items() if not scheme.adaptive]
     if metadata.get("form") == "first-order":
-        return [(None, name) for name in ("explicit-euler", "implicit-euler", "midpoint", "trapezoidal")]
+        return [(None, scheme.name) for scheme in of_method(FIRST_ORDER) if scheme.order <= 2]
     every = [(method, name) for method, schemes in METHODS.items() for name in schemes]
-    return sorted(every, key=lambda scheme: scheme not in EVERY_SCHEME)
+    return sorted(every, key=lambda scheme: registered(scheme).order > 2)
 
 
 def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[tuple[float, ...], ...]:
-    if module.metadata["task"] != "connect":
+    if not is_connect(module):
         return ()
     from codegen.author.points import read_points
     from codegen.author.problem_file import split_points

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,11 +28,12 @@ def stable_limit(module: Any, case: Case) -> float:
     """
     key = (module.metadata["inputs"], case.setup.label)
     if key not in _known:
-        _known[key] = _bisected(lambda x: spectral_radius(module, case.setup.file.stem, x) <= 1.0 + GROWTH)
+        _known[key] = first_growth(lambda x: spectral_radius(module, case.setup.file.stem, x) <= 1.0 + GROWTH)
     return _known[key]
 
 
-def _bisected(is_stable: Any) -> float:
+def first_growth(is_stable: Callable[[float], bool]) -> float:
+    """The h omega where motions begin to grow, by trial and bisection; beyond it, other stable steps may follow."""
     if not is_stable(LEAST):
         return 0.0
     grid = np.geomspace(LEAST, MOST, POINTS)

@@ -13,11 +13,11 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from codegen.solutions.result import Result
+from codegen.stress import linear
 from codegen.stress.cases import Case
-from codegen.stress.families.common import HIGHER_ORDER
+from codegen.stress.families.common import registered
 from codegen.stress.limits import stable_limit
-from codegen.stress.linear import angle
-from codegen.stress.systems import DEFAULTS, FORCES, LIMITS, chain_acceleration, plate_gradient
+from codegen.stress.systems import DEFAULTS, FORCES, chain_acceleration, plate_gradient
 
 Vector = Any
 
@@ -49,27 +49,19 @@ def oscillator(module: Any, case: Case, result: Result) -> float:
 
 
 def stable_step(module: Any, case: Case, result: Result) -> float:
-    """The closed form of the largest stable step, against the one that bisection finds."""
-    measured, exact = stable_limit(module, case), LIMITS[result.scheme]
+    """The largest stable step by the scheme's table, against the one that bisection finds."""
+    measured, exact = stable_limit(module, case), linear.limit(registered((result.method, result.scheme)))
     if measured == exact:
         return 0.0
     return abs(measured / exact - 1.0) if math.isfinite(exact) and exact else math.inf
 
 
 def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
-    """The scheme's own closed form: q_k = cos((k + s) theta)/cos(s theta).
-
-    theta = 2 atan(h omega/2) for midpoint, 2 asin(h omega/2) for Störmer-Verlet (s = 0) and symplectic Euler (s = 1/2);
-    from the tables of schemes of higher order (s = 0).
-    """
-    x = result.t[-1] / result.steps * of_case(case).get("omega", 1.0) / 2.0
-    if any(result.scheme == name for _, name in HIGHER_ORDER):
-        theta = angle(result.scheme, 2.0 * x)
-    else:
-        theta = 2.0 * (math.atan(x) if result.scheme == "midpoint" else math.asin(x))
-    shift = 0.5 if result.scheme == "symplectic-euler" else 0.0
-    k = np.round(result.t / (result.t[-1] / result.steps))
-    exact = np.cos((k + shift) * theta) / np.cos(shift * theta)
+    """The scheme's own closed form, from its table."""
+    h = result.t[-1] / result.steps
+    theta, lean = linear.turn(registered((result.method, result.scheme)), h * of_case(case).get("omega", 1.0))
+    k = np.round(result.t / h)
+    exact = np.cos(k * theta) + lean * np.sin(k * theta)
     return float(np.abs(result.q[:, 0] / result.q[0, 0] - exact).max())
 
 

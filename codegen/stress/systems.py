@@ -130,34 +130,3 @@ def plate_gradient(q: Array, p: Array) -> tuple[Array, Array]:
             slope = slope + (w / (1.0 + w) - np.log1p(w)) * difference
             by_place[i] += (p[i] @ p[j]) * slope
     return by_place, by_momentum
-
-
-LIMITS = {
-    "explicit-euler": 0.0,
-    "implicit-euler": math.inf,
-    "symplectic-euler": 2.0,
-    "symplectic-euler-adjoint": 2.0,
-    "midpoint": math.inf,
-    "stormer-verlet": 2.0,
-    "rectangle": 2.0,
-    "trapezoidal": 2.0,
-    "rk4": math.sqrt(8.0),
-    "gauss-4": math.inf,
-    "gauss-6": math.inf,
-    "hermite-simpson": math.inf,
-    "lobatto-4": math.sqrt(8.0),
-    "yoshida-4": 1.5734,
-    "suzuki-4": 2.7210,
-    "yoshida-6": 2.2691,
-    "kahan-li-6": 2.5326,
-    "yoshida-8": 3.3932,
-    "kahan-li-8": 3.0964,
-    "mclachlan-4": 3.0355,
-    "blanes-moan-4": 3.1328,
-    "blanes-moan-6": 6.1452,
-}
-"""Largest stable h omega on the oscillator, from the traces of the step's matrix (0: none, infinite: any step).
-
-Those of compositions are the first at which a motion grows by 1e-4 in a step, computed from their published fractions
-by `codegen.stress.linear`; beyond some of them other stable steps follow.
-"""

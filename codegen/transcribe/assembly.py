@@ -162,7 +162,7 @@ def _placed(program: ControlProgram, inner: InnerTerms, motion: Motion, behind: 
         times,
         unknowns=tuple(first + i for i in times.unknowns),
         multipliers=tuple((name, time, first + i) for name, time, i in times.multipliers),
-        guess=tuple((i, told, i in pinned[0], i in pinned[1]) for i, told in inner_guess(program.model)),
+        guess=tuple((i, values, i in pinned[0], i in pinned[1]) for i, values in inner_guess(program.model)),
         clock=len(motion.node) - 2 if times.scales else None,
         lacking=(len(motion.interval) - 1,) if times.scales else (),
     )

@@ -44,7 +44,7 @@ def _decided(program: ControlProgram, number: int, inequalities: Sequence[PathVa
         if not before:
             _require_undecided(program, number, equations)
             candidates += _bounds(program)
-        decided = [name for name, told, value in candidates if equations.touched(told, value) is not None]
+        decided = [name for name, condition, value in candidates if equations.touched(condition, value) is not None]
         names += [(name, before) for name in dict.fromkeys(decided)]
     return names
 

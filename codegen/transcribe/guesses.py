@@ -7,7 +7,7 @@ from sympy import Expr, Symbol
 
 from codegen.expressions.tangents import gradient
 from codegen.model import Model
-from codegen.model.lines import at_guess, guessed, told
+from codegen.model.lines import at_guess, guessed, values_given_by
 
 DURATION = Symbol("duration", positive=True)
 """The length of the whole time interval, in guesses."""
@@ -46,12 +46,12 @@ def at_end(model: Model, guess: Expr) -> Expr:
 
 
 def inner_guess(model: Model) -> tuple[tuple[int, tuple[tuple[int, Expr], ...]], ...]:
-    """For coordinates without a guess of the author, by index, what is told of inner times.
+    """For coordinates without a guess of the author, by index, what conditions at inner times give.
 
     Of each inner time its number and the value there, as far as it is one of parameters.
     """
     given, times = dict(model.guess), range(len(model.inner_times))
-    known = [told(model, [c for c in model.inner_conditions if c.number == number]) for number in times]
+    known = [values_given_by(model, [c for c in model.inner_conditions if c.number == number]) for number in times]
     found = []
     for i, q in enumerate(model.coordinates):
         pairs = [(number, at_guess(model, values[q])) for number, values in enumerate(known) if q in values]

@@ -18,8 +18,6 @@ from codegen.verify.tape import Arithmetic, Tape
 
 _DRAWN = 30
 Assignment = tuple[Symbol, Expr]
-Fill = Callable[[Callable[..., Any], Mapping[Symbol, Any]], list[Any]]
-"""Calls a kernel with values of symbols, and returns what it filled."""
 
 
 def verify_step(program: StepProgram, text: Text) -> None:

@@ -161,10 +161,6 @@ def test_a_duration_that_overrides_parameters_is_documented():
     assert "overrides" not in text_of("goddard_rocket.py")  # its duration is an unknown
 
 
-def test_gallery_covers_every_problem_file():
-    assert {name for name, _, _ in GALLERY} == {path.stem for path in (ROOT / "problems").glob("*.py")}
-
-
 def test_templates_ask_only_for_what_modules_supply():
     environment = jinja2.Environment(loader=jinja2.PackageLoader("codegen.emit"))
     for name in environment.list_templates(extensions=["j2"]):

@@ -16,7 +16,7 @@ from interpreted import without_compilation
 from codegen import solving
 from codegen.cli import main
 from codegen.errors import ArgumentError
-from codegen.report import building, gallery, records
+from codegen.report import building, gallery, records, selection
 from codegen.report.building import Variant, Workshop
 from codegen.report.compare import regressions
 from codegen.report.extent import Extent
@@ -244,13 +244,13 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
     store = Store(out / "quick.jsonl")
     orders = {
         ("oscillator", v.scheme): (v.order, sections_simulation.order_of(store, problems[1], v))
-        for v in gallery.choose(problems[1], store, TINY).variants
+        for v in selection.choose(problems[1], store, TINY).variants
     }
     assert len(orders) == 3
     for stated, order in orders.values():
         assert order is not None
         assert abs(order.value - stated) < (0.1 if stated < 6 else 0.3)
-    control = gallery.choose(problems[0], store, TINY)
+    control = selection.choose(problems[0], store, TINY)
     assert control.left
     for variant in control.variants:  # controls are constant on intervals, so that order 2 is all there is
         assert sections_control.expected_order(store, problems[0], variant) == min(variant.order, 2)

@@ -99,8 +99,8 @@ def _shares(context: Context, program: ControlProgram, flat: FlatVector, grid: A
     for body in range(program.bodies):
         for k in range(flat.steps):
             yield _Share(elements[flat.share(k).element], flat.element(body, k), given(body, k))
-        for k, told in _samples(context.model, body, times) if sample else ():
-            yield _Share(partial(losses, *told), flat.element(body, k), given(body, k))
+        for k, arguments in _samples(context.model, body, times) if sample else ():
+            yield _Share(partial(losses, *arguments), flat.element(body, k), given(body, k))
         yield _Share(start, flat.end(body, "start"), given(body, 0))
         yield _Share(end, flat.end(body, "end"), given(body, flat.steps))
     symbols, every = shared_symbols(program), np.arange(flat.first_shared, flat.first_coupling)

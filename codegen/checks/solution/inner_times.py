@@ -44,9 +44,9 @@ def check(context: Context) -> Iterator[Finding]:
 def _nodes(context: Context, numbers: dict[sympy.Symbol, float]) -> NDArray[np.int64]:
     """The node nearest to every given time, and of free ones that which the module's grid tells."""
     t, model = context.solution.t, context.model
-    told = context.module.make_grid(t.size - 1).inner
+    kept = context.module.make_grid(t.size - 1).inner
     given = [None if inner.time is None else _number(inner.time, numbers) for inner in model.inner_times]
-    pairs = zip(given, told, strict=True)
+    pairs = zip(given, kept, strict=True)
     return np.array([node if time is None else int(np.argmin(np.abs(t - time))) for time, node in pairs])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,6 @@ import pandas as pd
 import panel as pn
 from numpy.typing import NDArray
 
-from codegen.registration.app.layout import STYLE
 from codegen.registration.app.result import MODES
 from codegen.registration.app.state import Work
 from codegen.registration.formats import FORMATS
@@ -17,6 +17,7 @@ from codegen.registration.solver import DEFAULT_SCHEME
 
 ALIGNMENTS = {"similarity": "similarity", "affine": "affine", "none": "none"}
 SCHEMES = tuple(dict.fromkeys((DEFAULT_SCHEME, "midpoint", "rk4", "explicit-euler")))
+STYLE = (files("codegen.registration.app") / "style.css").read_text()
 _TABLE_STYLE = r"""
 .tabulator { font-size: 12px; border: 1px solid #d7dde3; }
 .tabulator-row .tabulator-cell { font-size: 12px; }

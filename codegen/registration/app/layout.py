@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import panel as pn
 
+from codegen.registration.app.controls import STYLE, Controls
+
 if TYPE_CHECKING:
     from codegen.registration.app.canvas import Canvas
     from codegen.registration.app.session import Session
-    from codegen.registration.app.view import View
 
-STYLE = (files("codegen.registration.app") / "style.css").read_text()
 _KEYS = (
     "<kbd>Ctrl Z</kbd> undo, <kbd>Ctrl Shift Z</kbd> redo, <kbd>Delete</kbd> removes the chosen pair, "
     "<kbd>Ctrl</kbd> + wheel zooms, dragging beside points shifts."
@@ -25,20 +25,26 @@ HELP_ALONE = f"<p><b>Click</b> to add a point, then <b>drag</b> it in the warped
 class Layout:
     """The arrangement of a view's widgets, and the places for messages."""
 
-    def __init__(self, view: View) -> None:
-        c = view.controls
+    def __init__(
+        self,
+        controls: Controls,
+        canvases: Mapping[str, Canvas],
+        openers: Iterable[pn.viewable.Viewable],
+        browser: pn.viewable.Viewable,
+    ) -> None:
+        """Lay out `controls`, `canvases` by name, buttons that open files, and what talks to the browser."""
+        c = controls
         self._message = _html("", visible=False, sizing_mode="stretch_width")
         self._status = _html("")
         self._help = _html(HELP, sizing_mode="stretch_width")
         self._note = _html("", visible=False)
         self._legend = _html("", visible=False, sizing_mode="stretch_width")
-        named: dict[str, Canvas] = dict(view.canvases.items()) | {"result": view.result}
-        self._titles = {name: _html("", sizing_mode="stretch_width") for name in named}
+        self._titles = {name: _html("", sizing_mode="stretch_width") for name in canvases}
         self._titles["result"].object = _title("Warped", "moving to fixed; points can be dragged here, too")
-        self._figures = {name: _figure(self._titles[name], canvas.figure) for name, canvas in named.items()}
+        self._figures = {name: _figure(self._titles[name], canvas.figure) for name, canvas in canvases.items()}
         self._figures["result"].append(self._legend)
         header = _bar(_html("<h1>Image registration by landmarks</h1>"), self._status, justify_content="space-between")
-        opening = _bar(*view.openers.values(), view.load_landmarks, c.example)
+        opening = _bar(*openers, c.example)
         left = _card("Pairs, in pixels", _bar(c.undo, c.redo, c.delete, c.clear), c.table, self._note, kind="wide")
         saving = (_bar(c.save_image, c.save_gif, c.save_field), _bar(c.save_landmarks, c.format))
         looking = (_bar(c.mode), _bar(c.grid, c.points, c.live), c.time)
@@ -48,7 +54,7 @@ class Layout:
         right = _stack(_card("Registration", methods, distances))
         lower = _box(left, middle, right, gap="10px")
         self.root = pn.Column(
-            view.browser, header, opening, self._help, self._message, _box(*self._figures.values(), gap="10px"), lower,
+            browser, header, opening, self._help, self._message, _box(*self._figures.values(), gap="10px"), lower,
             css_classes=["page"], sizing_mode="stretch_width", stylesheets=[STYLE],
         )  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from concurrent.futures import Future
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from codegen.registration.app import preparing, solving
 from codegen.registration.app.autosave import Store
 from codegen.registration.app.canvas import Canvas, Points, point_rows
 from codegen.registration.app.controls import Controls, table_rows
+from codegen.registration.app.layout import Layout
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.result import ResultCanvas
 from codegen.registration.app.rows import Editions
@@ -21,9 +22,6 @@ from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Shown, Wanted
 from codegen.registration.app.state import Side
 from codegen.registration.app.worker import Deliver, Worker, delivered, slow
-
-if TYPE_CHECKING:
-    from codegen.registration.app.layout import Layout
 
 QUICK = ("click moving", "click fixed", "draw")
 SLOW = ("save", "sigma", "warped_image", "field", "landmarks", "animation", "certify")

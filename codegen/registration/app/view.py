@@ -13,7 +13,7 @@ from codegen.errors import CodegenError, RegistrationError
 from codegen.registration.app import exports, solving
 from codegen.registration.app.autosave import Store
 from codegen.registration.app.bridge import Browser, FileButton
-from codegen.registration.app.canvas import Points
+from codegen.registration.app.canvas import Canvas, Points
 from codegen.registration.app.layout import Layout
 from codegen.registration.app.reading import LIMITS, Files, example, in_order, picture_from
 from codegen.registration.app.rows import Changes, dragged
@@ -50,7 +50,9 @@ class View(Screen):
             later(self._load), later(self.fail), label="Load landmarks", accept=LANDMARKS, most=MOST_LANDMARK_BYTES,
             count=2,
         )  # fmt: skip
-        self.layout = Layout(self)
+        canvases: dict[str, Canvas] = dict(self.canvases.items()) | {"result": self.result}
+        openers = (*self.openers.values(), self.load_landmarks)
+        self.layout = Layout(self.controls, canvases, openers, self.browser)
         self._connect()
         self._show_images()
 

@@ -5,24 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
+from matplotlib.colors import hsv_to_rgb, to_hex
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 from codegen.report.section import SUPERSCRIPTS
 
-COLOURS = {
-    "midpoint": BLUE, "explicit-euler": RED, "implicit-euler": AMBER, "symplectic-euler": GREEN,
-    "symplectic-euler-adjoint": "#7FCDBB", "stormer-verlet": PINK, "trapezoidal": PINK, "rectangle": "#7A5230",
-    "rk4": DARK, "gauss-4": SKY, "gauss-6": "#084594", "lobatto-4": "#6A3D9A", "yoshida-4": "#B3A100",
-    "yoshida-6": "#8C6D31", "yoshida-8": "#637939", "suzuki-4": "#E7969C", "kahan-li-6": "#843C39",
-    "kahan-li-8": "#C2185B", "mclachlan-4": GREY, "blanes-moan-4": "#31A354", "blanes-moan-6": "#393B79",
-    "position-verlet": "#D6616B", "hermite-simpson": "#54278F",
-}  # fmt: skip
-"""Colours of schemes; those that are not here take the spare ones in the order of their names."""
-_SPARE = ("#393B79", "#D6616B", "#31A354", "#756BB1", "#636363", "#E6550D")
+_PALETTE = (
+    RED, AMBER, GREEN, "#7FCDBB", BLUE, PINK, "#D6616B", SKY, "#084594", "#54278F", "#6A3D9A", DARK, "#B3A100",
+    "#E7969C", "#8C6D31", "#843C39", "#637939", "#C2185B", GREY, "#31A354", "#393B79", "#7A5230", "#756BB1", "#E6550D",
+)  # fmt: skip
+"""Colours of schemes in the order in which the registry lists them; what follows turns around the circle of hues."""
 _MARKERS = {1: "", 2: "", 4: "o", 6: "s", 8: "^"}
 
 
@@ -50,10 +47,23 @@ class Line:
 
 
 def colour_of(scheme: str) -> str:
-    """The colour that a scheme has in every figure."""
-    if scheme in COLOURS:
-        return COLOURS[scheme]
-    return _SPARE[sum(map(ord, scheme)) % len(_SPARE)]
+    """The colour that a scheme has in every figure; that of one which no list names depends on its name alone."""
+    number = _numbers().get(scheme)
+    if number is None:
+        return _PALETTE[sum(map(ord, scheme)) % len(_PALETTE)]
+    if number < len(_PALETTE):
+        return _PALETTE[number]
+    return to_hex(tuple(hsv_to_rgb((0.618034 * number % 1.0, 0.7, 0.6))))
+
+
+@cache
+def _numbers() -> dict[str, int]:
+    """Schemes by name, with their numbers in the registry."""
+    from codegen import schemes
+
+    methods = ("hamiltonian", "variational", schemes.FIRST_ORDER, schemes.PARTICLES)
+    names = dict.fromkeys(scheme.name for method in methods for scheme in schemes.of_method(method))
+    return {name: number for number, name in enumerate(names)}
 
 
 def look(line: Line) -> dict[str, Any]:

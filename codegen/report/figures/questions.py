@@ -7,20 +7,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from codegen.plots.style import AMBER, BLUE, DARK, GREEN, PINK, RED
+from codegen.plots.style import AMBER, BLUE, DARK, GREEN, RED
+from codegen.report.figures.problems import colour_of
 from codegen.report.measure import accuracy, dimension, jumps, smoothness
 from codegen.report.settings import Settings
 from codegen.report.store import Store, Values
-
-SCHEME_COLOURS = {
-    "explicit-euler": BLUE,
-    "symplectic-euler": GREEN,
-    "midpoint": DARK,
-    "stormer-verlet": PINK,
-    "rk4": RED,
-    "lsoda": AMBER,
-    "dop853": "#56B4E9",
-}
 
 
 def jump_figure(settings: Settings, store: Store) -> Figure:
@@ -72,7 +63,7 @@ def work_and_precision(store: Store) -> Figure:
         x, y = np.array(sorted(points)).T
         adaptive = scheme in ("lsoda", "dop853")
         style = "x" if adaptive else "o-"
-        colour = SCHEME_COLOURS[scheme]
+        colour = colour_of(scheme)
         axes.loglog(x, np.maximum(y, 1e-16), style, color=colour, markersize=4.0, linewidth=1.3, label=scheme)
     axes.set(xlabel="seconds of a solve", ylabel="|cost − exact|")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -9,36 +9,23 @@ from typing import Any, TypeAlias
 from codegen import schemes
 from codegen.schemes import Scheme, particles
 from codegen.stress.cases import Setup
-from codegen.stress.linear import swing
-from codegen.stress.systems import LIMITS
+from codegen.stress.linear import limit, swing
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 
 SchemeOf: TypeAlias = tuple[str | None, str]
 """A method, None for particles, and a scheme."""
 
-HIGHER_ORDER: tuple[SchemeOf, ...] = tuple(
-    (method, name)
-    for method in ("hamiltonian", "variational")
-    for name, scheme in schemes.METHODS[method].items()
-    if scheme.order > 2 and name in LIMITS
+MECHANICAL: tuple[SchemeOf, ...] = tuple(
+    (method, name) for method in ("hamiltonian", "variational") for name in schemes.METHODS[method]
 )
-"""Schemes of higher order for mechanical systems; what is tried with them is a family of its own."""
+"""What is tried on the oscillator, where it is cheap and everything is known: all schemes for mechanical systems."""
 
-EVERY_SCHEME: tuple[SchemeOf, ...] = (
-    ("hamiltonian", "explicit-euler"),
-    ("hamiltonian", "implicit-euler"),
-    ("hamiltonian", "symplectic-euler"),
-    ("hamiltonian", "symplectic-euler-adjoint"),
-    ("hamiltonian", "midpoint"),
-    ("hamiltonian", "stormer-verlet"),
-    ("variational", "rectangle"),
-    ("variational", "midpoint"),
-    ("variational", "trapezoidal"),
+EULER, IMPLICIT_EULER, SYMPLECTIC_EULER, MIDPOINT, VERLET = (
+    ("hamiltonian", name)
+    for name in ("explicit-euler", "implicit-euler", "symplectic-euler", "midpoint", "stormer-verlet")
 )
-"""What is tried on the oscillator, where it is cheap and everything is known; a new scheme takes one line here."""
-
-STIFF_SCHEMES = EVERY_SCHEME[:3] + EVERY_SCHEME[4:6]
+STIFF_SCHEMES: tuple[SchemeOf, ...] = (EULER, IMPLICIT_EULER, SYMPLECTIC_EULER, MIDPOINT, VERLET)
 """Those tried on the larger problems: one of each kind, since each costs seconds of compilation."""
 
 
@@ -52,6 +39,11 @@ def registered(scheme: SchemeOf) -> Scheme:
     """What the registry says of a scheme."""
     method, name = scheme
     return schemes.find(name, method) if method else particles.find(name, "connect")
+
+
+def of_order(low: int, high: float = math.inf) -> tuple[SchemeOf, ...]:
+    """The schemes for mechanical systems with an order between two, both included."""
+    return tuple(scheme for scheme in MECHANICAL if low <= registered(scheme).order <= high)
 
 
 def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
@@ -68,16 +60,6 @@ def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
 
 
 def oscillation(scheme: SchemeOf, h_omega: float) -> float:
-    """By how much of itself a symplectic scheme lets the energy of an oscillator swing below its stable limit.
-
-    Symplectic Euler keeps p^2 + w^2 q^2 - h w^2 q p, Störmer-Verlet p^2 + w^2 q^2 (1 - (h w)^2/4), and the midpoint
-    rule the energy itself, as Gauss' methods do; what other schemes of higher order keep follows from their tables.
-    """
-    if scheme in HIGHER_ORDER and registered(scheme).symplectic:
-        return 1e-6 + (1.1 * swing(scheme[1], h_omega) if h_omega < LIMITS[scheme[1]] else 0.1)
-    half = h_omega / 2.0
-    if scheme[1] == "midpoint":
-        return 1e-6
-    if half >= 1.0 or not registered(scheme).symplectic:
-        return 0.1
-    return 1.1 * (half**2 / (1.0 - half**2) if registered(scheme).order == 2 else 2.0 * half / (1.0 - half))
+    """By how much of itself a symplectic scheme lets the energy of an oscillator swing below its stable limit."""
+    found = registered(scheme)
+    return 1e-6 + 1.1 * swing(found, h_omega) if found.symplectic and h_omega < limit(found) else 0.1
