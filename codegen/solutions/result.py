@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from codegen.author.points import PointSet
 from codegen.errors import ArgumentError
 from codegen.loading import Matrix, Vector
+from codegen.solutions.derivatives import Sensitivities
 from codegen.solutions.estimates import Estimates
-
-if TYPE_CHECKING:
-    from codegen.solutions.sensitivities import Sensitivities
 
 STATUSES = {
     "solved": "the equations hold to the driver's tolerance, or to rounding",

@@ -322,7 +322,7 @@ def test_entries_lost_because_they_are_small_elsewhere_are_found(name, monkeypat
             steps=8,
         )
     )
-    monkeypatch.setattr(derive, "_LONG", 0)
+    monkeypatch.setattr(derive, "LONG", 0)
     generate_from_model(model, Choices(), ORIGIN)
     monkeypatch.setattr(differentiate, "vanishing", lambda graph, roots: {r for r in roots if size(graph, r) < 1e-40})
     with pytest.raises(VerificationError, match="for the second derivative"):
