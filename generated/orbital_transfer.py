@@ -2018,7 +2018,9 @@ def damped(damping, step, length, shortened):
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
-LARGEST_DAMPING = 1e12  # in units of the first one, where that exceeds one: residuals have their own units
+WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
+# In units of that weight where it exceeds one: squared residuals have their own units.
+LARGEST_DAMPING, LARGEST_DUAL = 1e12, 1e3
 
 
 def restore(search, iterate, reduction, filtered, is_late):
@@ -2027,7 +2029,8 @@ def restore(search, iterate, reduction, filtered, is_late):
     When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up. With
     bounds, the weight and the duals are those of the restoration.
     """
-    grid, damping, largest = search.grid, 0.0, 0.0
+    grid, damping = search.grid, 0.0
+    largest = LARGEST_DAMPING * max(1.0, WEIGHT * iterate.point.residual**2)
     first, current = iterate.point.violation, restoration_start(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
@@ -2035,7 +2038,6 @@ def restore(search, iterate, reduction, filtered, is_late):
         point = current.point
         pull = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, pull)
-        largest = largest or LARGEST_DAMPING * max(1.0, damping)
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
             return "infeasible", current
@@ -3691,7 +3693,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_9e1faad5d6c99434"
+_IDENTITY = "codegen_orbital_transfer_854bcc1f7db910cb"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

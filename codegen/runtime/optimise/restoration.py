@@ -21,7 +21,9 @@ from codegen.runtime.unknowns.point import evaluate
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
-LARGEST_DAMPING = 1e12  # in units of the first one, where that exceeds one: residuals have their own units
+WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
+# In units of that weight where it exceeds one: squared residuals have their own units.
+LARGEST_DAMPING, LARGEST_DUAL = 1e12, 1e3
 
 
 def restore(search, iterate, reduction, filtered, is_late):
@@ -30,7 +32,8 @@ def restore(search, iterate, reduction, filtered, is_late):
     When restored, the violation is at most `reduction` times the first. `is_late` tells when the time is up. With
     bounds, the weight and the duals are those of the restoration.
     """
-    grid, damping, largest = search.grid, 0.0, 0.0
+    grid, damping = search.grid, 0.0
+    largest = LARGEST_DAMPING * max(1.0, WEIGHT * iterate.point.residual**2)
     first, current = iterate.point.violation, restoration_start(search, iterate)
     for _ in range(RESTORATION_STEPS):
         if is_late():
@@ -38,7 +41,6 @@ def restore(search, iterate, reduction, filtered, is_late):
         point = current.point
         pull = residual_gradient(grid, point)
         damping = damping or first_damping(grid, point, pull)
-        largest = largest or LARGEST_DAMPING * max(1.0, damping)
         error = restoration_error(search, current, pull)
         if error <= 1e-8 * point.residual:
             return "infeasible", current
@@ -62,9 +64,9 @@ def restoration_start(search, iterate):
     grid = search.grid
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
     if INEQUALITIES:
-        nu = max(1e-12, 1e-2 * iterate.point.residual**2)
-        # Smaller duals would let steps run into bounds that are close, where the barrier of a large weight is steep.
-        start = start._replace(mu=nu, duals=nu / start.distance)
+        nu = max(1e-12, WEIGHT * iterate.point.residual**2)
+        # Far smaller duals than on the central path let steps run into bounds; those on it hold what is close to them.
+        start = start._replace(mu=nu, duals=np.minimum(nu / start.distance, LARGEST_DUAL * max(1.0, nu)))
     return start
 
 
