@@ -2379,8 +2379,7 @@ def damped(damping, step, length, shortened):
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
 WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
-# In units of that weight where it exceeds one: squared residuals have their own units.
-LARGEST_DAMPING, LARGEST_DUAL = 1e12, 1e3
+LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
 
 
 def restore(search, iterate, reduction, filtered, is_late):
@@ -4133,7 +4132,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_12afc3cbe3bd32d1"
+_IDENTITY = "codegen_hovercraft_55e50a1384109c47"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -22,8 +22,9 @@ from codegen.runtime.unknowns.point import evaluate
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
 WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
-# In units of that weight where it exceeds one: squared residuals have their own units.
-LARGEST_DAMPING, LARGEST_DUAL = 1e12, 1e3
+LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
+if INEQUALITIES:
+    LARGEST_DUAL = 1e3  # in the same units
 
 
 def restore(search, iterate, reduction, filtered, is_late):
