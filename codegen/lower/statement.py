@@ -19,6 +19,7 @@ from codegen.model.conditions.table import CONDITIONS
 from codegen.transcribe.program import ControlProgram, EndElement, Phase, Unknown
 
 _WIDTH = 110
+_LONGEST_DENOMINATOR = 1000
 
 Pairs = Sequence[tuple[str, Expr]]
 
@@ -119,7 +120,7 @@ def _quantity(unknown: Unknown) -> str:
 def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
     lines = []
     for u in unknowns:
-        lower, upper = (None if value is None else sympy.sstr(value) for value in (u.lower, u.upper))
+        lower, upper = (None if value is None else _limit(value) for value in (u.lower, u.upper))
         if lower is not None and upper is not None:
             lines.append(f"{lower} <= {u.name} <= {upper}")
         elif lower is not None:
@@ -127,6 +128,13 @@ def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
         elif upper is not None:
             lines.append(f"{u.name} <= {upper}")
     return lines
+
+
+def _limit(value: Expr) -> str:
+    """A bound as its author wrote it: exact numbers with many digits were decimals."""
+    if isinstance(value, sympy.Rational) and value.q > _LONGEST_DENOMINATOR:
+        return f"{float(value):.15g}"
+    return str(sympy.sstr(value))
 
 
 def _intervals(program: ControlProgram) -> Iterator[list[str]]:

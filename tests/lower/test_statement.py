@@ -145,3 +145,12 @@ def test_no_unknown_bound_or_given_value_of_the_gallery_is_left_out(problem):
     for value in metadata["boundary"]:
         where, quantity = value.split()
         assert re.search(rf"(?:^    |, ){quantity} = ", ends[where], re.MULTILINE), value
+
+
+def test_bounds_are_stated_as_they_were_written_and_those_of_an_end_with_it():
+    program = transcribe(load_problem(FOLDER / "cart_pendulum.py", {"form": "holonomic"}))
+    text = "\n".join(description(program, [])).split("\n\n")
+    assert "-6.28318530717959 <= theta <= 6.28318530717959" in listed(text[1])
+    slow = ["dy <= 0.01", "dy >= -0.01", "dtheta <= 0.01", "dtheta >= -0.01"]
+    for end in ("At the start:", "At the end:"):
+        assert listed(text[text.index(end) + 1])[-4:] == slow
