@@ -2412,7 +2412,7 @@ def restore(search, iterate, reduction, filtered, is_late):
 
 
 def restoration_start(search, iterate):
-    """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
+    """The iterate without multipliers; with bounds, small duals, and a weight small beside the squared residual."""
     grid = search.grid
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
     return start
@@ -4132,7 +4132,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_55e50a1384109c47"
+_IDENTITY = "codegen_hovercraft_2308932e1ae442c1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

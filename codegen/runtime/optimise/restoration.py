@@ -24,7 +24,7 @@ FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the wa
 WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
 LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
 if INEQUALITIES:
-    LARGEST_DUAL = 1e3  # in the same units
+    LARGEST_DUAL = 0.1  # at the start; with 1e3, half of the searches of the space shuttle from noise fail, not 2 of 30
 
 
 def restore(search, iterate, reduction, filtered, is_late):
@@ -61,13 +61,13 @@ def restore(search, iterate, reduction, filtered, is_late):
 
 
 def restoration_start(search, iterate):
-    """The iterate without multipliers; with bounds, the barrier's weight is small beside the squared residual."""
+    """The iterate without multipliers; with bounds, small duals, and a weight small beside the squared residual."""
     grid = search.grid
     start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
     if INEQUALITIES:
         nu = max(1e-12, WEIGHT * iterate.point.residual**2)
-        # Far smaller duals than on the central path let steps run into bounds; those on it hold what is close to them.
-        start = start._replace(mu=nu, duals=np.minimum(nu / start.distance, LARGEST_DUAL * max(1.0, nu)))
+        # Where nu is 1e8, duals on the central path would hold all that is close to bounds for many iterations.
+        start = start._replace(mu=nu, duals=np.minimum(nu / start.distance, LARGEST_DUAL))
     return start
 
 
