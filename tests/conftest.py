@@ -7,7 +7,9 @@ import gc
 import os
 
 # Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
-os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+# CODEGEN_TEST_THREADS=2 tries them all the same: no result may depend on it.
+THREADS = os.environ.get("CODEGEN_TEST_THREADS", "1")
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), THREADS))
 
 from pathlib import Path
 
