@@ -39,7 +39,9 @@ def sweep(
     keep: Annotated[
         str,
         typer.Option(
-            metavar="NAMES", help="Of t,q,p,u,multipliers,energy; or none. [default: t,q,u]", show_default=False
+            metavar="NAMES",
+            help="Of t,q,p,u,multipliers,energy, and of d_q, d_u, ..., derivatives of them; or none. [default: t,q,u]",
+            show_default=False,
         ),
     ] = "",
     workers: Annotated[
@@ -68,6 +70,9 @@ def sweep(
     ] = None,
     time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a solve.")] = None,
     scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve.")] = "auto",
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of others by --keep.")
+    ] = False,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
     json: Json = False,
 ) -> None:
@@ -94,6 +99,7 @@ def sweep(
         warm_starts=warm_starts, chunk=chunk, cluster=cluster, driver=driver, arguments=parse_arguments(set_, problem),
         scheme=scheme, formulation=formulation, controls=controls.value, steps=steps, every=every,
         tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
+        sensitivities=sensitivities,
     )  # fmt: skip
     outcome = outcome_of(request, working, progress)
     if plot is not None:

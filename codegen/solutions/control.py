@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -98,12 +98,14 @@ def control_result(
 def control_outline(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt) -> Outline:
     """The verdict on an attempt, and its trajectories; those of segments put together."""
     if segments_of(module.metadata) is not None:
-        return outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
+        outline = outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
+        return replace(outline, free=_free_parameters(module, attempt.unknowns))
     grid = time_grid(module, run.steps, run.grid)
     verdict = control_verdict(module, driver, run, attempt, grid)
     names = ("t", "q", "p", "u", "multipliers")
     arrays = dict(zip(names, attempt.trajectories or module.unpack(grid, attempt.unknowns), strict=True))
-    return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns)
+    free = _free_parameters(module, attempt.unknowns) if module.metadata["free_parameters"] else {}
+    return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns, free)
 
 
 def _estimates(module: ControlModule, grid: Grid, unknowns: Vector) -> Estimates | None:
