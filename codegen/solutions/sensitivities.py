@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError
-from codegen.loading import Grid, Vector, time_grid
+from codegen.loading import Grid, Vector, few_steps, time_grid
 from codegen.solutions.derivatives import Derivatives, Sensitivities
 from codegen.solutions.result import Result
 from codegen.solutions.segments import put_together, segments_of
@@ -83,6 +83,13 @@ def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ())
     by_name = dict(zip(told.names, rates.derivatives(result), strict=True))
     whole = Sensitivities(told.names, told.costs, "", told.doubtful, told.inaccuracy, by_name)
     return replace(result, sensitivity=whole)
+
+
+def quantity_values(module: Any, result: Result) -> dict[str, Vector]:
+    """The values (bodies,) of what there are derivatives by, in a solution with the module's own numbers."""
+    names, parameters = module.metadata["sensitivities"], module.make_grid(few_steps(module, 4)).parameters
+    found = dict(zip(names[: module.OWN_QUANTITIES], parameters.T))
+    return found | ({"duration": np.array([result.t[-1] - result.t[0]])} if "duration" in names else {})
 
 
 def _sharpened(module: Any, steps: int, unknowns: Vector, fractions: Vector | None) -> Vector:
