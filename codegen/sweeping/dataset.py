@@ -71,6 +71,17 @@ class Frame:
         found |= {name: (dims, shape, kind) for name, kind in self.layout.numbers.items()}
         return found | dict.fromkeys(self.layout.words, (dims, shape, "str"))
 
+    def outlined(self) -> Dataset:
+        """The data set without its numbers, which takes no memory."""
+        import xarray
+
+        fills: dict[str, Any] = {"str": "", "i4": 0, "f8": np.nan}
+        empty = {
+            name: (dims, np.broadcast_to(np.array(fills[kind]), shape))
+            for name, (dims, shape, kind) in self.variables.items()
+        }
+        return xarray.Dataset(empty, self.coordinates, dict(self.attributes))
+
 
 class Memory:
     """All rows of a sweep, in memory."""

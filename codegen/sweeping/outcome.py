@@ -69,13 +69,22 @@ def _silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
     yield lambda done, text: None
 
 
-def outcome_of(request: SweepRequest, working: Working = nullcontext, progress: Progress = _silent) -> SweepOutcome:
-    """Do what is asked; see `codegen.sweep`. What is wrong with the request is said before anything takes long."""
+def outcome_of(
+    request: SweepRequest,
+    working: Working = nullcontext,
+    progress: Progress = _silent,
+    require: Callable[[Dataset], None] = lambda outlined: None,
+) -> SweepOutcome:
+    """Do what is asked; see `codegen.sweep`. What is wrong with the request is said before anything takes long.
+
+    `require` is given the data set as it is before anything is solved, and may refuse it.
+    """
     begin = time.perf_counter()
     require_xarray()
     with connected(request.cluster) as cluster:
         modules = modules_of(request.solve, request.cases, working)
         work, frame = _planned(request, modules)
+        require(frame.outlined())
         finish = _into_store if request.is_store else _into_memory
         team = Team(request.workers, cluster, working, progress, {})
         tally, dataset = finish(request, modules, work, frame, team)
