@@ -137,7 +137,8 @@ def histogram(
     if linear[1] > 0.0:
         mean, deviation = linear
         if not is_wide:
-            x = np.linspace(*axes.get_xlim(), 200)
+            low, high = axes.get_xlim()
+            x = np.linspace(low, high, 200)
             height = finite.size * np.ptp(finite) / number / (deviation * np.sqrt(2.0 * np.pi))
             axes.plot(x, height * np.exp(-0.5 * ((x - mean) / deviation) ** 2), color=AMBER)
         axes.plot([], [], color=AMBER, label=f"first order: {mean:.4g} ± {deviation:.2g}")

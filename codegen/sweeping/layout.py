@@ -137,7 +137,7 @@ class Layout:
         dims = self.dims[name]
         if "stage" in dims:
             array = array.reshape(-1, self.sizes["stage"], array.shape[1])
-        if array.shape == self.shapes[name] and (array.ndim == 1 or tuple(columns) == self.names[dims[-1]]):
+        if array.shape == self.shapes[name] and (array.ndim == 1 or columns == self.names[dims[-1]]):
             return array
         whole = np.full(self.shapes[name], np.nan)
         if array.ndim == 1:
