@@ -7,6 +7,7 @@ import pytest
 
 import codegen
 from codegen.errors import ArgumentError
+from codegen.plots.objectives import is_dominated
 from codegen.solutions.result import Outline
 from codegen.sweeping.case import Attempt, _unknowns
 from codegen.sweeping.continuation import Start
@@ -54,6 +55,28 @@ def test_free_parameters_are_kept_and_have_derivatives(swept):
     np.testing.assert_allclose(data.t[:, -1], data["T"], rtol=1e-12)
     for name in ("d_cost", "d_T"):
         np.testing.assert_allclose(data[name].sel(by="g"), -0.5 * data["T"] / data.g, rtol=1e-7)
+
+
+WEIGHTED = '''"""Two costs with weights."""
+from codegen import Control, control, coordinate, parameters
+def problem() -> Control:
+    (x, dx), u, (a, b) = coordinate("x"), control("u"), parameters(a=1, b=1)
+    return Control(lagrangian=dx**2 / 2, force={x: u}, cost=a * u**2 + b * dx**2, duration=1,
+                   start={x: 0, dx: 0}, end={x: 1, dx: 0}, steps=10)
+'''
+
+
+def test_derivatives_by_weights_are_the_terms_of_the_cost(interpreted):
+    """By the envelope theorem, so that a sweep over weights has a front of two costs."""
+    module = interpreted("weighted", WEIGHTED, sensitivities=True)
+    with np.errstate(all="ignore"):
+        data = codegen.sweep(module, {"b": [0.1, 1.0, 10.0, 100.0]}, workers=1, sensitivities=True)
+    effort = 0.1 * (data.u.sel(control="u") ** 2).sum("interval")
+    speed = 10.0 * (data.q.sel(coordinate="x").diff("node") ** 2).sum("node")
+    np.testing.assert_allclose(data.d_cost.sel(by="a"), effort, rtol=1e-8)
+    np.testing.assert_allclose(data.d_cost.sel(by="b"), speed, rtol=1e-8)
+    one, other = (data.d_cost.sel(by=name).values for name in "ab")
+    assert not is_dominated(one, other).any()
 
 
 def test_what_varies_follows_nothing(swept):
