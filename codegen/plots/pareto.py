@@ -51,7 +51,7 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
         _axis(axes, objective, values, is_first)
     handles, names = axes.get_legend_handles_labels()
     shown = [(handle, name) for handle, name in zip(handles, names) if name != "dominated" or beside.size]
-    axes.legend(*zip(*shown), loc="best")
+    figure.legend(*zip(*shown), loc="outside lower center", ncols=len(shown))
     heading(figure, data)
     return figure
 

@@ -201,7 +201,7 @@ def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt)
     arguments = {cases.axes[name] for name in modules.arguments}
     whole = [axis not in arguments or not cases.is_grid for axis in range(len(cases.shape))]
     run = replace(work.run, steps=tried.steps or work.run.steps)
-    size = request.chunk or about_a_second(modules.first, work.driver, run, tried.iterations)
+    size = request.chunk or about_a_second(modules.first, work.driver, run, tried.iterations, work.layout.has_rates)
     return blocks_of(cases.shape, size, whole)
 
 
