@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +50,9 @@ class Attempt:
     rates: CaseRates | None = None
 
     def without_arrays(self) -> Attempt:
-        """The same, with no more numbers than others need to start from it."""
-        own = self.outline
-        outline = Outline(own.status, own.message, own.cost, own.residual, {}, own.unknowns)
-        rates = self.rates and CaseRates(tangent=self.rates.tangent)
-        return Attempt(outline, self.steps, self.iterations, self.seconds, rates)
+        """The same, which lets go of its arrays and keeps what others need to start from it."""
+        self.outline.arrays.clear()  # a copy without them would take a hundredth of a solve
+        return self if self.rates is None else replace(self, rates=CaseRates(tangent=self.rates.tangent))
 
     def without_tangent(self) -> Attempt:
         """The same, of which nobody will begin along its tangent."""
@@ -106,9 +104,25 @@ class Varied:
     def given(self, values: Mapping[Quantity, float]) -> Any:
         """The module with the values of a case, until those of the next one are given."""
         given = given_to(values)
-        self._own.make_grid = lru_cache(1)(partial(self.module.make_grid, **given))  # the guess and the verdict ask
+        self._own.make_grid = _Remembered(partial(self.module.make_grid, **given))  # the guess and the verdict ask
         self._own.solve = partial(self.module.solve, **given)
         return self._own
+
+
+class _Remembered:
+    """A function of hashable arguments that remembers its last value: made for each case, and cheaper than a cache."""
+
+    __slots__ = ("_arguments", "_function", "_value")
+
+    def __init__(self, function: Any) -> None:
+        self._function, self._value = function, None
+        self._arguments: tuple[Any, Any] | None = None
+
+    def __call__(self, *positional: Any, **named: Any) -> Any:
+        """The value, computed where the arguments are not those of the last call."""
+        if self._arguments != (positional, named):
+            self._arguments, self._value = (positional, named), self._function(*positional, **named)
+        return self._value
 
 
 def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[Attempt] | None) -> Attempt:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,10 @@ from codegen.errors import ArgumentError
 from codegen.plots.objectives import is_dominated
 from codegen.solutions.result import Outline
 from codegen.sweeping.case import Attempt, _unknowns
+from codegen.sweeping.cases import grid
 from codegen.sweeping.continuation import Start
+from codegen.sweeping.dataset import Frame
+from codegen.sweeping.layout import Shapes, layout_of
 from codegen.sweeping.quantities import Quantity
 from codegen.sweeping.rates import CaseRates, Tangent
 
@@ -179,3 +184,28 @@ def test_first_order_spread_is_that_of_samples(swept):
     slopes = data.d_cost[0].sel(by=["r1", "m"]).values
     expected = np.sqrt(((slopes * [0.002, 0.1]) ** 2).sum())
     assert float(data.cost.std()) == pytest.approx(expected, rel=0.1)
+
+
+def test_modules_with_other_quantities_share_a_dimension():
+    """An argument of problem() may decide which parameters there are."""
+    rows = {"t": "node", "q": "node", "p": "node", "u": 1, "multipliers": "node"}
+    columns = {"q": ("x",), "u": ("u",)}
+    one, other = (Shapes(rows, columns, 1, 0, 1, 4, by=by) for by in (("m", "k"), ("k", "c")))
+    layout = layout_of((one, other), None, ("q", "d_q"))
+    assert layout.names["by"] == ("m", "k", "c")
+    assert layout.dims["d_q"] == ("by", "node", "coordinate")
+    found = layout.placed_rates("d_q", np.arange(10.0).reshape(2, 5, 1), other)
+    np.testing.assert_array_equal(found[:, :, 0], [[np.nan] * 5, np.arange(5.0), np.arange(5.0, 10.0)])
+    np.testing.assert_array_equal(layout.placed_rates("d_cost", np.array([1.0, 2.0]), one), [1.0, 2.0, np.nan])
+    assert layout.words == ("status", "message", "d_message")
+    assert layout_of((replace(one, by=()),), None, ("q",)).words == ("status", "message")
+
+
+def test_free_parameters_that_are_called_like_variables_get_an_underscore():
+    shapes = Shapes({"t": "node", "q": "node", "p": "node"}, {"q": ("x",)}, 1, 0, 1, 4, ("T", "cost"), ("m",))
+    layout = layout_of((shapes,), None, ("q",))
+    assert list(layout.numbers)[-2:] == ["T", "cost_"]
+    assert {"d_cost", "d_T", "d_cost_"} <= set(layout.dims)
+    frame = Frame(grid({"T": [1.0, 2.0], "d_T": [0.0, 1.0]}), layout, {})
+    assert frame.case_dims == ("T_", "d_T_")
+    assert set(frame.outlined().data_vars) == set(frame.variables)
